@@ -1,0 +1,1 @@
+"""Bayesian filtering over plain arrays: log-weights, resampling, Kalman steps, particle filters."""

@@ -1,0 +1,1 @@
+"""Rotations, rigid transforms and cameras. Millimetres, radians; camera axes x right, y down, z forward."""

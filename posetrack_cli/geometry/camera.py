@@ -1,0 +1,108 @@
+"""Pinhole cameras with lens distortion.
+
+Pixel coordinates follow OpenCV: the centre of the first pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.errors import PosetrackError
+
+DISTORTION_LENGTHS = {
+    "plumb_bob": (0, 4, 5),
+    "rational_polynomial": (8, 12, 14),
+    "equidistant": (4,),
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera: u = fx x/z + cx, v = fy y/z + cy, after lens distortion.
+
+    Attributes:
+        width, height: image size, pixels.
+        fx, fy, cx, cy: intrinsics, pixels.
+        distortion: coefficients in OpenCV's order; empty for none.
+        distortion_model: ``plumb_bob`` (k1 k2 p1 p2 k3), ``rational_polynomial`` or ``equidistant``.
+        name: frame id or folder name; topics of results carry it.
+        camera_T_reference: (3, 4) transform from the recording's reference camera, mm.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    distortion_model: str = "plumb_bob"
+    name: str = "camera"
+    camera_T_reference: tuple[tuple[float, ...], ...] = field(
+        default=((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+    )
+
+    def __post_init__(self) -> None:
+        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not all(np.isfinite(values)) or self.fx <= 0 or self.fy <= 0:
+            raise PosetrackError(
+                "intrinsics cannot be used",
+                where=self.name,
+                found=f"fx {self.fx} fy {self.fy} cx {self.cx} cy {self.cy}",
+                expected="finite values and fx, fy > 0",
+            )
+        if self.width <= 0 or self.height <= 0:
+            raise PosetrackError(
+                "image size cannot be used", where=self.name, found=f"{self.width}x{self.height}"
+            )
+        lengths = DISTORTION_LENGTHS.get(self.distortion_model)
+        if self.distortion and (lengths is None or len(self.distortion) not in lengths):
+            raise PosetrackError(
+                "distortion cannot be used",
+                where=self.name,
+                found=f"{self.distortion_model} with {len(self.distortion)} coefficients",
+                expected="; ".join(f"{k} with {v}" for k, v in DISTORTION_LENGTHS.items()),
+            )
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The (3, 3) intrinsic matrix K, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether any distortion coefficient differs from zero."""
+        return any(self.distortion)
+
+    def mirrored(self) -> Camera:
+        """Return the camera of the image flipped left to right: cx' = width - 1 - cx."""
+        if self.is_distorted and self.distortion_model != "equidistant":
+            k = list(self.distortion) + [0.0] * (4 - min(4, len(self.distortion)))
+            k[3] = -k[3]  # p2 multiplies terms odd in x
+            return replace(self, cx=self.width - 1 - self.cx, distortion=tuple(k))
+        return replace(self, cx=self.width - 1 - self.cx)
+
+    def pixels_from_points(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Project without distortion.
+
+        Args:
+            points: (..., 3) in camera coordinates, mm.
+
+        Returns:
+            (..., 2) pixels, and (...) whether the point lies in front of the camera.
+        """
+        z = points[..., 2]
+        valid = z > 0.0
+        safe = np.where(valid, z, 1.0)
+        u = self.fx * points[..., 0] / safe + self.cx
+        v = self.fy * points[..., 1] / safe + self.cy
+        return np.stack([u, v], axis=-1), valid
+
+    def points_from_pixels(self, pixels: FloatArray, depth: FloatArray) -> FloatArray:
+        """Back-project undistorted pixels (..., 2) with depth z (...) mm to (..., 3) points, mm."""
+        x = (pixels[..., 0] - self.cx) / self.fx * depth
+        y = (pixels[..., 1] - self.cy) / self.fy * depth
+        return np.stack([x, y, np.broadcast_to(depth, x.shape)], axis=-1)

@@ -1,0 +1,1 @@
+"""The hand: kinematics, mesh, likelihood, tracker, and synthetic recordings of it."""

@@ -1,0 +1,1 @@
+"""What a run reads: frames and cameras, from folders and MCAP files."""

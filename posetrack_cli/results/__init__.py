@@ -1,0 +1,1 @@
+"""What a run produced: estimates and run record, written to and read from MCAP."""
