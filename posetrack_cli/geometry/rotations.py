@@ -1,0 +1,230 @@
+"""Rotations as unit quaternions, vectorised over leading axes.
+
+A quaternion is stored ``x y z w``, the scalar **last**, as ROS, Foxglove and scipy do. Its canonical form has
+unit length and w >= 0; q and -q are the same rotation. Products are Hamilton's:
+``matrices_from_quaternions(multiply(p, q)) = matrices_from_quaternions(p) @ matrices_from_quaternions(q)``.
+A rotation vector is axis times angle, rad. Every function returns new float64 arrays and broadcasts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import PosetrackError
+
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+ORTHONORMAL_TOLERANCE = 1e-4
+"""Largest |R R^T - I| taken for a rotation: ten float32 products stay far below, a scale in mm does not."""
+
+SMALL_HALF_ANGLE = 1e-8
+"""Below it arctan(s / w) / s = 1 / w to the last bit: the next term is s^2 / 3 < 4e-17."""
+
+
+def canonical(q: FloatArray) -> FloatArray:
+    """Return the unit quaternion of the same rotation with w >= 0.
+
+    With w = 0 (half a turn) the first of x, y, z that is not zero is made positive.
+
+    Args:
+        q: (..., 4) quaternions of any length but zero.
+
+    Raises:
+        PosetrackError: a quaternion has no direction (zero, NaN or infinite).
+    """
+    q = np.asarray(q, dtype=np.float64)
+    length = np.sqrt(np.einsum("...i,...i->...", q, q))
+    if not (np.all(length > 0.0) and np.all(np.isfinite(length))):
+        raise PosetrackError(
+            "a quaternion without direction",
+            found="length 0, NaN or infinite",
+            expected="a finite length > 0",
+        )
+    unit: FloatArray = q * (_canonical_sign(q) / length)[..., None]
+    return unit
+
+
+def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return Hamilton's product p q: first q, then p, seen from fixed axes. Shapes (..., 4); any length."""
+    p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    px, py, pz, pw = (p[..., i] for i in range(4))
+    qx, qy, qz, qw = (q[..., i] for i in range(4))
+    product = np.empty(np.broadcast_shapes(p.shape, q.shape))
+    product[..., 0] = pw * qx + px * qw + py * qz - pz * qy
+    product[..., 1] = pw * qy - px * qz + py * qw + pz * qx
+    product[..., 2] = pw * qz + px * qy - py * qx + pz * qw
+    product[..., 3] = pw * qw - px * qx - py * qy - pz * qz
+    return product
+
+
+def conjugate(q: FloatArray) -> FloatArray:
+    """Return (-x, -y, -z, w), for a unit quaternion the inverse rotation. Shape (..., 4)."""
+    opposite: FloatArray = np.multiply(q, [-1.0, -1.0, -1.0, 1.0])
+    return opposite
+
+
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the vectors q v q*: v + 2 u x (u x v + w v), with u = (x, y, z).
+
+    Args:
+        q: (..., 4) unit quaternions.
+        v: (..., 3) vectors, any unit.
+    """
+    q, v = np.asarray(q, dtype=np.float64), np.asarray(v, dtype=np.float64)
+    u, w = q[..., :3], q[..., 3:]
+    return v + 2.0 * _cross(u, _cross(u, v) + w * v)
+
+
+def matrices_from_quaternions(q: FloatArray) -> FloatArray:
+    """Return the (..., 3, 3) rotation matrices of unit quaternions (..., 4)."""
+    q = np.asarray(q, dtype=np.float64)
+    x, y, z, w = (q[..., i] for i in range(4))
+    matrices = np.empty((*q.shape[:-1], 3, 3))
+    matrices[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    matrices[..., 0, 1] = 2.0 * (x * y - w * z)
+    matrices[..., 0, 2] = 2.0 * (x * z + w * y)
+    matrices[..., 1, 0] = 2.0 * (x * y + w * z)
+    matrices[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    matrices[..., 1, 2] = 2.0 * (y * z - w * x)
+    matrices[..., 2, 0] = 2.0 * (x * z - w * y)
+    matrices[..., 2, 1] = 2.0 * (y * z + w * x)
+    matrices[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return matrices
+
+
+def quaternions_from_matrices(R: FloatArray) -> FloatArray:
+    """Return the canonical quaternions (..., 4) of rotation matrices (..., 3, 3).
+
+    4 q q^T is linear in R; of its rows the one with the largest diagonal is normalised (Shepperd 1978), so
+    that no division by a small number occurs at any angle.
+
+    Raises:
+        PosetrackError: a matrix is no rotation: not orthonormal, a reflection, or not finite.
+    """
+    R = np.asarray(R, dtype=np.float64)
+    _check_rotations(R)
+    outer = _four_outer_products(R)
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    rows = np.take_along_axis(outer, largest[..., None, None], axis=-2)
+    return canonical(rows[..., 0, :])
+
+
+def exponential(rotation_vectors: FloatArray) -> FloatArray:
+    """Return the canonical quaternions (..., 4) of rotation vectors (..., 3), rad.
+
+    q = (r sin(a/2) / a, cos(a/2)) with a = |r|, any angle.
+    """
+    r = np.asarray(rotation_vectors, dtype=np.float64)
+    half = 0.5 * np.sqrt(np.einsum("...i,...i->...", r, r))
+    q = np.empty((*r.shape[:-1], 4))
+    q[..., :3] = 0.5 * np.sinc(half / np.pi)[..., None] * r  # sinc is 1 at 0, without a branch
+    q[..., 3] = np.cos(half)
+    return q * _canonical_sign(q)[..., None]
+
+
+def logarithm(q: FloatArray) -> FloatArray:
+    """Return the rotation vectors (..., 3), rad, of length <= pi: 2 atan2(|u|, |w|) u / |u|, u = (x, y, z).
+
+    q and -q give the same vector. The arctangent of two arguments loses nothing near 0 or near pi, where the
+    arc cosine of w or the trace would.
+
+    Args:
+        q: (..., 4) unit quaternions.
+    """
+    q = np.asarray(q, dtype=np.float64)
+    u, w = q[..., :3], np.abs(q[..., 3])
+    s = np.sqrt(np.einsum("...i,...i->...", u, u))
+    small = s < SMALL_HALF_ANGLE
+    factor = 2.0 * np.arctan2(s, w) / np.where(small, 1.0, s)
+    factor = np.where(small, 2.0 / np.where(small, w, 1.0), factor)
+    return (factor * _canonical_sign(q))[..., None] * u
+
+
+def mean_quaternion(q: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the weighted mean rotation: the dominant eigenvector of sum_i w_i q_i q_i^T.
+
+    Markley, Cheng, Crassidis and Oshman 2007, eqs. (12)-(13). It minimises the weighted sum of squared
+    chordal distances and does not see the signs of the q_i. Where the two largest eigenvalues are equal
+    (rotations spread evenly) no mean is defined and some eigenvector is returned.
+
+    Args:
+        q: (N, 4) unit quaternions.
+        weights: (N,) weights >= 0, of any positive sum.
+
+    Returns:
+        (4,) canonical quaternion.
+    """
+    q, weights = np.asarray(q, dtype=np.float64), np.asarray(weights, dtype=np.float64)
+    _, vectors = np.linalg.eigh(q.T @ (weights[:, None] * q))
+    return canonical(vectors[:, -1])
+
+
+def angle_between(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the angle (...), rad in [0, pi], of the rotation from p to q, unit quaternions (..., 4)."""
+    difference = multiply(conjugate(p), q)
+    u = difference[..., :3]
+    s = np.sqrt(np.einsum("...i,...i->...", u, u))
+    angle: FloatArray = 2.0 * np.arctan2(s, np.abs(difference[..., 3]))
+    return angle
+
+
+def quaternion_rate(q: FloatArray, body_angular_velocity: FloatArray) -> FloatArray:
+    """Return the time derivative of q, per second: q' = 1/2 q (omega, 0).
+
+    Args:
+        q: (..., 4) unit quaternions.
+        body_angular_velocity: (..., 3) angular velocity in the rotating body's axes, rad/s.
+    """
+    omega = np.asarray(body_angular_velocity, dtype=np.float64)
+    pure = np.zeros((*omega.shape[:-1], 4))
+    pure[..., :3] = omega
+    return 0.5 * multiply(q, pure)
+
+
+def _canonical_sign(q: FloatArray) -> FloatArray:
+    """Return the sign (...) of w, or where w is 0 of the first of x, y, z that is not."""
+    sign = np.sign(q[..., 3])
+    if np.all(sign):
+        return sign
+    for component in range(3):
+        sign = np.where(sign == 0.0, np.sign(q[..., component]), sign)
+    return np.where(sign == 0.0, 1.0, sign)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross product of (..., 3) vectors; np.cross takes several times as long on small arrays."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
+
+
+def _four_outer_products(R: FloatArray) -> FloatArray:
+    """Return 4 q q^T, (..., 4, 4), from R (..., 3, 3): the quadratic terms of R solved for."""
+    outer = np.empty((*R.shape[:-2], 4, 4))
+    transposed = np.swapaxes(R, -1, -2)
+    diagonal = np.diagonal(R, axis1=-2, axis2=-1)
+    trace = diagonal.sum(axis=-1)
+    outer[..., :3, :3] = R + transposed
+    for i in range(3):
+        outer[..., i, i] = 1.0 + 2.0 * diagonal[..., i] - trace
+    skew = R - transposed
+    outer[..., :3, 3] = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    outer[..., 3, :3] = outer[..., :3, 3]
+    outer[..., 3, 3] = 1.0 + trace
+    return outer
+
+
+def _check_rotations(R: FloatArray) -> None:
+    """Raise unless every matrix (..., 3, 3) is a rotation to within ORTHONORMAL_TOLERANCE."""
+    error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3))
+    if not np.all(error < ORTHONORMAL_TOLERANCE):
+        raise PosetrackError(
+            "a matrix is no rotation", found=f"|R R^T - I| {np.max(error):.3g}", expected="orthonormal rows"
+        )
+    if np.any(np.linalg.det(R) < 0.0):
+        raise PosetrackError(
+            "a matrix is no rotation", found="determinant -1", expected="1", hint="the axes are left-handed"
+        )
