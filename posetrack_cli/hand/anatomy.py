@@ -1,0 +1,173 @@
+"""The hand's bones: names, lengths, rest frames, joint limits, for the right hand.
+
+Hand coordinates: origin at the wrist; with the identity rotation the fingers point up in the image
+(-y), the palm faces the sensor (-z) and the thumb of a right hand points to +x. A left hand is the
+mirror image x -> -x; its angles mean the same anatomical motion.
+
+Angles (hand.md, appendix A.1 of the paper), 15 of them, radians: for the thumb joint 3 (CMC) about x,
+joint 2 (MCP) about x and z; for each finger joint 3 (MCP) about x and z, joint 2 (PIP) about x. About
+x, positive bends towards the palm; about z, positive moves towards the thumb's side. Joint 1 is not
+free: half of joint 2's x angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+_FINGER_ANGLES = ("mcp_flexion", "mcp_abduction", "pip_flexion")
+ANGLE_NAMES: tuple[str, ...] = (
+    "thumb_cmc_flexion",
+    "thumb_mcp_flexion",
+    "thumb_mcp_abduction",
+    *(f"{finger}_{angle}" for finger in FINGERS[1:] for angle in _FINGER_ANGLES),
+)
+JOINT_NAMES: tuple[str, ...] = (
+    "wrist",
+    "thumb_cmc",
+    "thumb_mcp",
+    "thumb_ip",
+    "thumb_tip",
+    *(f"{finger}_{joint}" for finger in FINGERS[1:] for joint in ("mcp", "pip", "dip", "tip")),
+)
+JOINT_PARENTS: tuple[int, ...] = (-1, *(0 if k == 0 else 4 * f + k for f in range(5) for k in range(4)))
+BONE_COUNT = 16  # the palm, then three per finger
+POSE_SIZE = 22
+TANGENT_SIZE = 21
+ANGLES = slice(7, 22)  # of a pose
+TANGENT_ANGLES = slice(6, 21)  # of a tangent vector
+
+_D = np.pi / 180.0
+ANGLE_LIMITS: FloatArray = _D * np.array(
+    [
+        (-45.0, 74.0),  # thumb CMC flexion
+        (0.0, 74.0),  # thumb MCP flexion
+        (-35.0, 35.0),  # thumb MCP abduction
+        *((-15.0, 90.0), (-19.0, 28.0), (0.0, 108.0)),  # index
+        *((-15.0, 90.0), (-28.0, 17.0), (0.0, 108.0)),  # middle
+        *((-15.0, 90.0), (-17.0, 17.0), (0.0, 108.0)),  # ring
+        *((-15.0, 90.0), (-39.0, 28.0), (0.0, 108.0)),  # little
+    ]
+)
+"""(15, 2) lower and upper joint limits, rad (generous; hand.md, facts for the models)."""
+
+# Buryanov and Kotiuk 2010, mm: metacarpal, then the three moving segments out to the tip of the skin.
+_METACARPAL = np.array([np.nan, 68.1, 64.6, 58.0, 53.7])
+_SEGMENTS = np.array(
+    [
+        (46.2, 31.6, 21.7 + 5.7),  # thumb: metacarpal, proximal, distal with soft tip
+        (39.8, 22.4, 15.8 + 3.8),
+        (44.6, 26.3, 17.4 + 4.0),
+        (41.4, 25.7, 17.3 + 4.0),
+        (32.6, 18.1, 16.0 + 3.7),
+    ]
+)
+# The carpus is not in that table: where each metacarpal starts, mm, and how it fans out, deg.
+_CARPAL = np.array([(11.0, -19.0, 1.0), (2.0, -25.0, 2.0), (-7.0, -23.0, 1.0), (-14.0, -20.0, -2.0)])
+_METACARPAL_FAN = _D * np.array([10.0, 1.0, -9.0, -20.0])
+_FINGER_FAN = _D * np.array([5.0, 0.0, -5.0, -11.0])
+_THUMB_BASE = np.array([19.0, -18.0, -8.0])
+_THUMB_DIRECTION = np.array([0.72, -0.60, -0.35])
+_THUMB_BENDS_TOWARDS = np.array([-0.65, -0.15, -0.75])
+SEGMENT_RADII: FloatArray = np.array(
+    [
+        (12.5, 10.5, 9.8, 8.0),  # thumb: at CMC side, MCP, IP, near the tip
+        (10.0, 8.6, 7.6, 6.4),  # index: at MCP, PIP, DIP, near the tip
+        (10.0, 8.6, 7.6, 6.4),
+        (9.6, 8.3, 7.3, 6.2),
+        (8.2, 7.2, 6.5, 5.6),
+    ]
+)
+"""(5, 4) finger radii at the three joints and near the tip, mm."""
+MIRROR: FloatArray = np.array([-1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class HandAnatomy:
+    """Sizes and rest frames of one hand.
+
+    Attributes:
+        side: ``right`` or ``left``.
+        base_positions: (5, 3) where each finger's joint 3 sits in hand coordinates, mm.
+        base_rotations: (5, 3, 3) hand_R_finger at zero angles.
+        segments: (5, 3) lengths from joint 3 to 2, 2 to 1, 1 to the tip, mm.
+        radii: (5, 4) finger radii, mm.
+        scale: all lengths relative to the average hand of the tables.
+    """
+
+    side: str
+    base_positions: FloatArray
+    base_rotations: FloatArray
+    segments: FloatArray
+    radii: FloatArray
+    scale: float
+
+    @property
+    def is_left(self) -> bool:
+        """Whether this is a left hand."""
+        return self.side == "left"
+
+    @cached_property
+    def rest_origins(self) -> FloatArray:
+        """(5, 3, 3) where the fingers' joints 3, 2, 1 sit at zero angles, hand coordinates, mm."""
+        along = np.concatenate([np.zeros((5, 1)), np.cumsum(self.segments, axis=1)[:, :2]], axis=1)
+        return self.base_positions[:, None] - along[..., None] * self.base_rotations[:, None, :, 1]
+
+    @cached_property
+    def chain_matrix(self) -> FloatArray:
+        """(5, 3, 9, 15) constants C of the forward kinematics: everything that is linear in a bone's turn.
+
+        For a turn M from rest in the finger's own frame, vec(M) C is vec(B M B^T), then B M e_y times
+        the segment's length, then B M B^T p with p the joint's rest position and B hand_R_finger.
+        """
+        b = self.base_rotations
+        matrix = np.empty((5, 3, 9, 15))
+        turned = np.einsum("fia,fjb->fabij", b, b)  # B M B^T, entry ij from M's entry ab
+        matrix[..., :9] = turned.reshape(5, 1, 9, 9)
+        along = np.zeros((5, 3, 3, 3, 3))  # finger, bone, a, b, i
+        along[:, :, :, 1] = np.einsum("fk,fia->fkai", self.segments, b)
+        matrix[..., 9:12] = along.reshape(5, 3, 9, 3)
+        matrix[..., 12:] = np.einsum("fabij,fkj->fkabi", turned, self.rest_origins).reshape(5, 3, 9, 3)
+        return matrix
+
+
+def make_anatomy(
+    side: str = "right", scale: float = 1.0, finger_lengths: tuple[float, ...] = (1.0,) * 5
+) -> HandAnatomy:
+    """Return the average adult hand, scaled.
+
+    Args:
+        side: ``right`` or ``left``.
+        scale: factor on every length.
+        finger_lengths: further factor on each finger's segments, thumb first.
+    """
+    positions, rotations = _right_bases()
+    if side == "left":
+        positions = positions * MIRROR
+        rotations = MIRROR[:, None] * rotations * MIRROR
+    segments = _SEGMENTS * np.asarray(finger_lengths)[:, None]
+    return HandAnatomy(side, scale * positions, rotations, scale * segments, scale * SEGMENT_RADII, scale)
+
+
+def _right_bases() -> tuple[FloatArray, FloatArray]:
+    """Positions (5, 3) and rotations (5, 3, 3) of the joints 3 of a right hand of scale 1."""
+    along = np.stack([np.sin(_METACARPAL_FAN), -np.cos(_METACARPAL_FAN), np.zeros(4)], axis=1)
+    positions = np.vstack([_THUMB_BASE, _CARPAL + _METACARPAL[1:, None] * along])
+    fingers = np.zeros((4, 3, 3))
+    cos, sin = np.cos(_FINGER_FAN), np.sin(_FINGER_FAN)
+    fingers[:, 0, 0], fingers[:, 0, 1], fingers[:, 1, 0], fingers[:, 1, 1] = cos, -sin, sin, cos
+    fingers[:, 2, 2] = 1.0
+    return positions, np.concatenate([_thumb_rotation()[None], fingers])
+
+
+def _thumb_rotation() -> FloatArray:
+    """hand_R_thumb: -y along the metacarpal, positive rotation about x sweeps it across the palm."""
+    y = -_THUMB_DIRECTION / np.linalg.norm(_THUMB_DIRECTION)
+    x = np.cross(-y, _THUMB_BENDS_TOWARDS)
+    x /= np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)

@@ -1,0 +1,134 @@
+"""Skinned triangle meshes, and smooth subdivision of closed ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class SkinnedMesh:
+    """A triangle mesh bound to bones by linear blend skinning.
+
+    Attributes:
+        vertices: (V, 3) rest positions, mm.
+        weights: (V, B) skinning weights, each row sums to 1.
+        triangles: (T, 3) vertex indices, counter-clockwise seen from outside.
+    """
+
+    vertices: FloatArray
+    weights: FloatArray
+    triangles: IntArray
+
+    def posed(self, transforms: FloatArray) -> FloatArray:
+        """Vertices under bone transforms camera_T_rest (N, B, 3, 4): (N, V, 3), mm."""
+        n, bones = transforms.shape[:2]
+        rows = np.moveaxis(transforms, 1, 2).reshape(n * 3, bones * 4)
+        return np.moveaxis((rows @ self.skinning_matrix()).reshape(n, 3, -1), 1, 2)
+
+    def skinning_matrix(self) -> FloatArray:
+        """The constant (4 B, V) matrix S of skinning: [T_1 .. T_B] S are the posed vertices.
+
+        Linear blend skinning, v' = sum_b w_b T_b (v, 1), is linear in the bone transforms.
+        """
+        homogeneous = np.concatenate([self.vertices, np.ones((len(self.vertices), 1))], axis=1)
+        return np.ascontiguousarray(
+            (self.weights[:, :, None] * homogeneous[:, None, :]).reshape(len(self.vertices), -1).T
+        )
+
+    def flipped(self, axis_signs: FloatArray) -> SkinnedMesh:
+        """The mirror image under an odd number of sign changes (3,), faces still outside."""
+        return SkinnedMesh(self.vertices * axis_signs, self.weights, self.triangles[:, ::-1].copy())
+
+
+def joined(meshes: list[SkinnedMesh]) -> SkinnedMesh:
+    """One mesh of several, each keeping bones of its own, in order."""
+    bones = sum(m.weights.shape[1] for m in meshes)
+    vertices, weights, triangles = [], [], []
+    first_bone = first_vertex = 0
+    for mesh in meshes:
+        block = np.zeros((len(mesh.vertices), bones))
+        block[:, first_bone : first_bone + mesh.weights.shape[1]] = mesh.weights
+        vertices.append(mesh.vertices)
+        weights.append(block)
+        triangles.append(mesh.triangles + first_vertex)
+        first_bone += mesh.weights.shape[1]
+        first_vertex += len(mesh.vertices)
+    return SkinnedMesh(np.concatenate(vertices), np.concatenate(weights), np.concatenate(triangles))
+
+
+def edges_of(triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Undirected edges (E, 2), and (T, 3) the edge opposite to each corner's successor: (ab, bc, ca)."""
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, index = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    return edges, index.reshape(-1, 3)
+
+
+def is_closed(triangles: IntArray) -> bool:
+    """Whether every edge is shared by exactly two triangles that run along it in opposite directions."""
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    there = set(map(tuple, directed.tolist()))
+    return len(there) == len(directed) and all((b, a) in there for a, b in there)
+
+
+def _adjacency(triangles: IntArray, count: int) -> FloatArray:
+    """(V, V) with ones between neighbours."""
+    matrix = np.zeros((count, count))
+    edges, _ = edges_of(triangles)
+    matrix[edges[:, 0], edges[:, 1]] = matrix[edges[:, 1], edges[:, 0]] = 1.0
+    return matrix
+
+
+def _loop_beta(valence: FloatArray) -> FloatArray:
+    """Loop's weight of a neighbour: 5/8 - (3/8 + cos(2 pi / n) / 4)^2, divided by n."""
+    return (0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / valence)) ** 2) / valence
+
+
+def loop_limit_matrix(triangles: IntArray, count: int) -> FloatArray:
+    """(V, V) matrix that takes the vertices of a closed mesh to their Loop limit positions.
+
+    v_limit = (1 - n w) v + w sum of neighbours, w = 1 / (3 / (8 beta) + n) (Loop 1987).
+    """
+    neighbours = _adjacency(triangles, count)
+    valence = neighbours.sum(axis=1)
+    w = 1.0 / (0.375 / _loop_beta(valence) + valence)
+    return np.diag(1.0 - valence * w) + w[:, None] * neighbours
+
+
+def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
+    """One step of Loop subdivision of a closed mesh; weights follow the same stencils."""
+    count = len(mesh.vertices)
+    values = np.concatenate([mesh.vertices, mesh.weights], axis=1)
+    neighbours = _adjacency(mesh.triangles, count)
+    valence = neighbours.sum(axis=1)
+    beta = _loop_beta(valence)
+    even = (1.0 - valence * beta)[:, None] * values + beta[:, None] * (neighbours @ values)
+    edges, of_triangle = edges_of(mesh.triangles)
+    # 3/8 of each end and 1/8 of each opposite corner; a triangle adds (its three corners) / 8
+    odd = 0.25 * values[edges].sum(axis=1)
+    np.add.at(odd, of_triangle.ravel(), np.repeat(0.125 * values[mesh.triangles].sum(axis=1), 3, axis=0))
+    odd -= 0.125 * values[edges].sum(axis=1)
+    new = np.concatenate([even, odd])
+    a, b, c = mesh.triangles.T
+    ab, bc, ca = (count + of_triangle).T
+    triangles = np.concatenate(
+        [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    )
+    return SkinnedMesh(new[:, :3], new[:, 3:], triangles)
+
+
+def smoothed_through(mesh: SkinnedMesh, steps: int) -> SkinnedMesh:
+    """Subdivide so that the smooth surface passes through the given vertices.
+
+    Loop's scheme shrinks; solving its limit equation first gives the control mesh whose limit
+    interpolates them.
+    """
+    limit = loop_limit_matrix(mesh.triangles, len(mesh.vertices))
+    fine = SkinnedMesh(np.linalg.solve(limit, mesh.vertices), mesh.weights, mesh.triangles)
+    for _ in range(steps):
+        fine = loop_subdivided(fine)
+    vertices = loop_limit_matrix(fine.triangles, len(fine.vertices)) @ fine.vertices
+    return SkinnedMesh(vertices, fine.weights, fine.triangles)
