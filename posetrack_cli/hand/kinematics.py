@@ -54,7 +54,7 @@ def _bend_base(turns: FloatArray, s: FloatArray) -> None:
 
 
 def _finger_chain(anatomy: HandAnatomy, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """In hand coordinates: (5, 3, N, 15) chain values (see chain_matrix) and ends (5, 3, N, 3) of the bones."""
+    """In hand coordinates: chain values (5, 3, N, 15), see chain_matrix, and bone ends (5, 3, N, 3)."""
     sign = -1.0 if anatomy.is_left else 1.0
     values = _chain_turns(angles, sign) @ anatomy.chain_matrix
     ends = anatomy.base_positions[:, None, None] - np.cumsum(values[..., 9:12], axis=1)

@@ -9,6 +9,7 @@ from a hexagonal hole in the palm's side. Every finger is a tube of hexagons. Th
 from __future__ import annotations
 
 import functools
+import itertools
 
 import numpy as np
 
@@ -153,7 +154,7 @@ def _palm_profile(u: FloatArray, s: float) -> FloatArray:
 
 
 def _join_rows(builder: _Builder, rows: list[list[int]]) -> None:
-    for r, (near, far) in enumerate(zip(rows, rows[1:], strict=False)):
+    for r, (near, far) in enumerate(itertools.pairwise(rows)):
         for k in range(_COLUMNS):
             m = (k + 1) % _COLUMNS
             if r == _THUMB_ROWS[0] and k in (16, _INDEX_SIDE):
