@@ -1,0 +1,128 @@
+"""camera.toml: intrinsics and depth format of a recording, written by hand."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.depth import Window
+
+CAMERA_FILE_NAME = "camera.toml"
+EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class CameraFile(BaseModel):
+    """What camera.toml says; all of it about the images as they are stored, before crop and mirror.
+
+    Attributes:
+        width, height: size of the stored images, pixels; checked against them when given.
+        fx, fy, cx, cy: intrinsics, pixels.
+        distortion, distortion_model: as in ``Camera``.
+        depth_unit_mm: millimetres per stored unit.
+        missing: stored code that means no reading; 0 always means it, too.
+        mirror: flip the images left to right.
+        crop: x, y, width, height of the part that is used; cut out before mirroring.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    width: Annotated[int, Field(gt=0)] | None = None
+    height: Annotated[int, Field(gt=0)] | None = None
+    fx: Positive
+    fy: Positive
+    cx: Finite
+    cy: Finite
+    distortion: tuple[Finite, ...] = ()
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
+    depth_unit_mm: Positive = 1.0
+    missing: Annotated[int, Field(ge=0, le=65535)] = 0
+    mirror: bool = False
+    crop: tuple[int, int, int, int] | None = None
+
+    @property
+    def window(self) -> Window:
+        """The part of the images that is used."""
+        return Window(self.crop, self.mirror)
+
+    def stored_camera(self, width: int, height: int, name: str = "camera") -> Camera:
+        """Return the camera of stored images of this size.
+
+        Raises:
+            RecordingError: if the file gives another size.
+        """
+        wanted = (self.width or width, self.height or height)
+        if wanted != (width, height):
+            raise RecordingError(
+                "camera file and images differ in size",
+                where=CAMERA_FILE_NAME,
+                found=f"images of {width}x{height}",
+                expected=f"{wanted[0]}x{wanted[1]}",
+                hint="crop = [x, y, width, height] uses a part of the images",
+            )
+        return Camera(
+            width=width,
+            height=height,
+            fx=self.fx,
+            fy=self.fy,
+            cx=self.cx,
+            cy=self.cy,
+            distortion=self.distortion,
+            distortion_model=self.distortion_model,
+            name=name,
+        )
+
+
+def load_camera_file(path: Path) -> CameraFile:
+    """Read and check a camera.toml.
+
+    Raises:
+        RecordingError: if it is missing, not TOML, or a key is unknown, missing or of the wrong kind.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecordingError("is not TOML", where=path, found=error) from error
+    return _checked(values, path)
+
+
+def no_intrinsics(where: object) -> RecordingError:
+    """Return the error for a recording without any camera, with what to write."""
+    return RecordingError(
+        "no intrinsics", where=where, hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {EXAMPLE}"
+    )
+
+
+def _checked(values: dict[str, Any], path: Path) -> CameraFile:
+    try:
+        camera_file = CameraFile.model_validate(values)
+        if camera_file.distortion:
+            camera_file.stored_camera(camera_file.width or 1, camera_file.height or 1)
+    except ValidationError as error:
+        raise _first_problem(error, path) from error
+    except PosetrackError as error:
+        raise RecordingError(str(error), where=path) from error
+    return camera_file
+
+
+def _first_problem(error: ValidationError, path: Path) -> RecordingError:
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return RecordingError(
+            f"unknown key '{key}'", where=path, hint=nearest_name(key, CameraFile.model_fields)
+        )
+    if first["type"] == "missing":
+        return RecordingError(f"key '{key}' is missing", where=path, hint=f"for example {EXAMPLE}")
+    return RecordingError(
+        f"key '{key}' cannot be used", where=path, found=first["input"], expected=first["msg"]
+    )

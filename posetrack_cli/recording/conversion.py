@@ -1,0 +1,200 @@
+"""Write a recording as Foxglove MCAP, without loss of any depth value."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError, ResultError, UsageError
+from posetrack_cli.recording.base import Loss, TruthMessage
+from posetrack_cli.recording.depth import MM_PER_M
+from posetrack_cli.recording.image_files import encode_png
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.recording.readahead import read_ahead
+from posetrack_cli.recording.stored import DepthEncoding, StoredFrame, StoredRecording, UnreadableImageError
+
+IMAGE_TOPIC = "/camera/depth/image"
+CALIBRATION_TOPIC = "/camera/depth/calibration"
+SOURCE_RECORD = "posetrack.source"
+CHUNK_BYTES = 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What a conversion did: frames written, and what was lost."""
+
+    frames: int
+    losses: tuple[Loss, ...]
+
+
+@dataclass(frozen=True)
+class _Image:
+    """A frame's serialised message."""
+
+    stamp_ns: int
+    data: bytes
+
+
+def convert_recording(recording: StoredRecording, out: Path, *, overwrite: bool = False) -> Conversion:
+    """Write a recording's frames, camera and truth to an MCAP file; equal input gives equal bytes.
+
+    Whole millimetres go out as 16-bit PNG (foxglove.CompressedImage), copied unchanged where the
+    recording stores just that; other depths as 32FC1 metres (foxglove.RawImage) in zstd chunks. The file
+    is written as ``out`` + ``.part`` and renamed when it is complete.
+
+    Raises:
+        UsageError: if ``out`` exists and is not to be overwritten, or is the recording itself.
+        RecordingError: if the recording cannot be read or has no frame.
+        ResultError: if the file cannot be written.
+    """
+    _check_out(recording.path, out, overwrite)
+    part = out.with_name(out.name + ".part")
+    try:
+        conversion = _write(recording, part)
+        _rename(part, out)
+    except BaseException:  # also Ctrl-C: half a copy is of no use
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+    return conversion
+
+
+def _write(recording: StoredRecording, part: Path) -> Conversion:
+    losses = LossLog()
+    stored = recording.stored_frames(losses)
+    first = next(stored, None)
+    if first is None:
+        raise RecordingError("no frames to convert", where=recording.path)
+    encoding = first[1].encoding
+    compression: Literal["none", "zstd"] = "none" if encoding == "16UC1" else "zstd"
+    with McapSink(part, compression=compression, chunk_bytes=CHUNK_BYTES) as sink:
+        writer = _Writer(sink, recording, encoding)
+        images: Iterator[_Image | TruthMessage] = read_ahead(
+            _images(first, stored, recording.cameras[0].name, losses)
+        )
+        for entry in heapq.merge(images, recording.truth(), key=_time):
+            writer.write(entry)
+        if not writer.frames:
+            raise RecordingError("no frame can be decoded", where=recording.path)
+        sink.finish()
+    return Conversion(writer.frames, losses.losses)
+
+
+@dataclass
+class _Writer:
+    """Puts images and truth on their channels; the calibration goes out with the first image."""
+
+    sink: McapSink
+    recording: StoredRecording
+    encoding: DepthEncoding
+    frames: int = 0
+    _image_channel: int = 0
+    _truth_channels: dict[str, int] = field(default_factory=dict)
+
+    def write(self, entry: _Image | TruthMessage) -> None:
+        if isinstance(entry, TruthMessage):
+            self.sink.write(self._truth_channel(entry), entry.log_time_ns, entry.data)
+            return
+        if not self.frames:
+            self._begin(entry.stamp_ns)
+        self.sink.write(self._image_channel, entry.stamp_ns, entry.data)
+        self.frames += 1
+
+    def _begin(self, stamp_ns: int) -> None:
+        camera = self.recording.cameras[0]
+        calibration = calibration_message(camera, stamp_ns, camera.name)
+        channel = self.sink.channel(CALIBRATION_TOPIC, type(calibration))
+        self._image_channel = self.sink.channel(IMAGE_TOPIC, _message_class(self.encoding))
+        self.sink.metadata(SOURCE_RECORD, self.recording.identity())
+        self.sink.write(channel, stamp_ns, calibration.SerializeToString(deterministic=True))
+
+    def _truth_channel(self, message: TruthMessage) -> int:
+        if message.topic not in self._truth_channels:
+            self._truth_channels[message.topic] = self.sink.raw_channel(
+                message.topic,
+                message.schema_name,
+                message.schema_encoding,
+                message.schema_data,
+                message.message_encoding,
+                message.channel_metadata,
+            )
+        return self._truth_channels[message.topic]
+
+
+def _images(
+    first: tuple[int, StoredFrame], rest: Iterator[tuple[int, StoredFrame]], frame_id: str, losses: LossLog
+) -> Iterator[_Image | TruthMessage]:
+    """Yield the serialised messages; an image that cannot be decoded is skipped and counted."""
+    frame: tuple[int, StoredFrame] | None = first
+    while frame is not None:
+        index, stored = frame
+        try:
+            yield _Image(stored.stamp_ns, _serialised(stored, frame_id))
+        except UnreadableImageError as error:
+            losses.add(f"image skipped, {error}", f"frame {index}, {stored.where}")
+        frame = next(rest, None)
+
+
+def _serialised(stored: StoredFrame, frame_id: str) -> bytes:
+    # Decoded even if its PNG is copied: a damaged image must not pass as a good one.
+    depth = stored.decode()
+    message = _message_class(stored.encoding)(frame_id=frame_id, **_content(stored, depth))
+    message.timestamp.FromNanoseconds(stored.stamp_ns)
+    return bytes(message.SerializeToString(deterministic=True))
+
+
+def _content(stored: StoredFrame, depth: ImageArray) -> dict[str, Any]:
+    if stored.encoding == "16UC1":
+        return {"format": "png", "data": stored.png() or encode_png(depth.astype(np.uint16))}
+    height, width = depth.shape
+    metres = (depth.astype(np.float64) / MM_PER_M).astype("<f4")
+    return {
+        "width": width,
+        "height": height,
+        "encoding": "32FC1",
+        "step": 4 * width,
+        "data": metres.tobytes(),
+    }
+
+
+def _message_class(encoding: DepthEncoding) -> Any:
+    if encoding == "16UC1":
+        from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
+        return CompressedImage
+    from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+    return RawImage
+
+
+def _time(entry: _Image | TruthMessage) -> int:
+    return entry.log_time_ns if isinstance(entry, TruthMessage) else entry.stamp_ns
+
+
+def _check_out(source: Path, out: Path, overwrite: bool) -> None:
+    if out.suffix != ".mcap":
+        raise UsageError(
+            "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
+        )
+    if not out.exists():
+        return
+    if out.samefile(source):
+        raise UsageError("output is the recording itself", where=out)
+    if not overwrite:
+        raise UsageError("exists already", where=out, hint="pass --overwrite to replace it")
+
+
+def _rename(part: Path, out: Path) -> None:
+    try:
+        part.replace(out)
+    except OSError as error:
+        raise ResultError("cannot be renamed", where=part, found=error.strerror or error) from error

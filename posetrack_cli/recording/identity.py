@@ -1,0 +1,44 @@
+"""What identifies an input: sizes and SHA-256 of its bytes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+from posetrack_cli.errors import RecordingError
+
+READ_BYTES = 1024 * 1024
+
+
+def file_digest(path: Path) -> tuple[int, str]:
+    """Return a file's size and the SHA-256 of its bytes, read in pieces."""
+    digest = hashlib.sha256()
+    return _feed(digest, path), digest.hexdigest()
+
+
+def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
+    """Return the total size and one SHA-256 over names, sizes and contents of files, in the given order.
+
+    Args:
+        files: pairs of the name that enters the hash and the path to read.
+    """
+    digest = hashlib.sha256()
+    total = 0
+    for name, path in files:
+        # Sizes are hashed so that bytes cannot move from one file to the next unnoticed.
+        digest.update(f"{name}\0{path.stat().st_size}\0".encode())
+        total += _feed(digest, path)
+    return total, digest.hexdigest()
+
+
+def _feed(digest: hashlib._Hash, path: Path) -> int:
+    size = 0
+    try:
+        with path.open("rb") as stream:
+            while piece := stream.read(READ_BYTES):
+                digest.update(piece)
+                size += len(piece)
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+    return size

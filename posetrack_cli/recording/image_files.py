@@ -1,0 +1,92 @@
+"""16-bit depth images: finding them in a folder, decoding and encoding them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.recording.stored import UnreadableImageError
+
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_LEVEL = 9
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Return the images of a folder, sorted by name; hidden files are left out.
+
+    Raises:
+        RecordingError: if the folder cannot be listed or holds no image.
+    """
+    try:
+        entries = sorted(folder.iterdir(), key=lambda entry: entry.name)
+    except OSError as error:
+        raise RecordingError("cannot be read", where=folder, found=error.strerror or error) from error
+    images = [e for e in entries if e.suffix.lower() in IMAGE_SUFFIXES and not e.name.startswith(".")]
+    if not images:
+        found = f"{len(entries)} other files" if entries else "an empty folder"
+        raise RecordingError(
+            "no images", where=folder, found=found, expected=f"files named *{', *'.join(IMAGE_SUFFIXES)}"
+        )
+    return images
+
+
+def read_image(path: Path) -> bytes:
+    """Return an image file's bytes.
+
+    Raises:
+        UnreadableImageError: if it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UnreadableImageError("file cannot be read") from error
+
+
+def decode_codes(data: bytes, where: str) -> ImageArray:
+    """Decode a 16-bit single-channel image file to (height, width) uint16 codes.
+
+    Raises:
+        UnreadableImageError: if the bytes are no image or an incomplete one.
+        RecordingError: if the image has colours or other than 16 bits.
+    """
+    image = decode_any(data)
+    if image.ndim != 2:
+        raise RecordingError(
+            "colour image given as depth", where=where, found=f"{image.shape[2]} channels", expected="one"
+        )
+    if image.dtype != np.uint16:
+        raise RecordingError(
+            f"{8 * image.dtype.itemsize}-bit image given as depth",
+            where=where,
+            found=image.dtype,
+            expected="16-bit unsigned",
+        )
+    return image
+
+
+def decode_any(data: bytes) -> ImageArray:
+    """Decode an image file of any kind, bits and channels as stored.
+
+    Raises:
+        UnreadableImageError: if the bytes are no image or an incomplete one.
+    """
+    if not data:
+        raise UnreadableImageError("file is empty")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise UnreadableImageError("image cannot be decoded") from error
+    if image is None:  # OpenCV's way to say so
+        raise UnreadableImageError("image cannot be decoded")
+    return image
+
+
+def encode_png(codes: ImageArray) -> bytes:
+    """Encode (height, width) uint16 codes as a PNG."""
+    _, data = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+    return data.tobytes()

@@ -1,0 +1,29 @@
+"""Bookkeeping of what a reader had to skip."""
+
+from __future__ import annotations
+
+from posetrack_cli.recording.base import Loss
+
+
+class LossLog:
+    """Counts losses by what was lost, and remembers where each kind happened first."""
+
+    def __init__(self) -> None:
+        self._losses: dict[str, Loss] = {}
+
+    def add(self, what: str, where: str) -> None:
+        """Count one loss of the kind ``what`` that happened at ``where``."""
+        known = self._losses.get(what)
+        self._losses[what] = (
+            Loss(what, 1, where) if known is None else Loss(what, known.count + 1, known.first)
+        )
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """The losses, in the order in which each kind happened first."""
+        return tuple(self._losses.values())
+
+
+def loss_line(losses: tuple[Loss, ...]) -> str:
+    """Return one line that tells all losses, for standard error and run records."""
+    return "; ".join(f"{loss.what}: {loss.count}, first {loss.first}" for loss in losses)

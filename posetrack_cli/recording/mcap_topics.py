@@ -1,0 +1,172 @@
+"""What topics an MCAP file has, and which one holds the depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Channel, Schema
+
+from posetrack_cli.errors import RecordingError, nearest_name
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_decoding import (
+    CALIBRATION,
+    MessageDecoder,
+    UndecodableMessageError,
+    frame_id_of,
+    kind_of,
+)
+from posetrack_cli.recording.mcap_images import ImageDescription, describe_image
+from posetrack_cli.recording.mcap_stream import McapItem, read_messages, read_summary
+
+TRIES = 50
+"""How many messages of a topic are looked at until one decodes."""
+
+
+@dataclass
+class Topic:
+    """One topic of a file.
+
+    Attributes:
+        name: the topic.
+        type_name: name of its schema.
+        message_encoding: ``protobuf``, ``ros1``, ``cdr``, ``json``...
+        kind: ``kind_of`` its schema.
+        count: number of messages that the file tells of, or that can be read from a truncated file.
+        first: first decoded message, of images and calibrations only; None if none decodes.
+        image: what the first image holds, None for other topics.
+        tries: how many messages were tried.
+    """
+
+    name: str
+    type_name: str
+    message_encoding: str
+    kind: str | None
+    count: int = 0
+    first: Any = None
+    image: ImageDescription | None = None
+    tries: int = field(default=0, repr=False)
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether the topic holds depth images."""
+        return self.image is not None and self.image.depth is not None
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether looking at more messages would tell nothing new about what the topic holds."""
+        return self.kind is None or self.first is not None or self.tries >= TRIES
+
+    @property
+    def label(self) -> str:
+        """Name, type and encoding, for lists of candidates."""
+        encoding = self.image.encoding if self.image is not None else "does not decode"
+        return f"{self.name} ({self.type_name}, {encoding})"
+
+
+class TopicScan:
+    """Collects topics from messages."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, Topic] = {}
+        self._decoder = MessageDecoder()
+
+    def topic(self, schema: Schema | None, channel: Channel) -> Topic:
+        """Return the topic of a channel, new if it was not met before."""
+        if channel.topic not in self.topics:
+            type_name = schema.name if schema is not None else ""
+            kind = kind_of(schema)
+            self.topics[channel.topic] = Topic(channel.topic, type_name, channel.message_encoding, kind)
+        return self.topics[channel.topic]
+
+    def inspect(self, item: McapItem) -> Topic:
+        """Decode a message if its topic is not settled yet, and return the topic; does not count it."""
+        topic = self.topic(item[0], item[1])
+        if topic.is_settled:
+            return topic
+        topic.tries += 1
+        try:
+            decoded = self._decoder.decode(*item)
+            if topic.kind != CALIBRATION:
+                topic.image = describe_image(decoded, str(topic.kind))
+        except UndecodableMessageError:
+            return topic
+        topic.first = decoded
+        return topic
+
+
+def scan_topics(path: Path) -> dict[str, Topic]:
+    """Return the topics of a file by name: from its index, or by reading all of it if it has none."""
+    summary = read_summary(path)
+    scan = TopicScan()
+    if summary is None or summary.statistics is None:
+        for item in read_messages(path, LossLog()):
+            scan.inspect(item).count += 1
+        return scan.topics
+    for channel in summary.channels.values():
+        topic = scan.topic(summary.schemas.get(channel.schema_id), channel)
+        topic.count += summary.statistics.channel_message_counts.get(channel.id, 0)
+    for name in list(scan.topics):
+        _settle(path, scan, name)
+    return scan.topics
+
+
+def choose_depth_topic(path: Path, topics: dict[str, Topic], wanted: str | None = None) -> Topic:
+    """Return the topic that holds depth: the one asked for, else the only one that does.
+
+    Raises:
+        RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
+            or if there is not exactly one candidate.
+    """
+    images = [topic for topic in topics.values() if topic.kind not in (None, CALIBRATION) and topic.count]
+    depth = [topic for topic in images if topic.is_depth]
+    if wanted is not None:
+        return _asked_for(path, wanted, topics, depth)
+    if len(depth) == 1:
+        return depth[0]
+    if depth:
+        raise RecordingError(
+            "several topics hold depth", where=path, found=_labels(depth), hint="choose one with --topic"
+        )
+    found = _labels(images) or "no image topics" + (f" among {', '.join(sorted(topics))}" if topics else "")
+    raise RecordingError(
+        "no topic holds depth",
+        where=path,
+        found=found,
+        expected="images of 16UC1, mono16, 32FC1 or 16-bit png",
+    )
+
+
+def frame_id_of_topic(topic: Topic) -> str:
+    """Return the coordinate frame of a topic's first message, empty if there is none."""
+    return frame_id_of(topic.first) if topic.first is not None else ""
+
+
+def _settle(path: Path, scan: TopicScan, name: str) -> None:
+    topic = scan.topics[name]
+    if topic.is_settled or not topic.count:
+        return
+    for item in read_messages(path, LossLog(), [name]):
+        if scan.inspect(item).is_settled:
+            return
+
+
+def _asked_for(path: Path, wanted: str, topics: dict[str, Topic], depth: list[Topic]) -> Topic:
+    topic = topics.get(wanted)
+    if topic is not None and topic.is_depth:
+        return topic
+    what = "no such topic" if topic is None else "topic holds no depth"
+    found = f"'{wanted}'" if topic is None else topic.label
+    names = [candidate.name for candidate in depth] or list(topics)
+    raise RecordingError(
+        what,
+        where=path,
+        found=found,
+        expected=_labels(depth) or "a topic with depth images, of which there is none",
+        hint=nearest_name(wanted, names) if topic is None and names else "",
+    )
+
+
+def _labels(topics: list[Topic]) -> str:
+    return ", ".join(topic.label for topic in sorted(topics, key=lambda topic: topic.name))

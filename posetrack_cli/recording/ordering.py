@@ -1,0 +1,61 @@
+"""Number the frames of a recording, keep stamps strictly increasing, and select a range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from posetrack_cli.errors import UsageError
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.stored import StoredFrame
+
+NOT_LATER = "frame dropped, stamp not later than the frame before"
+
+
+def select_frames(
+    stored: Iterable[StoredFrame | None],
+    losses: LossLog,
+    *,
+    start: int = 0,
+    end: int | None = None,
+    stride: int = 1,
+) -> Iterator[tuple[int, StoredFrame]]:
+    """Yield (index, frame) for the indices start, start + stride, ... below end.
+
+    Which frames count as out of order does not depend on the range: every frame is compared with the
+    latest stamp before it, selected or not. Reading stops at ``end``.
+
+    Args:
+        stored: all frames of the recording; None for one that could not be read, which keeps its index.
+        losses: gets the dropped frames of the range.
+        start: first index.
+        end: index to stop before, None for all.
+        stride: distance between indices.
+
+    Raises:
+        UsageError: for a negative start or end or a stride below 1.
+    """
+    check_range(start, end, stride)
+    latest = -1
+    for index, frame in enumerate(stored):
+        if end is not None and index >= end:
+            return
+        wanted = index >= start and (index - start) % stride == 0
+        if frame is None:
+            continue
+        if frame.stamp_ns <= latest:
+            if wanted:
+                losses.add(NOT_LATER, f"frame {index} at {frame.stamp_ns} ns, {frame.where}")
+            continue
+        latest = frame.stamp_ns
+        if wanted:
+            yield index, frame
+
+
+def check_range(start: int, end: int | None, stride: int) -> None:
+    """Raise UsageError unless 0 <= start, 0 <= end and 1 <= stride."""
+    if start < 0 or (end is not None and end < 0) or stride < 1:
+        raise UsageError(
+            "frame range cannot be used",
+            found=f"start {start}, end {end}, stride {stride}",
+            expected="start and end from 0, stride from 1",
+        )
