@@ -1,1 +1,53 @@
-"""What a run produced: estimates and run record, written to and read from MCAP."""
+"""What a run produced: estimates and run record, written to and read from MCAP.
+
+The names below are imported when they are first used: MCAP and protobuf take long to load.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from posetrack_cli.results.checkpoint import Checkpoint
+    from posetrack_cli.results.estimate import Estimate, Status, Subject
+    from posetrack_cli.results.estimate_json import (
+        ESTIMATE_SCHEMA,
+        ESTIMATE_SCHEMA_NAME,
+        estimate_from_json,
+        estimate_to_json,
+    )
+    from posetrack_cli.results.reader import Result, load_arrays, read_result
+    from posetrack_cli.results.writer import ResultWriter, part_path, state_path
+
+__all__ = [
+    "ESTIMATE_SCHEMA",
+    "ESTIMATE_SCHEMA_NAME",
+    "Checkpoint",
+    "Estimate",
+    "Result",
+    "ResultWriter",
+    "Status",
+    "Subject",
+    "estimate_from_json",
+    "estimate_to_json",
+    "load_arrays",
+    "part_path",
+    "read_result",
+    "state_path",
+]
+
+_MODULES = {
+    "checkpoint": ("Checkpoint",),
+    "estimate": ("Estimate", "Status", "Subject"),
+    "estimate_json": ("ESTIMATE_SCHEMA", "ESTIMATE_SCHEMA_NAME", "estimate_from_json", "estimate_to_json"),
+    "reader": ("Result", "load_arrays", "read_result"),
+    "writer": ("ResultWriter", "part_path", "state_path"),
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

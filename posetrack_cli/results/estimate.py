@@ -1,0 +1,167 @@
+"""What a tracker says about one frame, and what it tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import StrEnum
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import ResultError
+
+QUATERNION_NORM_TOLERANCE = 1e-6
+"""How far |q| may be from 1: far above rounding, far below a rotation that was never normalised."""
+
+
+class Status(StrEnum):
+    """What a frame's estimate rests on."""
+
+    TRACKING = "tracking"
+    LOST = "lost"
+    REINITIALISED = "reinitialised"
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The state of one subject at one frame.
+
+    K is the number of shape entries, P the number of points. The tangent space is
+    (position, mm, camera axes; rotation vector, rad, body frame; shape), 6 + K entries.
+
+    Attributes:
+        frame_index: position of the frame in the recording.
+        stamp_ns: when the frame was taken, integer nanoseconds.
+        status: whether the estimate rests on this frame's image.
+        confidence: 0 (guess) to 1 (certain).
+        position: (3,) mm, origin of the object in camera axes.
+        quaternion: (4,) x y z w with w >= 0, rotation of ``camera_T_object``.
+        shape: (K,) of a hand the finger angles, rad; of a head the shape coefficients.
+        pose_rate: (7 + K,) time derivative of (position, quaternion, shape), per second.
+        twist: (6 + K,) velocity in the tangent space: mm/s, rad/s, shape per second.
+        pose_variance: (6 + K,) diagonal of the covariance of the pose in the tangent space.
+        twist_variance: (6 + K,) diagonal of the covariance of ``twist``.
+        points: (P, 3) mm, joints or landmarks in camera axes.
+        effective_sample_size: of the particle weights before resampling.
+        resampled: whether the particles were resampled after this estimate.
+        cost: of the estimate against the image; None when it was not evaluated.
+        milliseconds: the frame took; None unless the run was asked to record timings, since wall-clock
+            times make two runs differ in their bytes.
+    """
+
+    frame_index: int
+    stamp_ns: int
+    status: Status
+    confidence: float
+    position: FloatArray
+    quaternion: FloatArray
+    shape: FloatArray
+    pose_rate: FloatArray
+    twist: FloatArray
+    pose_variance: FloatArray
+    twist_variance: FloatArray
+    points: FloatArray
+    effective_sample_size: float
+    resampled: bool
+    cost: float | None = None
+    milliseconds: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is tracked.
+
+    Attributes:
+        name: the topic prefix and the name of the body's frame, such as ``hand``.
+        camera_frame: frame id of the camera that the estimates are given in.
+        shape_names: K names of the entries of ``Estimate.shape``.
+        point_names: P names of the rows of ``Estimate.points``.
+        point_parents: P indices of each point's parent, -1 for a root; a parent comes before its children.
+        triangles: (T, 3) vertex indices of the mesh; None draws no mesh.
+        colour: of the mesh, (red, green, blue, alpha), each 0 to 1.
+
+    Raises:
+        ResultError: names, parents or triangles do not fit together.
+    """
+
+    name: str
+    camera_frame: str
+    shape_names: tuple[str, ...]
+    point_names: tuple[str, ...]
+    point_parents: tuple[int, ...]
+    triangles: IntArray | None = None
+    colour: tuple[float, float, float, float] = (0.85, 0.65, 0.52, 1.0)
+
+    def __post_init__(self) -> None:
+        if not self.name or "/" in self.name:
+            raise ResultError(
+                "subject's name cannot be used", found=repr(self.name), expected="no slash in it"
+            )
+        if len(self.point_parents) != len(self.point_names):
+            raise ResultError(
+                "points and parents do not fit together",
+                where=self.name,
+                found=f"{len(self.point_names)} names and {len(self.point_parents)} parents",
+            )
+        for index, parent in enumerate(self.point_parents):
+            if not -1 <= parent < index:
+                raise ResultError(
+                    f"parent of point {self.point_names[index]} cannot be used",
+                    where=self.name,
+                    found=parent,
+                    expected=f"-1 to {index - 1}",
+                )
+        if self.triangles is not None and (self.triangles.ndim != 2 or self.triangles.shape[1] != 3):
+            raise ResultError(
+                "triangles cannot be used", where=self.name, found=self.triangles.shape, expected="(T, 3)"
+            )
+
+
+def array_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
+    """Return the shape that each array field of an Estimate of this subject has."""
+    k = len(subject.shape_names)
+    return {
+        "position": (3,),
+        "quaternion": (4,),
+        "shape": (k,),
+        "pose_rate": (7 + k,),
+        "twist": (6 + k,),
+        "pose_variance": (6 + k,),
+        "twist_variance": (6 + k,),
+        "points": (len(subject.point_names), 3),
+    }
+
+
+FIELD_NAMES = tuple(field.name for field in fields(Estimate))
+"""The fields of an Estimate in the order in which every format lists them."""
+
+
+def check_estimate(estimate: Estimate, subject: Subject) -> None:
+    """Refuse an estimate whose arrays do not fit the subject or hold NaN or infinity.
+
+    Raises:
+        ResultError: names the frame and the field.
+    """
+    where = f"{subject.name}, frame {estimate.frame_index}"
+    for name, shape in array_shapes(subject).items():
+        check_array(getattr(estimate, name), shape, name, where)
+    norm = float(np.linalg.norm(estimate.quaternion))
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE or estimate.quaternion[3] < 0.0:
+        found = f"norm {norm:.9g}, w {estimate.quaternion[3]:.9g}"
+        raise ResultError("quaternion cannot be used", where=where, found=found, expected="norm 1, w >= 0")
+    if not 0.0 <= estimate.confidence <= 1.0:
+        raise ResultError(
+            "confidence cannot be used", where=where, found=estimate.confidence, expected="0 to 1"
+        )
+    if not np.isfinite(estimate.effective_sample_size):
+        raise ResultError("effective sample size is not finite", where=where)
+
+
+def check_array(array: FloatArray, shape: tuple[int, ...], name: str, where: str) -> None:
+    """Raise ResultError unless the array has this shape and finite entries only."""
+    if array.shape != shape:
+        raise ResultError(f"{name} has the wrong shape", where=where, found=array.shape, expected=shape)
+    if not np.isfinite(array).all():
+        raise ResultError(
+            f"{name} is not finite", where=where, found=f"{int((~np.isfinite(array)).sum())} NaN or infinite"
+        )

@@ -1,0 +1,142 @@
+"""The JSON message ``posetrack.Estimate``: every field of an Estimate, and its JSON schema.
+
+The schema keeps to what Foxglove understands: one type per field, no nulls (an absent value is left
+out) and no arrays of arrays (points are objects). Numbers are written so that reading them back gives
+the same bits; NaN and infinity never occur.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import ResultError
+from posetrack_cli.results.estimate import Estimate, Status
+
+ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
+
+_OPTIONAL = ("cost", "milliseconds")
+_ARRAYS = ("position", "quaternion", "shape", "pose_rate", "twist", "pose_variance", "twist_variance")
+
+
+def _field(kind: str, description: str, **more: Any) -> dict[str, Any]:
+    return {"type": kind, "description": description, **more}
+
+
+def _numbers(description: str) -> dict[str, Any]:
+    return _field("array", description, items={"type": "number"})
+
+
+_PROPERTIES: dict[str, Any] = {
+    "frame_index": _field("integer", "Position of the frame in the recording, counted from 0."),
+    "stamp_ns": _field("integer", "When the frame was taken, nanoseconds; equal to the log time."),
+    "status": _field(
+        "string",
+        "tracking: rests on this frame; lost: no longer on the subject; reinitialised: found anew.",
+        enum=[status.value for status in Status],
+    ),
+    "confidence": _field("number", "0 (guess) to 1 (certain)."),
+    "position": _numbers("x, y, z of the object's origin in camera axes, millimetres."),
+    "quaternion": _numbers("x, y, z, w (w >= 0) of the rotation from object to camera coordinates."),
+    "shape": _numbers("Hand: finger angles, radians. Head: shape coefficients. K entries."),
+    "pose_rate": _numbers(
+        "Time derivative of (position, quaternion, shape), 7 + K entries: mm/s, 1/s, shape per second."
+    ),
+    "twist": _numbers(
+        "Velocity, 6 + K entries: in camera axes, mm/s; rotation in the body frame, rad/s; shape per second."
+    ),
+    "pose_variance": _numbers(
+        "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape."
+    ),
+    "twist_variance": _numbers(
+        "Variance of twist, 6 + K entries: (mm/s)^2, (rad/s)^2, (shape per second)^2."
+    ),
+    "points": _field(
+        "array",
+        "Joints or landmarks in camera axes.",
+        items={
+            "type": "object",
+            "properties": {axis: _field("number", f"{axis}, millimetres.") for axis in "xyz"},
+            "required": ["x", "y", "z"],
+            "additionalProperties": False,
+        },
+    ),
+    "effective_sample_size": _field(
+        "number", "1 / sum of the squared weights, before resampling; particles."
+    ),
+    "resampled": _field("boolean", "Whether the particles were resampled after this estimate."),
+    "cost": _field("number", "Cost of the estimate against the image; left out when it was not evaluated."),
+    "milliseconds": _field("number", "Time the frame took; left out unless the run recorded timings."),
+}
+
+ESTIMATE_SCHEMA: Mapping[str, Any] = {
+    "title": ESTIMATE_SCHEMA_NAME,
+    "description": "Everything that a tracker says about one frame.",
+    "type": "object",
+    "properties": _PROPERTIES,
+    "required": [name for name in _PROPERTIES if name not in _OPTIONAL],
+    "additionalProperties": False,
+}
+
+
+def estimate_to_json(estimate: Estimate) -> bytes:
+    """Encode an estimate as one line of JSON, fields in the order of the schema.
+
+    A cost or time that is None, NaN or infinite is left out.
+
+    Raises:
+        ResultError: another field holds NaN or infinity.
+    """
+    fields: dict[str, Any] = {
+        "frame_index": int(estimate.frame_index),
+        "stamp_ns": int(estimate.stamp_ns),
+        "status": estimate.status.value,
+        "confidence": float(estimate.confidence),
+    }
+    fields |= {name: getattr(estimate, name).tolist() for name in _ARRAYS}
+    fields["points"] = [{"x": x, "y": y, "z": z} for x, y, z in estimate.points.tolist()]
+    fields["effective_sample_size"] = float(estimate.effective_sample_size)
+    fields["resampled"] = bool(estimate.resampled)
+    for name in _OPTIONAL:
+        value = getattr(estimate, name)
+        if value is not None and math.isfinite(value):
+            fields[name] = float(value)
+    try:
+        return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
+    except ValueError as error:
+        raise ResultError("estimate is not finite", where=f"frame {estimate.frame_index}") from error
+
+
+def estimate_from_json(data: bytes) -> Estimate:
+    """Decode what ``estimate_to_json`` wrote.
+
+    Raises:
+        ResultError: the bytes are not a ``posetrack.Estimate``.
+    """
+    try:
+        fields = json.loads(data)
+        arrays: dict[str, Any] = {name: _array(fields[name]) for name in _ARRAYS}
+        points = [(point["x"], point["y"], point["z"]) for point in fields["points"]]
+        return Estimate(
+            frame_index=fields["frame_index"],
+            stamp_ns=fields["stamp_ns"],
+            status=Status(fields["status"]),
+            confidence=fields["confidence"],
+            **arrays,
+            points=_array(points).reshape(-1, 3),
+            effective_sample_size=fields["effective_sample_size"],
+            resampled=fields["resampled"],
+            cost=fields.get("cost"),
+            milliseconds=fields.get("milliseconds"),
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", found=error) from error
+
+
+def _array(values: Any) -> FloatArray:
+    return np.array(values, dtype=np.float64)
