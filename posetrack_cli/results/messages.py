@@ -1,0 +1,142 @@
+"""Foxglove messages of an estimate. Foxglove counts in metres; everything else here is in millimetres."""
+
+from __future__ import annotations
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import Message
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rotations import matrices_from_quaternions
+from posetrack_cli.results.estimate import Estimate, Subject
+
+METRES_PER_MM = 1e-3
+_FOXGLOVE_MODELS = {"equidistant": "kannala_brandt"}
+"""Foxglove's names of distortion models where they differ from ROS's."""
+
+__all__ = [
+    "CameraCalibration",
+    "FrameTransforms",
+    "JointStates",
+    "Message",
+    "Odometry",
+    "SceneUpdate",
+    "camera_calibration",
+    "camera_from_calibration",
+    "frame_transforms",
+    "joint_states",
+    "odometry",
+]
+
+
+def odometry(estimate: Estimate, subject: Subject) -> Odometry:
+    """Return pose, velocity and covariances in the convention of Foxglove and ROS.
+
+    Pose: position and orientation of the body in the camera frame, its covariance (x, y, z, rotation
+    about the camera's x, y, z). Velocity: linear and angular in the body frame, and its covariance. With
+    R the rotation of ``camera_T_object`` and a twist (v in camera axes, w in the body frame),
+        v_body = R^T v,   Cov(v_body) = R^T diag(var v) R,   Cov(rotation in camera) = R diag(var r) R^T.
+    """
+    rotation = matrices_from_quaternions(estimate.quaternion)
+    message = Odometry(frame_id=subject.camera_frame, body_frame_id=subject.name)
+    message.timestamp.FromNanoseconds(estimate.stamp_ns)
+    _set_xyz(message.pose.position, estimate.position * METRES_PER_MM)
+    _set_quaternion(message.pose.orientation, estimate.quaternion)
+    _set_xyz(message.linear_velocity, rotation.T @ estimate.twist[:3] * METRES_PER_MM)
+    _set_xyz(message.angular_velocity, estimate.twist[3:6])
+    message.pose_covariance.extend(_covariance(estimate.pose_variance, np.eye(3), rotation))
+    message.velocity_covariance.extend(_covariance(estimate.twist_variance, rotation.T, np.eye(3)))
+    return message
+
+
+def frame_transforms(estimate: Estimate, subject: Subject) -> FrameTransforms:
+    """Return camera -> body, and one frame ``body/point`` per point below its parent's frame.
+
+    Every point's frame has the body's orientation, so only translations differ and a viewer that joins
+    the frames by lines draws the skeleton.
+    """
+    message = FrameTransforms()
+    body = message.transforms.add(parent_frame_id=subject.camera_frame, child_frame_id=subject.name)
+    body.timestamp.FromNanoseconds(estimate.stamp_ns)
+    _set_xyz(body.translation, estimate.position * METRES_PER_MM)
+    _set_quaternion(body.rotation, estimate.quaternion)
+    names = [f"{subject.name}/{name}" for name in subject.point_names]
+    translations = _point_translations(estimate, subject) * METRES_PER_MM
+    for name, parent, translation in zip(names, subject.point_parents, translations.tolist(), strict=True):
+        child = message.transforms.add(
+            parent_frame_id=subject.name if parent < 0 else names[parent], child_frame_id=name
+        )
+        child.timestamp.CopyFrom(body.timestamp)
+        _set_xyz(child.translation, translation)
+        child.rotation.w = 1.0
+    return message
+
+
+def joint_states(estimate: Estimate, subject: Subject) -> JointStates:
+    """Return value and rate of every shape entry (finger angles: rad and rad/s)."""
+    message = JointStates()
+    message.timestamp.FromNanoseconds(estimate.stamp_ns)
+    values, rates = estimate.shape.tolist(), estimate.twist[6:].tolist()
+    for name, value, rate in zip(subject.shape_names, values, rates, strict=True):
+        message.joints.add(name=name, position=value, velocity=rate)
+    return message
+
+
+def camera_calibration(camera: Camera, stamp_ns: int, frame_id: str) -> CameraCalibration:
+    """Return the calibration of one camera, pixels; images are not rectified, so R is the identity."""
+    model = _FOXGLOVE_MODELS.get(camera.distortion_model, camera.distortion_model)
+    message = CameraCalibration(
+        frame_id=frame_id, width=camera.width, height=camera.height, distortion_model=model
+    )
+    message.timestamp.FromNanoseconds(stamp_ns)
+    message.D.extend(camera.distortion)
+    message.K.extend(camera.matrix.ravel().tolist())
+    message.R.extend(np.eye(3).ravel().tolist())
+    message.P.extend(np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist())
+    return message
+
+
+def camera_from_calibration(data: bytes) -> Camera:
+    """Return the camera of a serialised ``camera_calibration``; its name is the frame id."""
+    message = CameraCalibration.FromString(data)
+    names = {theirs: ours for ours, theirs in _FOXGLOVE_MODELS.items()}
+    return Camera(
+        width=message.width,
+        height=message.height,
+        fx=message.K[0],
+        fy=message.K[4],
+        cx=message.K[2],
+        cy=message.K[5],
+        distortion=tuple(message.D),
+        distortion_model=names.get(message.distortion_model, message.distortion_model),
+        name=message.frame_id,
+    )
+
+
+def _point_translations(estimate: Estimate, subject: Subject) -> FloatArray:
+    """Return (P, 3) each point seen from its parent, mm, body axes."""
+    parents = np.array(subject.point_parents, dtype=np.int64)
+    with_origin = np.vstack([estimate.points, estimate.position])  # parent -1 is the last row
+    rotation = matrices_from_quaternions(estimate.quaternion)
+    return np.asarray((estimate.points - with_origin[parents]) @ rotation, dtype=np.float64)
+
+
+def _covariance(variance: FloatArray, linear: FloatArray, angular: FloatArray) -> list[float]:
+    """Return the row-major 6x6 covariance, metres and radians, with both blocks of the diagonal rotated."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = (linear * variance[:3]) @ linear.T * METRES_PER_MM**2
+    matrix[3:, 3:] = (angular * variance[3:6]) @ angular.T
+    return [float(value) for value in matrix.ravel()]
+
+
+def _set_xyz(target: object, xyz: FloatArray | list[float]) -> None:
+    target.x, target.y, target.z = (float(value) for value in xyz)  # type: ignore[attr-defined]
+
+
+def _set_quaternion(target: object, xyzw: FloatArray) -> None:
+    target.x, target.y, target.z, target.w = xyzw.tolist()  # type: ignore[attr-defined]
