@@ -1,0 +1,121 @@
+"""The state of an interrupted run, saved beside its unfinished result.
+
+The file is an npz without pickle: the tracker's arrays, and one JSON text for everything else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.errors import ResultError
+
+_ARRAY_PREFIX = "array."
+_JSON_KEY = "json"
+FORMAT_VERSION = 1
+RESTART_HINT = "start again with --overwrite"
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a run needs to go on after its last flushed frame.
+
+    Attributes:
+        frame_index: of the last frame whose estimate is flushed.
+        frames_written: number of estimates flushed.
+        arrays: the tracker's arrays by name; plain numbers only, no objects.
+        state: the rest of the tracker's state, as JSON can hold it (the random generator's, say).
+        fingerprint: of the run; ``ResultWriter.save_checkpoint`` fills it in.
+    """
+
+    frame_index: int
+    frames_written: int
+    arrays: Mapping[str, np.ndarray[Any, Any]] = field(default_factory=dict)
+    state: Mapping[str, Any] = field(default_factory=dict)
+    fingerprint: str = ""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a result was written at its last flush.
+
+    Attributes:
+        file_bytes: size of the file.
+        flush_frames: estimates per flush, which decides where chunks end.
+        truth_messages: how many truth messages were carried over.
+        statuses: number of estimates of each status.
+    """
+
+    file_bytes: int
+    flush_frames: int
+    truth_messages: int
+    statuses: Mapping[str, int]
+
+
+def fingerprint(run: Mapping[str, str]) -> str:
+    """Return the SHA-256 of a run record; it does not depend on the order of the keys."""
+    text = json.dumps(dict(run), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def save(path: Path, checkpoint: Checkpoint, progress: Progress) -> None:
+    """Write both to one file, so that at any moment there is the old file or the new one, never half.
+
+    Raises:
+        ResultError: the file cannot be written, or the state is not of the allowed types.
+    """
+    temporary = path.with_name(path.name + ".tmp")
+    contents = _contents(path, checkpoint, progress)
+    try:
+        with temporary.open("wb") as stream:
+            np.savez(stream, **contents)  # type: ignore[arg-type]
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise ResultError("cannot be written", where=path, found=error.strerror or error) from error
+
+
+def load(path: Path) -> tuple[Checkpoint, Progress]:
+    """Read what ``save`` wrote.
+
+    Raises:
+        ResultError: the file is missing or damaged.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as contents:
+            fields = json.loads(contents[_JSON_KEY].tobytes())
+            names = [name for name in contents.files if name.startswith(_ARRAY_PREFIX)]
+            arrays = {name.removeprefix(_ARRAY_PREFIX): contents[name] for name in names}
+        if fields["version"] != FORMAT_VERSION:
+            raise ValueError(f"version {fields['version']}")
+        return Checkpoint(arrays=arrays, **fields["checkpoint"]), Progress(**fields["progress"])
+    except FileNotFoundError as error:
+        raise ResultError("no checkpoint to resume from", where=path, hint=RESTART_HINT) from error
+    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
+        raise ResultError("checkpoint cannot be read", where=path, found=error, hint=RESTART_HINT) from error
+
+
+def _contents(path: Path, checkpoint: Checkpoint, progress: Progress) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the arrays of the npz file."""
+    for name, array in checkpoint.arrays.items():
+        if np.asarray(array).dtype.hasobject:
+            raise ResultError(f"state '{name}' cannot be saved", where=path, found="Python objects")
+    kept = {
+        name: getattr(checkpoint, name) for name in ("frame_index", "frames_written", "state", "fingerprint")
+    }
+    kept["state"] = dict(kept["state"])
+    fields = {"version": FORMAT_VERSION, "checkpoint": kept, "progress": asdict(progress)}
+    try:
+        text = json.dumps(fields).encode()
+    except TypeError as error:
+        raise ResultError("state cannot be saved", where=path, found=error) from error
+    arrays = {f"{_ARRAY_PREFIX}{name}": np.asarray(array) for name, array in checkpoint.arrays.items()}
+    return {_JSON_KEY: np.frombuffer(text, dtype=np.uint8), **arrays}

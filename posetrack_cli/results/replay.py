@@ -1,0 +1,142 @@
+"""Write the flushed part of an interrupted result once more, byte for byte, into a new sink."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.results.channels import ResultChannels
+from posetrack_cli.results.checkpoint import RESTART_HINT
+from posetrack_cli.results.records import chunk_records, read_record, record_spans
+
+
+def replay(part: Path, file_bytes: int, sink: McapSink, channels: ResultChannels) -> set[str]:
+    """Write the chunks and attachments in the first ``file_bytes`` of ``part`` to ``sink``.
+
+    What lies behind (frames after the last checkpoint, a chunk cut short, a footer) is left out. Chunks
+    end where they ended before; one chunk is in memory at a time.
+
+    Returns:
+        The names of the attachments written.
+
+    Raises:
+        ResultError: the file is shorter than that, or damaged.
+        UsageError: it is of another camera.
+    """
+    attached: set[str] = set()
+    schemas: dict[int, Schema] = {}
+    position = 0
+    for span in record_spans(part):
+        if span.end > file_bytes:
+            break
+        position = span.end
+        if span.opcode == Opcode.ATTACHMENT:
+            attachment = read_record(part, span)
+            if isinstance(attachment, Attachment):
+                sink.attachment(attachment.name, attachment.media_type, attachment.data, attachment.log_time)
+                attached.add(attachment.name)
+        elif span.opcode == Opcode.CHUNK:
+            _replay_chunk(chunk_records(part, span), schemas, sink, channels)
+    if position != file_bytes:
+        raise ResultError(
+            "checkpoint does not fit the unfinished result",
+            where=part,
+            found=f"{position} whole bytes",
+            expected=file_bytes,
+            hint=RESTART_HINT,
+        )
+    return attached
+
+
+def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> None:
+    """Refuse to go on with a result that another run began.
+
+    Args:
+        part: the unfinished result.
+        expected: the metadata records that this run would begin with, by name.
+
+    Raises:
+        UsageError: a record differs; the error names the keys, and their values then and now.
+        ResultError: the file is missing, or killed before its records were written.
+    """
+    if not part.exists():
+        raise ResultError("no unfinished result to resume", where=part, hint="run without --resume")
+    stored = _first_metadata(part)
+    for name, now in expected.items():
+        then = stored.get(name)
+        if then is None:
+            raise ResultError(f"holds no {name}", where=part, hint=RESTART_HINT)
+        keys = sorted(key for key in then.keys() | now.keys() if then.get(key) != now.get(key))
+        if keys:
+            raise UsageError(
+                "the unfinished result is of another run",
+                where=part,
+                found=_listed(then, keys),
+                expected=_listed(now, keys),
+                hint=f"resume with the options it was begun with, or {RESTART_HINT}",
+            )
+
+
+def _replay_chunk(
+    records: list[Schema | Channel | Message],
+    schemas: dict[int, Schema],
+    sink: McapSink,
+    channels: ResultChannels,
+) -> None:
+    for record in records:
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            _adopt(record, schemas, channels)
+        else:
+            channels.write_replayed(record.channel_id, record.log_time, record.data)
+    sink.flush()
+
+
+def _adopt(channel: Channel, schemas: Mapping[int, Schema], channels: ResultChannels) -> None:
+    """Register a truth channel where it was registered before; the result's own exist already."""
+    if channel.id in channels.own_ids:
+        return
+    schema = schemas.get(channel.schema_id, Schema(id=0, name="", encoding="", data=b""))
+    as_message = TruthMessage(
+        topic=channel.topic,
+        schema_name=schema.name,
+        schema_encoding=schema.encoding,
+        schema_data=schema.data,
+        message_encoding=channel.message_encoding,
+        log_time_ns=0,
+        data=b"",
+        channel_metadata=channel.metadata,
+    )
+    if channels.truth_channel(as_message) != channel.id:
+        raise ResultError(
+            "channels cannot be written in their old order", where=channel.topic, hint=RESTART_HINT
+        )
+
+
+def _first_metadata(part: Path) -> dict[str, Mapping[str, str]]:
+    """Return the metadata before the first chunk."""
+    found: dict[str, Mapping[str, str]] = {}
+    for span in record_spans(part):
+        if span.opcode == Opcode.CHUNK:
+            break
+        if span.opcode == Opcode.METADATA:
+            record = read_record(part, span)
+            if isinstance(record, Metadata):
+                found[record.name] = record.metadata
+    return found
+
+
+def _listed(record: Mapping[str, str], keys: list[str]) -> str:
+    """Return the keys with their values, long values cut."""
+    return " ".join(f"{key}={_cut(record.get(key, 'nothing'))}" for key in keys)
+
+
+def _cut(text: str, length: int = 40) -> str:
+    return text if len(text) <= length else text[: length - 3] + "..."

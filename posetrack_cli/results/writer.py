@@ -1,0 +1,372 @@
+"""Write a result that can be read at any moment, resumed when interrupted, and reproduced bit by bit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.results import checkpoint as checkpoints
+from posetrack_cli.results.channels import ResultChannels
+from posetrack_cli.results.checkpoint import Checkpoint, Progress
+from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.replay import check_same_run, replay
+from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_to_record
+
+RUN_RECORD = "posetrack.run"
+SUMMARY_RECORD = "posetrack.summary"
+
+
+def part_path(path: Path) -> Path:
+    """Return the name of a result while it is written: NAME.part."""
+    return path.with_name(path.name + ".part")
+
+
+def state_path(path: Path) -> Path:
+    """Return the name of the checkpoint of an unfinished result: NAME.part.state."""
+    return path.with_name(path.name + ".part.state")
+
+
+class ResultWriter:
+    """Writes the estimates of one run to an MCAP file.
+
+    The file is NAME.part until ``finish``. Every ``flush_frames`` estimates the chunk ends and everything
+    is handed to the operating system; this counts frames, never seconds, so two runs give the same bytes::
+
+        with ResultWriter(path, subject, camera, run) as writer:
+            for frame in frames:
+                if writer.write(estimate, vertices):
+                    writer.save_checkpoint(Checkpoint(frame.index, writer.frames_written, arrays, state))
+            writer.finish({"skipped": "0"})
+
+    Leaving the ``with`` block without ``finish`` aborts: NAME.part stays, and can be read and resumed.
+
+    Args:
+        path: of the finished result.
+        subject: what is tracked.
+        camera: that the estimates are relative to.
+        run: the run record: input, configuration, seed, version; nothing that changes from run to run.
+        flush_frames: estimates per flush.
+        overwrite: whether an existing result or an interrupted run may be replaced.
+
+    Raises:
+        UsageError: there is a result, or an interrupted run, that may not be replaced.
+        ResultError: here and in every method, when the file cannot be written. What was flushed before
+            stays readable.
+    """
+
+    _path: Path  # of the finished result
+    _part: Path  # of the file that is open
+    _sink: McapSink
+    _channels: ResultChannels
+    _run: dict[str, str]
+    _flush_frames: int
+    _statuses: dict[str, int]  # how many estimates of each status
+    _truth_messages: int
+    _attached: set[str]
+    _last_index: int
+    _flushed: tuple[int, int]  # frame index and number of frames at the last flush
+    _progress: Progress  # at the last flush
+    _calibrated: bool
+    _closed: bool
+
+    def __init__(
+        self,
+        path: Path,
+        subject: Subject,
+        camera: Camera,
+        run: Mapping[str, str],
+        *,
+        flush_frames: int = 10,
+        overwrite: bool = False,
+    ) -> None:
+        if not overwrite:
+            _check_free(path)
+        with _reported(path):
+            state_path(path).unlink(missing_ok=True)  # it belongs to the file that is replaced now
+        self._begin(path, part_path(path), subject, camera, run, flush_frames)
+
+    @classmethod
+    def resume(
+        cls,
+        path: Path,
+        subject: Subject,
+        camera: Camera,
+        run: Mapping[str, str],
+        *,
+        flush_frames: int = 10,
+    ) -> tuple[ResultWriter, Checkpoint]:
+        """Go on with an interrupted run, such that the finished file equals an uninterrupted run's.
+
+        Frames after the checkpoint are dropped, to be tracked and written again; attachments and truth
+        messages before it are carried over (``truth_messages`` says how many, to leave them out). To
+        resume also what was interrupted before the first flush, save a checkpoint of frame -1 at the start.
+
+        Returns:
+            The writer, and the checkpoint of the last frame in it.
+
+        Raises:
+            UsageError: the run record, subject, camera or ``flush_frames`` differ from the interrupted run's.
+            ResultError: there is no unfinished result or checkpoint, or they are damaged or do not match.
+        """
+        records = _first_records(run, subject)
+        check_same_run(part_path(path), records)
+        checkpoint, progress = checkpoints.load(state_path(path))
+        _check_checkpoint(path, checkpoint, progress, run, flush_frames)
+        writer = cls.__new__(cls)
+        copy = path.with_name(path.name + ".part.copy")
+        writer._begin(path, copy, subject, camera, run, flush_frames)
+        try:
+            writer._restore(checkpoint, progress)
+        except BaseException:
+            writer._abandon()
+            copy.unlink(missing_ok=True)
+            raise
+        return writer, checkpoint
+
+    @property
+    def frames_written(self) -> int:
+        """Number of estimates written, those of a resumed run included."""
+        return sum(self._statuses.values())
+
+    @property
+    def truth_messages(self) -> int:
+        """Number of truth messages written, those of a resumed run included."""
+        return self._truth_messages
+
+    def write(self, estimate: Estimate, vertices: FloatArray | None = None) -> bool:
+        """Write one estimate, with the mesh's vertices (V, 3) in mm and camera axes if it is to be drawn.
+
+        Returns:
+            Whether the file was flushed, so that a checkpoint can be saved now.
+
+        Raises:
+            ResultError: as in the class; also when arrays do not fit the subject or are not finite.
+        """
+        with self._guarded():
+            if not self._calibrated:
+                self._channels.write_calibration(estimate.stamp_ns)
+                self._calibrated = True
+            self._channels.write_estimate(estimate, vertices)
+        self._statuses[estimate.status.value] += 1
+        self._last_index = estimate.frame_index
+        if self.frames_written % self._flush_frames:
+            return False
+        self._flush()
+        return True
+
+    def add_truth(self, message: TruthMessage) -> None:
+        """Carry over a message of a ``/truth/...`` topic, unchanged."""
+        with self._guarded():
+            self._channels.write_truth(message)
+        self._truth_messages += 1
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach the bytes of a file, such as a model.
+
+        A name that is in the file already is left out, so a resumed run may attach everything again.
+        """
+        if name in self._attached:
+            return
+        self._attached.add(name)
+        with self._guarded():
+            self._sink.attachment(name, media_type, data, 0)
+
+    def save_checkpoint(self, checkpoint: Checkpoint) -> None:
+        """Save the tracker's state after the flushed frame, right after ``write`` returned True.
+
+        Before the first frame, a checkpoint with frame_index -1 and frames_written 0 can be saved.
+
+        Raises:
+            ResultError: it cannot be saved, or is not of the frame that was flushed last.
+        """
+        self._check_open()
+        if (checkpoint.frame_index, checkpoint.frames_written) != self._flushed:
+            raise ResultError(
+                "checkpoint is not of the flushed frame",
+                where=self._part,
+                found=f"frame {checkpoint.frame_index}, {checkpoint.frames_written} written",
+                expected=f"frame {self._flushed[0]}, {self._flushed[1]} written",
+            )
+        _sync(self._part)  # the checkpoint must never be newer than the file, even after a power cut
+        marked = replace(checkpoint, fingerprint=checkpoints.fingerprint(self._run))
+        checkpoints.save(state_path(self._path), marked, self._progress)
+
+    def finish(self, summary: Mapping[str, str]) -> None:
+        """Write the summary and the index, and give the file its final name.
+
+        Args:
+            summary: of the run, such as the frames skipped; the numbers of frames, lost and reinitialised
+                ones are added. Nothing that changes from run to run, such as a duration.
+        """
+        counts = {"frames": self.frames_written}
+        counts |= {status: self._statuses[status] for status in (Status.LOST, Status.REINITIALISED)}
+        record = {str(key): str(count) for key, count in counts.items()} | dict(summary)
+        with self._guarded():
+            self._sink.flush()
+            self._sink.metadata(SUMMARY_RECORD, dict(sorted(record.items())))
+            self._sink.finish()
+        self._closed = True
+        with _reported(self._path):
+            _sync(self._part)
+            self._part.replace(self._path)
+            state_path(self._path).unlink(missing_ok=True)
+
+    def abort(self) -> None:
+        """Write what there is, with index and footer but no summary, and leave it as NAME.part.
+
+        Harmless after ``finish``, a second ``abort`` or a failed write.
+        """
+        if self._closed:
+            return
+        with self._guarded():
+            self._sink.finish()
+        self._closed = True
+
+    def __enter__(self) -> ResultWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.abort()
+        else:
+            with suppress(ResultError):  # the first error is the one to tell
+                self.abort()
+
+    def _begin(
+        self,
+        path: Path,
+        written: Path,
+        subject: Subject,
+        camera: Camera,
+        run: Mapping[str, str],
+        flush_frames: int,
+    ) -> None:
+        """Open ``written`` and write what every result begins with."""
+        if flush_frames < 1:
+            raise ResultError("flush_frames cannot be used", found=flush_frames, expected="1 or more")
+        self._path, self._part = path, written
+        self._run, self._flush_frames = dict(run), flush_frames
+        self._statuses = dict.fromkeys((status.value for status in Status), 0)
+        self._truth_messages = 0
+        self._attached = set()
+        self._last_index = -1
+        self._flushed = (-1, 0)
+        self._closed = self._calibrated = False
+        self._progress = Progress(0, flush_frames, 0, dict(self._statuses))
+        if not path.parent.is_dir():
+            raise ResultError("cannot be written", where=path, found=f"no folder {path.parent}")
+        self._sink = McapSink(written)
+        with self._guarded():
+            for name, record in _first_records(run, subject).items():
+                self._sink.metadata(name, record)
+            self._channels = ResultChannels(self._sink, subject, camera)
+        self._flush()
+
+    def _restore(self, checkpoint: Checkpoint, progress: Progress) -> None:
+        """Copy the flushed part of the interrupted file, take its place and go on counting from there."""
+        with self._guarded():
+            old = part_path(self._path)
+            self._attached = replay(old, progress.file_bytes, self._sink, self._channels)
+        self._statuses |= progress.statuses
+        self._truth_messages = progress.truth_messages
+        self._calibrated = self.frames_written > 0
+        self._last_index = checkpoint.frame_index
+        self._flush()
+        with _reported(self._path):
+            _sync(self._part)
+            self._part.replace(part_path(self._path))
+        self._part = self._sink.path = part_path(self._path)
+
+    def _flush(self) -> None:
+        with self._guarded():
+            self._sink.flush()
+        self._flushed = (self._last_index, self.frames_written)
+        self._progress = Progress(
+            file_bytes=self._part.stat().st_size,
+            flush_frames=self._flush_frames,
+            truth_messages=self._truth_messages,
+            statuses=dict(self._statuses),
+        )
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise ResultError("result is closed", where=self._part)
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Refuse to write to a closed file, and close it when writing fails."""
+        self._check_open()
+        try:
+            yield
+        except ResultError as error:
+            if isinstance(error.__cause__, OSError):
+                self._abandon()
+            raise
+
+    def _abandon(self) -> None:
+        """Close after a failure and cut off what was written in part, down to the last flush."""
+        self._closed = True
+        with suppress(ResultError):
+            self._sink.close()
+        if self._progress.file_bytes:
+            with suppress(OSError):
+                os.truncate(self._part, self._progress.file_bytes)
+
+
+def _first_records(run: Mapping[str, str], subject: Subject) -> dict[str, Mapping[str, str]]:
+    """Return the metadata that a result begins with; sorted, since the order is part of the bytes."""
+    return {RUN_RECORD: dict(sorted(run.items())), SUBJECT_RECORD: subject_to_record(subject)}
+
+
+def _check_free(path: Path) -> None:
+    """Raise UsageError if writing here would replace a result or a run that can be resumed."""
+    if path.exists():
+        raise UsageError("exists already", where=path, hint="use --overwrite to replace it")
+    if state_path(path).exists():
+        raise UsageError(
+            "is of an interrupted run",
+            where=part_path(path),
+            hint="use --resume to go on with it or --overwrite to replace it",
+        )
+
+
+def _check_checkpoint(
+    path: Path, checkpoint: Checkpoint, progress: Progress, run: Mapping[str, str], flush_frames: int
+) -> None:
+    """Raise unless the checkpoint is of this run and of the same spacing of flushes."""
+    if checkpoint.fingerprint != checkpoints.fingerprint(run):
+        raise ResultError(
+            "checkpoint is of another run", where=state_path(path), hint=checkpoints.RESTART_HINT
+        )
+    if progress.flush_frames != flush_frames:
+        raise UsageError(
+            "the unfinished result was flushed at other frames",
+            where=part_path(path),
+            found=f"every {progress.flush_frames}",
+            expected=f"every {flush_frames}",
+        )
+
+
+def _sync(path: Path) -> None:
+    """Wait until the file's bytes are on the disk."""
+    with _reported(path), path.open("rb") as stream:
+        os.fsync(stream.fileno())
+
+
+@contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ResultError("cannot be written", where=path, found=error.strerror or error) from error
