@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from results_support import (
+    CAMERA,
+    RUN,
+    SUBJECT,
+    begin,
+    make_estimate,
+    make_truth,
+    write_frames,
+    write_result,
+)
+
+from posetrack_cli.errors import ResultError
+from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.results import (
+    ESTIMATE_SCHEMA_NAME,
+    ResultWriter,
+    estimate_to_json,
+    load_arrays,
+    part_path,
+    read_result,
+)
+from posetrack_cli.results.estimate import FIELD_NAMES
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_result(tmp_path_factory.mktemp("result") / "r.mcap")
+
+
+def test_estimates_come_back_bit_by_bit(path: Path) -> None:
+    for index, estimate in enumerate(read_result(path).estimates()):
+        for name in FIELD_NAMES:
+            assert np.array_equal(getattr(estimate, name), getattr(make_estimate(index), name)), name
+    assert index == 25
+
+
+def test_the_subject_and_camera_come_back(path: Path) -> None:
+    result = read_result(path)
+    assert result.subject.point_names == SUBJECT.point_names
+    assert result.subject.point_parents == SUBJECT.point_parents
+    assert result.subject.colour == SUBJECT.colour
+    np.testing.assert_array_equal(result.subject.triangles, SUBJECT.triangles)
+    assert result.camera() == replace(CAMERA, name="kinect")
+
+
+def test_truth_comes_back_unchanged(path: Path) -> None:
+    result = read_result(path)
+    assert result.truth_topics == ("/truth/hand/pose",)
+    assert list(result.truth()) == [make_truth(index) for index in range(0, 26, 2)]
+
+
+def test_arrays_are_stacked_by_field(path: Path) -> None:
+    arrays = load_arrays(path)
+    assert tuple(arrays) == FIELD_NAMES
+    assert arrays["points"].shape == (26, 4, 3)
+    np.testing.assert_array_equal(arrays["stamp_ns"], [make_estimate(i).stamp_ns for i in range(26)])
+    np.testing.assert_array_equal(arrays["status"][:4], ["tracking", "tracking", "tracking", "lost"])
+    np.testing.assert_array_equal(np.isnan(arrays["cost"]), np.arange(26) % 5 == 0)
+    assert arrays["resampled"].dtype == np.bool_
+
+
+def test_arrays_of_no_frames_keep_their_shapes(tmp_path: Path) -> None:
+    arrays = load_arrays(write_result(tmp_path / "r.mcap", 0))
+    assert arrays["points"].shape == (0, 4, 3)
+    assert arrays["twist"].shape == (0, 9)
+    assert arrays["stamp_ns"].dtype == np.int64
+
+
+@pytest.mark.parametrize("cut", [1, 50, 400, 3000])
+def test_a_file_cut_anywhere_gives_its_whole_chunks(path: Path, tmp_path: Path, cut: int) -> None:
+    (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:-cut])
+    result = read_result(tmp_path / "cut.mcap")
+    count = len(list(result.estimates()))
+    assert count in {10, 20, 26}
+    if cut > 50:
+        assert result.truncated
+        assert result.truth_topics == ("/truth/hand/pose",)
+
+
+def test_any_cut_reads_or_says_why(path: Path, tmp_path: Path) -> None:
+    """No cut may end in anything but fewer frames or one of our errors."""
+    data = path.read_bytes()
+    counts = []
+    for size in range(0, len(data), 997):
+        (tmp_path / "cut.mcap").write_bytes(data[:size])
+        try:
+            counts.append(len(list(read_result(tmp_path / "cut.mcap").estimates())))
+        except ResultError:
+            counts.append(-1)
+    assert counts == sorted(counts)
+    assert {-1, 0, 10, 20, 26} == set(counts)
+
+
+def test_damage_is_told(path: Path, tmp_path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    with pytest.raises(ResultError, match=r"damaged\.mcap: record at byte \d+ is damaged"):
+        list(read_result(tmp_path / "damaged.mcap").estimates())
+
+
+def test_truth_of_our_own_schema_reads_as_estimates(tmp_path: Path) -> None:
+    truth = make_estimate(4)
+    topic = "/truth/hand/estimate"
+    data = estimate_to_json(truth)
+    with begin(tmp_path / "r.mcap") as writer:
+        write_frames(writer, 0, 1)
+        writer.add_truth(
+            TruthMessage(topic, ESTIMATE_SCHEMA_NAME, "jsonschema", b"{}", "json", truth.stamp_ns, data)
+        )
+        writer.finish({})
+    np.testing.assert_array_equal(load_arrays(tmp_path / "r.mcap", topic)["position"], [truth.position])
+
+
+def test_an_unknown_topic_is_an_error_that_names_the_near_one(path: Path) -> None:
+    with pytest.raises(ResultError, match=r"did you mean '/hand/estimate'\?"):
+        list(read_result(path).estimates("/hand/estimates"))
+
+
+def test_a_missing_result_points_at_the_unfinished_one(tmp_path: Path) -> None:
+    begin(tmp_path / "r.mcap").abort()
+    with pytest.raises(ResultError, match=r"unfinished run left .*r\.mcap\.part"):
+        read_result(tmp_path / "r.mcap")
+    with pytest.raises(ResultError, match="No such file"):
+        read_result(tmp_path / "nothing.mcap")
+    assert read_result(part_path(tmp_path / "r.mcap")).run == RUN
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.mcap").write_text("hello, world")
+    with pytest.raises(ResultError, match="is no MCAP file"):
+        read_result(tmp_path / "text.mcap")
+    with (tmp_path / "other.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.finish()
+    with pytest.raises(ResultError, match="is no result of posetrack"):
+        read_result(tmp_path / "other.mcap")
+
+
+def test_a_head_without_mesh_or_angles_has_fewer_topics(tmp_path: Path) -> None:
+    subject = replace(SUBJECT, name="head", shape_names=(), triangles=None)
+    with ResultWriter(tmp_path / "r.mcap", subject, CAMERA, RUN) as writer:
+        writer.write(make_estimate(0, k=0))
+        writer.finish({})
+    result = read_result(tmp_path / "r.mcap")
+    topics = [channel.topic for _, channel in result.channels]
+    assert topics == ["/camera/calibration", "/head/estimate", "/head/odometry", "/tf"]
+    assert load_arrays(result.path)["shape"].shape == (1, 0)
+
+
+def test_importing_results_loads_neither_mcap_nor_protobuf() -> None:
+    code = (
+        "import sys; from posetrack_cli.results import Estimate; "
+        "print([m for m in ('mcap', 'google.protobuf', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout == "[]\n"
