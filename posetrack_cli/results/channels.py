@@ -6,6 +6,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject, check_estimate
@@ -97,7 +98,7 @@ class ResultChannels:
         self._sink.write(channel_id, stamp_ns, data)
 
     def _calibration_bytes(self, stamp_ns: int) -> bytes:
-        message = messages.camera_calibration(self._camera, stamp_ns, self._subject.camera_frame)
+        message = calibration_message(self._camera, stamp_ns, self._subject.camera_frame)
         return bytes(message.SerializeToString(deterministic=True))
 
     def _write(self, channel_id: int, stamp_ns: int, message: messages.Message) -> None:

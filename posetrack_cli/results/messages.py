@@ -11,13 +11,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results.estimate import Estimate, Subject
 
 METRES_PER_MM = 1e-3
-_FOXGLOVE_MODELS = {"equidistant": "kannala_brandt"}
-"""Foxglove's names of distortion models where they differ from ROS's."""
 
 __all__ = [
     "CameraCalibration",
@@ -26,8 +23,6 @@ __all__ = [
     "Message",
     "Odometry",
     "SceneUpdate",
-    "camera_calibration",
-    "camera_from_calibration",
     "frame_transforms",
     "joint_states",
     "odometry",
@@ -85,37 +80,6 @@ def joint_states(estimate: Estimate, subject: Subject) -> JointStates:
     for name, value, rate in zip(subject.shape_names, values, rates, strict=True):
         message.joints.add(name=name, position=value, velocity=rate)
     return message
-
-
-def camera_calibration(camera: Camera, stamp_ns: int, frame_id: str) -> CameraCalibration:
-    """Return the calibration of one camera, pixels; images are not rectified, so R is the identity."""
-    model = _FOXGLOVE_MODELS.get(camera.distortion_model, camera.distortion_model)
-    message = CameraCalibration(
-        frame_id=frame_id, width=camera.width, height=camera.height, distortion_model=model
-    )
-    message.timestamp.FromNanoseconds(stamp_ns)
-    message.D.extend(camera.distortion)
-    message.K.extend(camera.matrix.ravel().tolist())
-    message.R.extend(np.eye(3).ravel().tolist())
-    message.P.extend(np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist())
-    return message
-
-
-def camera_from_calibration(data: bytes) -> Camera:
-    """Return the camera of a serialised ``camera_calibration``; its name is the frame id."""
-    message = CameraCalibration.FromString(data)
-    names = {theirs: ours for ours, theirs in _FOXGLOVE_MODELS.items()}
-    return Camera(
-        width=message.width,
-        height=message.height,
-        fx=message.K[0],
-        fy=message.K[4],
-        cx=message.K[2],
-        cy=message.K[5],
-        distortion=tuple(message.D),
-        distortion_model=names.get(message.distortion_model, message.distortion_model),
-        name=message.frame_id,
-    )
 
 
 def _point_translations(estimate: Estimate, subject: Subject) -> FloatArray:

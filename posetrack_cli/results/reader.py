@@ -15,10 +15,11 @@ from mcap.records import Channel, Message, Metadata, Schema
 from posetrack_cli.errors import ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.results.channels import CALIBRATION_TOPIC, TRUTH_PREFIX
 from posetrack_cli.results.estimate import FIELD_NAMES, Estimate, Subject, array_shapes
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
-from posetrack_cli.results.messages import camera_from_calibration
+from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.records import RecordSpan, chunk_records, read_record, record_spans
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_from_record
 from posetrack_cli.results.writer import RUN_RECORD, SUMMARY_RECORD, part_path
@@ -101,13 +102,14 @@ class Result:
             )
 
     def camera(self) -> Camera:
-        """Return the camera that the estimates are relative to.
+        """Return the camera that the estimates are relative to; its name is the frame id.
 
         Raises:
             ResultError: the file ends before its first flush.
         """
         for _, _, message in self._messages(lambda channel: channel.topic == CALIBRATION_TOPIC):
-            return camera_from_calibration(message.data)
+            calibration = CameraCalibration.FromString(message.data)
+            return camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
         raise ResultError("holds no camera calibration", where=self.path)
 
     def _messages(self, wanted: Callable[[Channel], bool]) -> Iterator[tuple[Schema, Channel, Message]]:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,8 @@ from results_support import CAMERA, RUN, SUBJECT, make_estimate, make_vertices, 
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.results import ResultWriter, Status
 from posetrack_cli.results.messages import (
-    camera_calibration,
-    camera_from_calibration,
     frame_transforms,
     joint_states,
     odometry,
@@ -96,20 +92,6 @@ def test_joint_states_hold_angles_and_their_rates() -> None:
     assert tuple(joint.name for joint in joints) == SUBJECT.shape_names
     assert [joint.position for joint in joints] == estimate.shape.tolist()
     assert [joint.velocity for joint in joints] == estimate.twist[6:].tolist()
-
-
-@pytest.mark.parametrize(
-    "camera",
-    [
-        CAMERA,
-        Camera(64, 48, 50.0, 51.0, 31.5, 23.5),
-        Camera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4), "equidistant"),
-    ],
-)
-def test_calibration_gives_the_camera_back(camera: Camera) -> None:
-    message = camera_calibration(camera, 7, "kinect")
-    assert (len(message.K), len(message.R), len(message.P)) == (9, 9, 12)
-    assert camera_from_calibration(message.SerializeToString()) == replace(camera, name="kinect")
 
 
 def plain_scene(stamp_ns: int, vertices: np.ndarray, alpha: float) -> SceneUpdate:

@@ -20,6 +20,7 @@ from results_support import (
 )
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
@@ -51,6 +52,14 @@ def test_the_subject_and_camera_come_back(path: Path) -> None:
     assert result.subject.colour == SUBJECT.colour
     np.testing.assert_array_equal(result.subject.triangles, SUBJECT.triangles)
     assert result.camera() == replace(CAMERA, name="kinect")
+
+
+def test_a_fisheye_camera_comes_back(tmp_path: Path) -> None:
+    camera = Camera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4), "equidistant")
+    with ResultWriter(tmp_path / "r.mcap", SUBJECT, camera, RUN) as writer:
+        writer.write(make_estimate(0))
+        writer.finish({})
+    assert read_result(tmp_path / "r.mcap").camera() == replace(camera, name="kinect")
 
 
 def test_truth_comes_back_unchanged(path: Path) -> None:
