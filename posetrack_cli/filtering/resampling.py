@@ -1,0 +1,157 @@
+"""Resampling: N weighted particles become N equally weighted ones, the heavy ones several times.
+
+Every scheme is unbiased, E[number of children of i] = count w_i, and they differ in the variance
+(Douc, Cappe and Moulines 2005; Chopin and Papaspiliopoulos 2020, chapter 9):
+
+    multinomial   independent draws: variance count w_i (1 - w_i), the largest
+    residual      floor(count w_i) copies for certain, the rest multinomial
+    stratified    one draw in each of count equal strata of [0, 1)
+    systematic    the same draw in all strata: floor or ceil of count w_i children, and one random number
+
+A scheme is a function ``(weights (N,), rng, count) -> ancestors (count,)``, registered by its name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import nearest_name
+from posetrack_cli.filtering.errors import FilterError
+
+Scheme: TypeAlias = Callable[[FloatArray, np.random.Generator, int], IntArray]
+
+_SCHEMES: dict[str, Scheme] = {}
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """How, and how often, to resample.
+
+    Attributes:
+        scheme: one of `resampling_schemes`.
+        threshold: resample when the effective sample size is below threshold * N. From 1.0 on: always, as
+            in the paper; 0: never.
+
+    Raises:
+        FilterError: the scheme is not known, or the threshold is negative or NaN.
+    """
+
+    scheme: str = "systematic"
+    threshold: float = 0.5
+
+    def __post_init__(self) -> None:
+        _find(self.scheme)
+        if not self.threshold >= 0.0:
+            raise FilterError(
+                "threshold cannot be used", found=self.threshold, expected="0 (never) to 1 (always)"
+            )
+
+    def is_due(self, effective_sample_size: float, count: int) -> bool:
+        """Return whether `count` particles with this effective sample size are to be resampled."""
+        # equal weights have an effective size of count only up to rounding, so 'always' is asked for first
+        return self.threshold >= 1.0 or effective_sample_size < self.threshold * count
+
+
+def resampling_schemes() -> tuple[str, ...]:
+    """Return the names of the schemes."""
+    return tuple(sorted(_SCHEMES))
+
+
+def resample(
+    scheme: str, weights: FloatArray, rng: np.random.Generator, count: int | None = None
+) -> IntArray:
+    """Draw ancestors so that each particle i is chosen count * w_i times on average.
+
+    Args:
+        scheme: one of `resampling_schemes`.
+        weights: (N,) weights >= 0; they need not sum to 1.
+        rng: source of randomness.
+        count: number of ancestors; N if not given.
+
+    Returns:
+        (count,) indices into weights, int64, in no particular order. A weight of zero is never chosen.
+
+    Raises:
+        FilterError: the scheme is not known, the weights are no weights, or count < 1.
+    """
+    draw = _find(scheme)
+    _check_weights(weights)
+    count = weights.size if count is None else count
+    if count < 1:
+        raise FilterError("nothing to draw", found=f"count {count}", expected="count >= 1")
+    return draw(weights, rng, count)
+
+
+def _register(scheme: Scheme) -> Scheme:
+    """Make a scheme known by its function's name."""
+    _SCHEMES[scheme.__name__] = scheme
+    return scheme
+
+
+@_register
+def systematic(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
+    """Invert the cumulative weights at (k + u) / count, k = 0..count-1, one u ~ U[0, 1) (Kitagawa 1996)."""
+    return _inverse_cdf(weights, (np.arange(count) + rng.random()) / count)
+
+
+@_register
+def stratified(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
+    """Invert the cumulative weights at (k + u_k) / count, k = 0..count-1, u_k ~ U[0, 1) independent."""
+    return _inverse_cdf(weights, (np.arange(count) + rng.random(count)) / count)
+
+
+@_register
+def multinomial(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
+    """Invert the cumulative weights at independent u_k ~ U[0, 1) (Gordon, Salmond and Smith 1993)."""
+    return _inverse_cdf(weights, rng.random(count))
+
+
+@_register
+def residual(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
+    """Copy floor(count w_i) times, then draw the rest from what is left over (Liu and Chen 1998)."""
+    expected = count * (weights / weights.sum())
+    certain = np.floor(expected).astype(np.int64)
+    copies = np.repeat(np.arange(weights.size), certain)
+    left = count - copies.size
+    if left == 0:
+        return copies
+    return np.concatenate([copies, multinomial(expected - certain, rng, left)])
+
+
+def _inverse_cdf(weights: FloatArray, queries: FloatArray) -> IntArray:
+    """Return for each query in [0, 1] the first i whose cumulative weight exceeds it.
+
+    "Exceeds", so that u = 0 skips leading zero weights. The sums are in float64 and divided by the last, and
+    where they reach 1 they become infinite: a query that rounds to 1, as (count - 1 + u) / count can, then
+    finds the last particle with a weight, not index N nor a trailing zero weight.
+    """
+    cumulative = np.cumsum(weights, dtype=np.float64)
+    cumulative /= cumulative[-1]
+    cumulative[cumulative >= 1.0] = np.inf
+    return np.searchsorted(cumulative, queries, side="right").astype(np.int64, copy=False)
+
+
+def _find(scheme: str) -> Scheme:
+    """Return the registered scheme of that name, or raise with the nearest name."""
+    found = _SCHEMES.get(scheme)
+    if found is None:
+        raise FilterError("no such resampling scheme", found=scheme, hint=nearest_name(scheme, _SCHEMES))
+    return found
+
+
+def _check_weights(weights: FloatArray) -> None:
+    """Raise unless weights (N,) are >= 0 with a finite sum > 0."""
+    usable = weights.ndim == 1 and weights.size > 0 and bool(weights.min() >= 0.0)
+    total = float(weights.sum()) if usable else math.nan
+    if not (math.isfinite(total) and total > 0.0):
+        raise FilterError(
+            "weights cannot be used",
+            found=f"shape {weights.shape}",
+            expected="(N,), >= 0, of a finite sum > 0",
+        )
