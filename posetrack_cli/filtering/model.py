@@ -1,0 +1,99 @@
+"""What a filter must be told: the space poses live in, how they move, and how well they fit an observation.
+
+Poses are rows of an (N, S) array, in whatever representation suits; small motions are rows of an (N, D)
+array in the tangent space. For the hand S = 22 (with a unit quaternion) and D = 21.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.kalman import Discretisation, check_discretisation
+
+LogLikelihood: TypeAlias = Callable[[FloatArray], FloatArray]
+"""log p(y | x) of poses (N, S) -> (N,), up to a constant; -inf for impossible, never NaN."""
+
+Constrain: TypeAlias = Callable[[FloatArray], FloatArray]
+"""Poses (N, S) -> (N, S), put back inside their limits."""
+
+
+class StateSpace(Protocol):
+    """A manifold of poses with its tangent space; the law is retract(x, local(x, y)) = y.
+
+    Methods return new arrays and leave their arguments as they are.
+    """
+
+    def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
+        """Return x (+) delta: poses (N, S) moved by tangent vectors (N, D)."""
+        ...
+
+    def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return y (-) x: the tangent vectors (N, D) that move poses x (N, S) to y (N, S)."""
+        ...
+
+    def mean(self, x: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return the weighted mean pose (S,) of poses (N, S) with weights (N,) that sum to 1."""
+        ...
+
+
+class Euclidean:
+    """R^D, where (+) is addition and S = D."""
+
+    def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
+        """Return x + delta."""
+        return x + delta
+
+    def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return y - x."""
+        return y - x
+
+    def mean(self, x: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return sum_i w_i x_i."""
+        return weights @ x
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """How poses and velocities wander between two observations; hand paper (37)-(48).
+
+    Attributes:
+        pose_noise: (D,) diagonal of Q^n, u^2/s, u the component's unit (mm or rad).
+        velocity_noise: (D,) diagonal of Q^l, (u/s)^2/s; the plain particle filter does not look at it.
+        discretisation: ``exact`` **[ours]** or ``euler``; see `posetrack_cli.filtering.kalman`.
+        constrain: **[ours]** puts sampled poses back inside their limits, or None. The velocity then learns
+            from the motion that was left, not from the one that was sampled.
+
+    Raises:
+        FilterError: a noise is negative or not finite, the shapes differ, or the discretisation is not known.
+    """
+
+    pose_noise: FloatArray
+    velocity_noise: FloatArray
+    discretisation: Discretisation = "exact"
+    constrain: Constrain | None = None
+
+    def __post_init__(self) -> None:
+        check_discretisation(self.discretisation)
+        for name in ("pose_noise", "velocity_noise"):
+            object.__setattr__(self, name, checked_variance(getattr(self, name), name))
+        if self.pose_noise.shape != self.velocity_noise.shape:
+            raise FilterError(
+                "noises do not match", found=f"{self.pose_noise.shape} and {self.velocity_noise.shape}"
+            )
+
+
+def checked_variance(values: FloatArray, name: str) -> FloatArray:
+    """Return a read-only float64 copy of variances (D,); FilterError unless all are finite and >= 0."""
+    variance = np.array(values, dtype=np.float64)
+    if variance.ndim != 1 or not np.all(np.isfinite(variance)) or np.any(variance < 0.0):
+        raise FilterError(
+            f"{name} cannot be used", found=f"{variance.shape} {variance}", expected="(D,), finite, >= 0"
+        )
+    variance.setflags(write=False)
+    return variance
