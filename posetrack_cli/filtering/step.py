@@ -1,0 +1,103 @@
+"""The verbs of a filter step that the particle filter and the marginalised filter share."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.model import Constrain, LogLikelihood, StateSpace
+from posetrack_cli.filtering.resampling import Resampling, resample
+from posetrack_cli.filtering.weights import effective_count, normalise
+
+
+class Weighing(NamedTuple):
+    """Weights after an observation: (N,), their logarithms (N,), log p(y_t | y_1..t-1), and 1 / sum w^2."""
+
+    weights: FloatArray
+    log_weights: FloatArray
+    log_evidence: float
+    effective_sample_size: float
+
+
+def equal_log_weights(count: int) -> FloatArray:
+    """Return (count,) logarithms of 1 / count."""
+    return np.full(count, -np.log(count))
+
+
+def propose(
+    space: StateSpace,
+    poses: FloatArray,
+    drift: FloatArray | None,
+    variance: FloatArray,
+    constrain: Constrain | None,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Sample x_t = x_{t-1} (+) (drift + w), w ~ N(0, diag variance); hand paper (52).
+
+    Args:
+        space: the poses' space.
+        poses: (N, S) x_{t-1}.
+        drift: (N, D) mean increments; None for none.
+        variance: (D,) of the increments.
+        constrain: puts poses back inside their limits, or None.
+        rng: source of randomness.
+
+    Returns:
+        (N, S) new poses and (N, D) z = x_t (-) x_{t-1}, (58), **after** constraining.
+    """
+    increments = rng.standard_normal((len(poses), variance.size))
+    increments *= np.sqrt(variance)
+    if drift is not None:
+        increments += drift
+    moved = space.retract(poses, increments)
+    if constrain is None:
+        return moved, increments  # known; local would lose turns of more than pi
+    moved = constrain(moved)
+    return moved, space.local(poses, moved)
+
+
+def weigh(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelihood | None) -> Weighing:
+    """Return w_t proportional to w_{t-1} p(y_t | x_t), hand paper (54); without an observation w_{t-1}.
+
+    The log evidence is log sum_i w_{t-1,i} p(y_t | x_{t,i}), with w_{t-1} normalised.
+
+    Raises:
+        FilterError: the likelihood has the wrong shape, a NaN or an infinity, or is zero for all particles.
+    """
+    before, log_before = normalise(log_weights)
+    if log_likelihood is None:
+        return Weighing(before, log_weights - log_before, 0.0, effective_count(before))
+    scores = np.asarray(log_likelihood(poses), dtype=np.float64)
+    if scores.shape != log_weights.shape:
+        raise FilterError(
+            "log-likelihood has the wrong shape", found=scores.shape, expected=log_weights.shape
+        )
+    scores = scores + log_weights
+    weights, log_sum = normalise(scores)
+    return Weighing(weights, scores - log_sum, log_sum - log_before, effective_count(weights))
+
+
+def choose_ancestors(weighing: Weighing, resampling: Resampling, rng: np.random.Generator) -> IntArray | None:
+    """Return the ancestors (N,) of the next step's particles, or None when resampling is not due; (7)."""
+    if not resampling.is_due(weighing.effective_sample_size, weighing.weights.size):
+        return None
+    return resample(resampling.scheme, weighing.weights, rng)
+
+
+def scatter(
+    space: StateSpace, mean: FloatArray, sd: FloatArray, count: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return (count, S) poses mean (+) N(0, diag sd^2) about one pose (S,), with sd (D,).
+
+    Raises:
+        FilterError: count < 1, or an sd is negative or not finite.
+    """
+    if count < 1:
+        raise FilterError("a filter needs particles", found=count, expected="count >= 1")
+    if not np.all(np.isfinite(sd)) or np.any(sd < 0.0):
+        raise FilterError("initial spread cannot be used", found=sd, expected="finite, >= 0")
+    start = np.tile(np.asarray(mean, dtype=np.float64), (count, 1))
+    return propose(space, start, None, np.square(sd), None, rng)[0]

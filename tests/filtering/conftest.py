@@ -1,0 +1,185 @@
+"""A linear-Gaussian world with an exact Kalman filter, against which the particle filters are measured.
+
+Parameters of method/hand.md: dt 1/30 s, Q^n 4, Q^l 400, observation sd 1. Every component is an independent
+copy of (pose, velocity), observed in its pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from posetrack_cli.filtering.kalman import (
+    Gaussian,
+    constant_velocity,
+    kalman_predict,
+    kalman_update,
+    velocity_gain,
+)
+from posetrack_cli.filtering.marginal import initialise_marginal, marginal_step
+from posetrack_cli.filtering.model import Dynamics, Euclidean
+from posetrack_cli.filtering.particle import initialise_particle, particle_step
+from posetrack_cli.filtering.posterior import Posterior
+from posetrack_cli.filtering.resampling import Resampling
+
+POSE_NOISE, VELOCITY_NOISE, OBSERVATION_VARIANCE = 4.0, 400.0, 1.0
+START_SD, START_VELOCITY_SD = 1.0, 10.0
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The Kalman filter's answer: means (T, 2D), covariances (T, 2D, 2D), log evidence (T,), transitions."""
+
+    means: np.ndarray
+    covariances: np.ndarray
+    log_evidence: np.ndarray
+    transitions: list[np.ndarray]
+    gains: list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class World:
+    """Time steps (T,), dimension D, and whether there is a velocity."""
+
+    steps: np.ndarray
+    dimension: int = 1
+    discretisation: str = "exact"
+    moving: bool = True
+    space: Euclidean = field(default_factory=Euclidean)
+
+    @property
+    def dynamics(self) -> Dynamics:
+        ones = np.ones(self.dimension)
+        return Dynamics(POSE_NOISE * ones, VELOCITY_NOISE * ones, self.discretisation)
+
+    def transition(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        if not self.moving:
+            return np.eye(self.dimension), dt * POSE_NOISE * np.eye(self.dimension)
+        dynamics = self.dynamics
+        return constant_velocity(dynamics.pose_noise, dynamics.velocity_noise, dt, self.discretisation)
+
+    @property
+    def sensor(self) -> np.ndarray:
+        return np.eye(self.dimension, (1 + self.moving) * self.dimension)
+
+    @property
+    def start(self) -> Gaussian:
+        sd = [START_SD] * self.dimension + [START_VELOCITY_SD] * (self.dimension if self.moving else 0)
+        return Gaussian(np.zeros(len(sd)), np.diag(np.square(sd)))
+
+    def observations(self, seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        state = rng.multivariate_normal(self.start.mean, self.start.covariance)
+        seen = []
+        for dt in self.steps:
+            F, Q = self.transition(dt)
+            state = rng.multivariate_normal(F @ state, Q)
+            seen.append(self.sensor @ state + rng.standard_normal(self.dimension))
+        return np.array(seen)
+
+    def log_likelihood(self, y: np.ndarray):
+        constant = 0.5 * self.dimension * np.log(2.0 * np.pi * OBSERVATION_VARIANCE)
+        return lambda poses: -0.5 * np.square(poses - y).sum(axis=1) / OBSERVATION_VARIANCE - constant
+
+    def kalman(self, observations: np.ndarray) -> Exact:
+        belief, H = self.start, self.sensor
+        R = OBSERVATION_VARIANCE * np.eye(self.dimension)
+        beliefs, evidence, transitions, gains = [], [], [], []
+        for dt, y in zip(self.steps, observations, strict=True):
+            F, Q = self.transition(dt)
+            belief, log_evidence = kalman_update(kalman_predict(belief, F, Q), y, H, R)
+            beliefs.append(belief)
+            evidence.append(log_evidence)
+            transitions.append(F)
+            gains.append(belief.covariance @ H.T @ np.linalg.inv(R))
+        return Exact(
+            np.array([b.mean for b in beliefs]),
+            np.array([b.covariance for b in beliefs]),
+            np.array(evidence),
+            transitions,
+            gains,
+        )
+
+    def marginal(
+        self,
+        observations: np.ndarray,
+        count: int,
+        seed: int,
+        resampling: Resampling,
+        proposal: str = "marginal",
+    ) -> list[Posterior]:
+        rng, ones = np.random.default_rng(seed), np.ones(self.dimension)
+        state = initialise_marginal(
+            0.0 * ones, START_SD * ones, START_VELOCITY_SD * ones, count, self.space, rng
+        )
+        posteriors = []
+        for dt, y in zip(self.steps, observations, strict=True):
+            score = self.log_likelihood(y)
+            state, posterior = marginal_step(
+                state, dt, self.dynamics, self.space, score, resampling, rng, proposal
+            )
+            posteriors.append(posterior)
+        return posteriors
+
+    def particle(
+        self, observations: np.ndarray, count: int, seed: int, resampling: Resampling
+    ) -> list[Posterior]:
+        rng, ones = np.random.default_rng(seed), np.ones(self.dimension)
+        state = initialise_particle(0.0 * ones, START_SD * ones, count, self.space, rng)
+        posteriors = []
+        for dt, y in zip(self.steps, observations, strict=True):
+            score = self.log_likelihood(y)
+            state, posterior = particle_step(state, dt, self.dynamics, self.space, score, resampling, rng)
+            posteriors.append(posterior)
+        return posteriors
+
+    def velocity_variances(self) -> np.ndarray:
+        """P of (57) after each step, (T, D): the part of the velocity's variance that no particle carries."""
+        P, dynamics, variances = np.full(self.dimension, START_VELOCITY_SD**2), self.dynamics, []
+        for dt in self.steps:
+            P = velocity_gain(
+                P, dynamics.pose_noise, dynamics.velocity_noise, dt, self.discretisation
+            ).variance
+            variances.append(P)
+        return np.array(variances)
+
+    def monte_carlo_variance(self, exact: Exact, posteriors: list[Posterior], count: int) -> np.ndarray:
+        """Predicted variance (T, D or 2D) of the filter's means about the exact ones.
+
+        To first order the error of the particles' mean obeys the Kalman filter's own closed loop: an error e
+        becomes (1 - K H) F e, and each frame adds that of a weighted mean, C / ESS, where C is the posterior
+        covariance of what particles carry (pose and mean velocity: the exact one less P), plus that of
+        resampling, at most C / N. So E_t = A E_{t-1} A^T + C_t (1 / ESS_t + 1 / N).
+        """
+        size = exact.means.shape[1]
+        carried = exact.covariances.copy()
+        if self.moving:
+            index = np.arange(self.dimension, size)
+            carried[:, index, index] -= self.velocity_variances()
+        E, variances = np.zeros((size, size)), []
+        for F, K, C, posterior in zip(exact.transitions, exact.gains, carried, posteriors, strict=True):
+            A = (np.eye(size) - K @ self.sensor) @ F
+            E = A @ E @ A.T + C * (1.0 / posterior.effective_sample_size + 1.0 / count)
+            variances.append(np.diag(E))
+        return np.array(variances)
+
+
+def regular(count: int) -> np.ndarray:
+    return np.full(count, 1.0 / 30.0)
+
+
+def irregular(count: int) -> np.ndarray:
+    """A frame of 30 Hz, and now and then up to three of them lost."""
+    return np.random.default_rng(5).integers(1, 5, count) / 30.0
+
+
+@pytest.fixture(params=[regular, irregular], ids=["regular", "irregular"])
+def steps(request: pytest.FixtureRequest) -> np.ndarray:
+    return request.param(200)
+
+
+@pytest.fixture
+def make_world():
+    return World
