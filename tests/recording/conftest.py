@@ -1,0 +1,205 @@
+"""Builders of small recordings: folders of images, Foxglove, ROS 1 and ROS 2 MCAP files."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.recording.mcap_sink import McapSink
+
+WIDTH, HEIGHT = 24, 16
+CAMERA_TOML = "fx = 30.0\nfy = 31.0\ncx = 11.0\ncy = 7.5\n"
+PERIOD_NS = 33_333_333
+START_NS = 1_700_000_000_000_000_000
+
+HEADER_1 = "std_msgs/Header header\n"
+IMAGE = "uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n"
+COMPRESSED = "string format\nuint8[] data\n"
+INFO_1 = "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] D\nfloat64[9] K\n"
+INFO_2 = "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
+RULE = "=" * 80 + "\n"
+HEADER_TEXT_1 = RULE + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+HEADER_TEXT_2 = (
+    RULE
+    + "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    + RULE
+    + "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+DEFINITIONS_1 = {
+    "Image": HEADER_1 + IMAGE + HEADER_TEXT_1,
+    "CompressedImage": HEADER_1 + COMPRESSED + HEADER_TEXT_1,
+    "CameraInfo": HEADER_1 + INFO_1 + HEADER_TEXT_1,
+}
+DEFINITIONS_2 = {
+    "Image": HEADER_1 + IMAGE + HEADER_TEXT_2,
+    "CompressedImage": HEADER_1 + COMPRESSED + HEADER_TEXT_2,
+    "CameraInfo": HEADER_1 + INFO_2 + HEADER_TEXT_2,
+}
+
+Message = tuple[str, str, int, int, dict[str, Any]]
+"""Topic, type without package, stamp ns, log time ns, fields."""
+
+
+def depth_codes(count: int, seed: int = 0) -> list[np.ndarray]:
+    """Random 16-bit images with holes; no two are equal."""
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(400, 900, size=(count, HEIGHT, WIDTH)).astype(np.uint16)
+    codes[:, 3:6, 4:9] = 0
+    return list(codes)
+
+
+def png(codes: np.ndarray) -> bytes:
+    return cv2.imencode(".png", codes)[1].tobytes()
+
+
+def stamps(count: int) -> list[int]:
+    return [START_NS + i * PERIOD_NS for i in range(count)]
+
+
+def write_folder(
+    path: Path,
+    images: Sequence[np.ndarray],
+    *,
+    camera: str | None = CAMERA_TOML,
+    stamp_lines: Sequence[str] | None = None,
+    suffix: str = ".png",
+) -> Path:
+    path.mkdir(parents=True)
+    for index, image in enumerate(images):
+        (path / f"{index:06d}{suffix}").write_bytes(cv2.imencode(suffix, image)[1].tobytes())
+    if camera is not None:
+        (path / "camera.toml").write_text(camera)
+    if stamp_lines is None:
+        stamp_lines = ["stamp_ns", *map(str, stamps(len(images)))]
+    if stamp_lines:
+        (path / "timestamps.csv").write_text("\n".join(stamp_lines) + "\n")
+    return path
+
+
+def calibration_fields(width: int = WIDTH, height: int = HEIGHT, upper: bool = True) -> dict[str, Any]:
+    names = ("K", "D") if upper else ("k", "d")
+    k = [30.0, 0.0, 11.0, 0.0, 31.0, 7.5, 0.0, 0.0, 1.0]
+    return {
+        "width": width,
+        "height": height,
+        "distortion_model": "plumb_bob",
+        names[0]: k,
+        names[1]: [0.0] * 5,
+    }
+
+
+def raw_fields(image: np.ndarray, encoding: str, *, padding: int = 0, big: bool = False) -> dict[str, Any]:
+    """Fields of an image message, rows padded with bytes that must not be read."""
+    ordered = image.astype(image.dtype.newbyteorder(">" if big else "<"))
+    rows = [row.tobytes() + b"\xab" * padding for row in ordered]
+    return {
+        "width": image.shape[1],
+        "height": image.shape[0],
+        "encoding": encoding,
+        "step": len(rows[0]),
+        "data": b"".join(rows),
+        **({"is_bigendian": 1} if big else {}),
+    }
+
+
+def compressed_depth(codes: np.ndarray, a: float = 0.0, b: float = 0.0) -> bytes:
+    return struct.pack("<iff", 0, a, b) + png(codes)
+
+
+def write_foxglove(
+    path: Path,
+    messages: Sequence[Message],
+    *,
+    frame_id: str = "cam",
+    flush_every: int = 1,
+    finish: bool = True,
+) -> Path:
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+    from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+    classes = {"Image": RawImage, "CompressedImage": CompressedImage, "CameraInfo": CameraCalibration}
+    channels: dict[str, int] = {}
+    with McapSink(path) as sink:
+        for number, (topic, kind, stamp, log_time, fields) in enumerate(messages):
+            if topic not in channels:
+                channels[topic] = sink.channel(topic, classes[kind])
+            message = classes[kind](**{"frame_id": frame_id, **fields})
+            if stamp:
+                message.timestamp.FromNanoseconds(stamp)
+            sink.write(channels[topic], log_time, message.SerializeToString())
+            if number % flush_every == flush_every - 1:
+                sink.flush()
+        if finish:
+            sink.finish()
+    return path
+
+
+def write_ros1(path: Path, messages: Sequence[Message], *, frame_id: str = "cam") -> Path:
+    from mcap_ros1.decoder import dynamic
+    from mcap_ros1.writer import Writer
+
+    classes = {
+        kind: dynamic.generate_dynamic(f"sensor_msgs/{kind}", text)[f"sensor_msgs/{kind}"]
+        for kind, text in DEFINITIONS_1.items()
+    }
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2000)
+        for topic, kind, stamp, log_time, fields in messages:
+            message = classes[kind]()
+            message.header.frame_id = fields.get("frame_id", frame_id)
+            message.header.stamp.secs, message.header.stamp.nsecs = divmod(stamp, 10**9)
+            for name, value in fields.items():
+                if name != "frame_id":
+                    setattr(message, name, value)
+            writer.write_message(topic, message, log_time=log_time, publish_time=log_time)
+        writer.finish()
+    return path
+
+
+def write_ros2(path: Path, messages: Sequence[Message], *, frame_id: str = "cam") -> Path:
+    from mcap_ros2.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2000)
+        schemas = {
+            kind: writer.register_msgdef(f"sensor_msgs/msg/{kind}", text)
+            for kind, text in DEFINITIONS_2.items()
+        }
+        for topic, kind, stamp, log_time, fields in messages:
+            sec, nanosec = divmod(stamp, 10**9)
+            own = {name: value for name, value in fields.items() if name != "frame_id"}
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": fields.get("frame_id", frame_id)}
+            message = {"header": header, "is_bigendian": 0, **own}
+            if kind != "Image":
+                del message["is_bigendian"]
+            writer.write_message(topic, schemas[kind], message, log_time=log_time, publish_time=log_time)
+        writer.finish()
+    return path
+
+
+WRITERS: dict[str, Callable[..., Path]] = {"foxglove": write_foxglove, "ros1": write_ros1, "ros2": write_ros2}
+
+
+@pytest.fixture(scope="session")
+def make() -> SimpleNamespace:
+    """The builders of this module, for tests that cannot import it."""
+    return SimpleNamespace(**{name: value for name, value in globals().items() if not name.startswith("_")})
+
+
+@pytest.fixture
+def foxglove_file(tmp_path: Path) -> Path:
+    """Twelve PNG depth frames on /cam/image with a calibration, one chunk per message."""
+    first = [("/cam/calibration", "CameraInfo", START_NS, START_NS, calibration_fields())]
+    frames = [
+        ("/cam/image", "CompressedImage", stamp, stamp, {"format": "png", "data": png(codes)})
+        for stamp, codes in zip(stamps(12), depth_codes(12), strict=True)
+    ]
+    return write_foxglove(tmp_path / "foxglove.mcap", first + frames)
