@@ -120,6 +120,7 @@ def write_foxglove(
     frame_id: str = "cam",
     flush_every: int = 1,
     finish: bool = True,
+    compression: str = "zstd",
 ) -> Path:
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -127,7 +128,7 @@ def write_foxglove(
 
     classes = {"Image": RawImage, "CompressedImage": CompressedImage, "CameraInfo": CameraCalibration}
     channels: dict[str, int] = {}
-    with McapSink(path) as sink:
+    with McapSink(path, compression=compression) as sink:
         for number, (topic, kind, stamp, log_time, fields) in enumerate(messages):
             if topic not in channels:
                 channels[topic] = sink.channel(topic, classes[kind])

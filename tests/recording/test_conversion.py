@@ -101,6 +101,12 @@ def test_mcap_to_mcap(tmp_path: Path, make: SimpleNamespace, flavour: str, encod
     same(source, open_recording(tmp_path / "out.mcap"), rtol=0.0 if encoding == "16UC1" else 2 * ULP)
 
 
+def test_mirrored_mcap_does_not_copy_its_pngs(tmp_path: Path, foxglove_file: Path) -> None:
+    source = open_recording(foxglove_file, mirror=True)
+    convert_recording(source, tmp_path / "out.mcap")
+    same(source, open_recording(tmp_path / "out.mcap"))
+
+
 def test_converted_file_converts_to_itself(tmp_path: Path, foxglove_file: Path) -> None:
     convert_recording(open_recording(foxglove_file), tmp_path / "a.mcap")
     convert_recording(open_recording(tmp_path / "a.mcap"), tmp_path / "b.mcap")

@@ -99,6 +99,26 @@ def test_damaged_chunk_in_a_file_with_index(tmp_path: Path, foxglove_file: Path)
     assert "damaged" in loss.what
 
 
+@pytest.mark.parametrize("finish", [True, False])
+def test_flipped_pixel_without_compression_is_found_by_its_checksum(
+    tmp_path: Path, make: SimpleNamespace, finish: bool
+) -> None:
+    frames = [("/cam/info", "CameraInfo", 5, 5, make.calibration_fields())]
+    images = make.depth_codes(4)
+    frames += [
+        ("/cam/image", "Image", 10 + i, 10 + i, make.raw_fields(image, "16UC1"))
+        for i, image in enumerate(images)
+    ]
+    path = make.write_foxglove(tmp_path / "r.mcap", frames, compression="none", finish=finish)
+    data = bytearray(path.read_bytes())
+    data[data.index(images[2].tobytes()) + 300] ^= 0x01
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert [frame.index for frame in recording.frames()] == [0, 1]
+    (loss,) = recording.losses
+    assert "damaged" in loss.what
+
+
 def test_any_flipped_byte_ends_in_frames_or_one_line(tmp_path: Path, foxglove_file: Path) -> None:
     data = foxglove_file.read_bytes()
     path = tmp_path / "r.mcap"
