@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,4 +31,4 @@ def convert(recording: Path, out: Path, overwrite: bool, **options: Any) -> None
     click.echo(f"{out}: {conversion.frames} frames, {out.stat().st_size} bytes")
     if conversion.losses:
         click.echo(f"{recording}: {loss_line(conversion.losses)}", err=True)
-        sys.exit(EXIT_DATA_LOST)
+        click.get_current_context().exit(EXIT_DATA_LOST)

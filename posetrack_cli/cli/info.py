@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ def info(path: Path, as_json: bool) -> None:
     for loss in report["losses"]:
         click.echo(f"{path}: {loss['what']}: {loss['count']}, first {loss['first']}", err=True)
     if report["losses"]:
-        sys.exit(EXIT_DATA_LOST)
+        click.get_current_context().exit(EXIT_DATA_LOST)
 
 
 def report_lines(report: Values) -> Iterator[str]:
