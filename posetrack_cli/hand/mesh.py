@@ -150,7 +150,8 @@ def _palm_profile(u: FloatArray, s: float) -> FloatArray:
     profile: FloatArray = 1.0 + lower * (
         0.28 * np.exp(-(((u - 0.62) / 0.32) ** 2)) + 0.16 * np.exp(-(((u + 0.6) / 0.35) ** 2))
     )
-    return profile - 0.12 * np.exp(-((u / 0.35) ** 2)) * np.exp(-(((s - 0.6) / 0.3) ** 2))
+    profile -= 0.12 * np.exp(-((u / 0.35) ** 2)) * np.exp(-(((s - 0.6) / 0.3) ** 2))
+    return profile
 
 
 def _join_rows(builder: _Builder, rows: list[list[int]]) -> None:

@@ -37,9 +37,9 @@ def open_context(device: int | None = None) -> Any:
     """
     import moderngl
 
-    options = {} if device is None else {"device_index": device}
+    options: Any = {"backend": "egl"} if device is None else {"backend": "egl", "device_index": device}
     try:
-        return moderngl.create_context(standalone=True, backend="egl", require=REQUIRED_GL, **options)
+        return moderngl.create_context(standalone=True, require=REQUIRED_GL, **options)
     except Exception as error:  # glcontext raises bare Exception for every failure
         where = "OpenGL" if device is None else f"OpenGL device {device}"
         raise RenderingError(

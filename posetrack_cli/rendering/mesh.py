@@ -95,7 +95,8 @@ def loop_limit_matrix(triangles: IntArray, count: int) -> FloatArray:
     neighbours = _adjacency(triangles, count)
     valence = neighbours.sum(axis=1)
     w = 1.0 / (0.375 / _loop_beta(valence) + valence)
-    return np.diag(1.0 - valence * w) + w[:, None] * neighbours
+    matrix: FloatArray = np.diag(1.0 - valence * w) + w[:, None] * neighbours
+    return matrix
 
 
 def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
@@ -127,7 +128,9 @@ def smoothed_through(mesh: SkinnedMesh, steps: int) -> SkinnedMesh:
     interpolates them.
     """
     limit = loop_limit_matrix(mesh.triangles, len(mesh.vertices))
-    fine = SkinnedMesh(np.linalg.solve(limit, mesh.vertices), mesh.weights, mesh.triangles)
+    fine = SkinnedMesh(
+        np.asarray(np.linalg.solve(limit, mesh.vertices), dtype=np.float64), mesh.weights, mesh.triangles
+    )
     for _ in range(steps):
         fine = loop_subdivided(fine)
     vertices = loop_limit_matrix(fine.triangles, len(fine.vertices)) @ fine.vertices

@@ -137,6 +137,10 @@ class ResultWriter:
         """Number of estimates written, those of a resumed run included."""
         return sum(self._statuses.values())
 
+    def count(self, status: Status) -> int:
+        """Number of estimates of a status, those of a resumed run included."""
+        return self._statuses[status.value]
+
     @property
     def truth_messages(self) -> int:
         """Number of truth messages written, those of a resumed run included."""

@@ -1,0 +1,95 @@
+"""``posetrack doctor``: which GL renderer is used, how fast it is, what is missing if none works."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from posetrack_cli.errors import EXIT_FAILED, PosetrackError
+
+PARTICLES = 512
+REPEATS = 11
+MOST_DEVICES = 16
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "moderngl",
+    "mcap",
+    "mcap-protobuf-support",
+    "mcap-ros1-support",
+    "mcap-ros2-support",
+    "foxglove-schemas-protobuf",
+    "protobuf",
+    "pydantic",
+    "click",
+)
+
+
+@click.command()
+@click.option("--device", type=click.IntRange(min=0), help="Only this EGL device.")
+@click.option("--particles", type=click.IntRange(min=1), default=PARTICLES, show_default=True)
+def doctor(device: int | None, particles: int) -> None:
+    """Tell which OpenGL renderer is used, how fast it scores particles, and what is missing if none works."""
+    _print_versions()
+    default_works = _check("default" if device is None else f"device {device}", device, particles)
+    if device is None:
+        for number in range(MOST_DEVICES):
+            if not _check(f"device {number}", number, particles, quiet=True):
+                break
+    if not default_works:
+        sys.exit(EXIT_FAILED)
+
+
+def _print_versions() -> None:
+    import platform
+    from importlib import metadata
+
+    from posetrack_cli import __version__
+
+    click.echo(f"posetrack {__version__}, Python {platform.python_version()}, {platform.platform()}")
+    for name in LIBRARIES:
+        try:
+            click.echo(f"  {name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            click.echo(f"  {name} is missing: install posetrack again with pip")
+
+
+def _check(label: str, device: int | None, particles: int, *, quiet: bool = False) -> bool:
+    """Print what a device draws with and how fast; say what is missing if it does not, unless quiet."""
+    from posetrack_cli.rendering.context import describe, open_context
+
+    try:
+        context = open_context(device)
+        times = _scoring_times(context, particles)
+    except PosetrackError as error:
+        if not quiet:
+            click.echo(f"OpenGL {label}: does not work")
+            click.echo(f"posetrack: {error}", err=True)
+        return False
+    click.echo(f"OpenGL {label}: {describe(context)}")
+    for tile, milliseconds in times.items():
+        click.echo(f"  {particles} particles, {tile}x{tile} pixels each: {milliseconds:.1f} ms")
+    context.release()
+    return True
+
+
+def _scoring_times(context: Any, particles: int) -> dict[int, float]:
+    """Median milliseconds by tile size for open hands around one pose."""
+    import numpy as np
+
+    from posetrack_cli.hand.anatomy import make_anatomy
+    from posetrack_cli.hand.kinematics import skinning_transforms
+    from posetrack_cli.hand.mesh import hand_mesh
+    from posetrack_cli.hand.start import scattered_poses
+    from posetrack_cli.rendering.benchmark import scoring_milliseconds
+
+    anatomy = make_anatomy()
+    transforms = skinning_transforms(anatomy, scattered_poses(anatomy, particles, np.random.default_rng(0)))
+    mesh = hand_mesh(anatomy)
+    return {
+        tile: scoring_milliseconds(context, mesh, transforms, tile, 128 // tile, REPEATS)
+        for tile in (64, 128)
+    }

@@ -1,0 +1,181 @@
+"""``posetrack hand``: the commands about hands."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.cli.hand_synth import hand_synth
+from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError
+
+if TYPE_CHECKING:
+    from posetrack_cli.hand.config import HandConfig
+    from posetrack_cli.hand.run import HandRun, RunOutcome
+    from posetrack_cli.results.estimate import Estimate
+
+# option -> configuration key
+CONFIGURED = {
+    "filter_kind": "filter.kind",
+    "particles": "filter.particles",
+    "proposal": "filter.proposal",
+    "resampling": "filter.resampling",
+    "cost": "observation.cost",
+    "side": "hand.side",
+    "scale": "hand.scale",
+}
+
+
+@click.group()
+def hand() -> None:
+    """Track a hand, or make recordings of one."""
+
+
+hand.add_command(hand_synth)
+
+
+@hand.command("run")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Result to write, MCAP.")
+@click.option("--config", help="TOML file, or a shipped name: hand (the defaults), hand-paper.")
+@click.option("--filter", "filter_kind", type=click.Choice(["rbpf", "pf"]), help="Filter.  [default: rbpf]")
+@click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512]")
+@click.option("--proposal", type=click.Choice(["marginal", "paper"]), help="Proposal of the RBPF.")
+@click.option(
+    "--resampling",
+    type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
+    help="Resampling scheme.  [default: systematic]",
+)
+@click.option("--cost", type=click.Choice(["union", "paper"]), help="Cost's image region.  [default: union]")
+@click.option(
+    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: right]"
+)
+@click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
+@click.option(
+    "--init",
+    default="center",
+    show_default=True,
+    help="Start: center (open hand in the middle, palm to the sensor), or a file with a pose.",
+)
+@click.option("--start", type=click.IntRange(min=0), default=0, help="First frame.")
+@click.option("--end", type=click.IntRange(min=1), help="Frame to stop before.")
+@click.option("--stride", type=click.IntRange(min=1), default=1, help="Track every so many frames.")
+@recording_options
+@click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing result.")
+@click.option(
+    "--timings", is_flag=True, help="Write each frame's milliseconds (bytes then differ from run to run)."
+)
+def hand_run(recording: Path, **options: Any) -> None:
+    """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
+
+    The result is MCAP with pose, velocity, their variances and the 21 joints of every frame. The same input,
+    configuration and seed give the same bytes.
+    """
+    run, total = _prepare(recording, options)
+    output = options["output"]
+    with _stop_signals() as stopped, _progress(total) as report, _kept(output):
+        outcome = run.track(report, stopped)
+    _close(recording, output, outcome)
+
+
+def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None]:
+    """Everything that can be refused is refused here, before the first frame."""
+    from posetrack_cli.hand.run import HandRun, RunOptions
+    from posetrack_cli.recording.opening import open_recording
+    from posetrack_cli.rendering.context import open_context
+
+    config = _configuration(options)
+    source = open_recording(recording, **opening_arguments(options))
+    names = ("output", "seed", "init", "start", "end", "stride", "resume", "overwrite", "timings")
+    run_options = RunOptions(**{name: options[name] for name in names})
+    context = open_context(options["device"])
+    total = source.frame_count
+    if total is not None:
+        end = total if options["end"] is None else min(total, options["end"])
+        total = len(range(options["start"], end, options["stride"]))
+    return HandRun(source, config, run_options, context), total
+
+
+def _configuration(options: dict[str, Any]) -> HandConfig:
+    from posetrack_cli.configuration import find_configuration, load_settings
+    from posetrack_cli.hand.config import HandConfig
+
+    path = find_configuration(options["config"]) if options["config"] else None
+    return load_settings(HandConfig, path, {key: options[name] for name, key in CONFIGURED.items()})
+
+
+@contextmanager
+def _stop_signals() -> Iterator[Any]:
+    """Yield a function that tells whether Ctrl-C or SIGTERM came; a second Ctrl-C stops at once."""
+    import signal
+    import threading
+
+    asked = threading.Event()
+
+    def stop(number: int, frame: object) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _progress(total: int | None) -> Iterator[Any]:
+    """Yield a function that shows an estimate on the progress bar; a bar only where a person looks."""
+    from tqdm import tqdm
+
+    with tqdm(
+        total=total, unit="frame", desc="hand", file=sys.stderr, disable=None, dynamic_ncols=True
+    ) as bar:
+
+        def report(estimate: Estimate) -> None:
+            bar.set_postfix_str(f"ESS {estimate.effective_sample_size:.0f} {estimate.status}", refresh=False)
+            bar.update()
+
+        yield report
+
+
+@contextmanager
+def _kept(output: Path) -> Iterator[None]:
+    """When the run fails, say what of it can still be read."""
+    from posetrack_cli.results.writer import part_path
+
+    try:
+        yield
+    except PosetrackError:
+        part = part_path(output)
+        if part.is_file():
+            click.echo(f"kept: {part} holds what was tracked before (posetrack info reads it)", err=True)
+        raise
+
+
+def _close(recording: Path, output: Path, outcome: RunOutcome) -> None:
+    """The closing line, and the exit code."""
+    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.results.writer import part_path
+
+    rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
+    what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"
+    if outcome.frames != outcome.tracked:
+        what += f", {outcome.frames} with those before"
+    what += f", {outcome.lost} lost"
+    if outcome.stopped:
+        click.echo(f"interrupted after {what}: {part_path(output)}; --resume goes on", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    click.echo(f"{what}: {output}")
+    if outcome.losses:
+        click.echo(f"{recording}: {loss_line(outcome.losses)}", err=True)
+        sys.exit(EXIT_DATA_LOST)

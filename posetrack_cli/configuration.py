@@ -1,0 +1,124 @@
+"""Configuration: defaults < file < options, frozen, unknown keys refused with the nearest known one."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from posetrack_cli.errors import UsageError, nearest_name
+
+
+class Settings(BaseModel):
+    """Base of all configuration tables."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+Model = TypeVar("Model", bound=Settings)
+
+
+def load_settings(model: type[Model], path: Path | None, options: Mapping[str, Any]) -> Model:
+    """Resolve a configuration.
+
+    Args:
+        model: the configuration's type; its defaults come first.
+        path: a TOML file that overrides them, or None.
+        options: ``{"filter.particles": 512}`` from the command line, override both; None is not given.
+
+    Raises:
+        UsageError: unreadable file, unknown key, value out of range.
+    """
+    values = {} if path is None else _read_toml(path)
+    for key, value in options.items():
+        if value is not None:
+            _put(values, key.split("."), value)
+    return validated(model, values, path or "options")
+
+
+def validated(model: type[Model], values: Mapping[str, Any], where: object) -> Model:
+    """Return the model of these values.
+
+    Raises:
+        UsageError: unknown key (with the nearest known one), or a value that cannot be used.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise _explained(error, model, where) from error
+
+
+def find_configuration(name: str | os.PathLike[str]) -> Path:
+    """Return the file of a path, or of a name such as ``hand-paper`` that comes with posetrack.
+
+    Raises:
+        UsageError: there is neither.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    shipped = {p.stem: p for folder in _shipped_folders() for p in sorted(folder.glob("*.toml"))}
+    if str(name) in shipped:
+        return shipped[str(name)]
+    raise UsageError(
+        "no such configuration",
+        where=name,
+        expected="a TOML file, or a name that comes with posetrack",
+        hint=nearest_name(path.stem, shipped),
+    )
+
+
+def _shipped_folders() -> list[Path]:
+    """Where the configurations lie: inside an installed package, beside it in a checkout."""
+    package = Path(str(resources.files("posetrack_cli")))
+    return [folder for folder in (package / "configs", package.parent / "configs") if folder.is_dir()]
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError("configuration cannot be read", where=path, found=error.strerror or error) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError("not a TOML file", where=path, found=error) from error
+
+
+def _put(values: dict[str, Any], keys: list[str], value: Any) -> None:
+    for key in keys[:-1]:
+        table = values.setdefault(key, {})
+        if not isinstance(table, dict):
+            return  # the file gives a value where a table belongs: validation says so
+        values = table
+    values[keys[-1]] = value
+
+
+def _explained(error: ValidationError, model: type[Settings], where: object) -> UsageError:
+    """The first problem as one line."""
+    problem = error.errors(include_url=False)[0]
+    location = [str(part) for part in problem["loc"]]
+    key = ".".join(location)
+    if problem["type"] == "extra_forbidden":
+        known = _fields_at(model, location[:-1])
+        return UsageError(
+            f"unknown configuration key '{key}'", where=where, hint=nearest_name(location[-1], known)
+        )
+    return UsageError(
+        f"'{key}' cannot be used", where=where, found=repr(problem["input"]), expected=problem["msg"]
+    )
+
+
+def _fields_at(model: type[BaseModel], location: list[str]) -> list[str]:
+    """Names of the keys in the table at a location."""
+    for part in location:
+        field = model.model_fields.get(part)
+        kinds = () if field is None else (field.annotation, *get_args(field.annotation))
+        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        if not tables:
+            return []
+        model = tables[0]
+    return list(model.model_fields)

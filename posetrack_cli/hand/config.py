@@ -1,0 +1,121 @@
+"""The hand tracker's configuration; ``configs/hand.toml`` states these defaults with their reasons."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from posetrack_cli.configuration import Settings
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class HandSettings(Settings):
+    """Which hand, and how large."""
+
+    side: Literal["right", "left"] = "right"
+    scale: Positive = 1.0
+    finger_lengths: tuple[Positive, Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+class FilterSettings(Settings):
+    """The Bayesian filter (method: paper, section 6; hand.md)."""
+
+    kind: Literal["rbpf", "pf"] = "rbpf"
+    particles: Annotated[int, Field(ge=1)] = 512
+    proposal: Literal["marginal", "paper"] = "marginal"
+    discretisation: Literal["exact", "euler"] = "exact"
+    resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
+    ess_threshold: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+
+
+class ComponentSettings(Settings):
+    """One number for each kind of pose component."""
+
+    position_mm: NotNegative
+    rotation_rad: NotNegative
+    flexion_rad: NotNegative
+    abduction_rad: NotNegative
+
+
+class MotionSettings(Settings):
+    """Noise densities of eq. (44): standard deviations after one second of random walk.
+
+    ``pose`` is the square root of Q^n, ``velocity`` that of Q^l (per second). ``pose_alone`` replaces
+    ``pose`` when there is no velocity, which then has to explain all motion.
+    """
+
+    pose: ComponentSettings = ComponentSettings(
+        position_mm=25.0, rotation_rad=0.35, flexion_rad=0.8, abduction_rad=0.25
+    )
+    pose_alone: ComponentSettings = ComponentSettings(
+        position_mm=60.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.4
+    )
+    velocity: ComponentSettings = ComponentSettings(
+        position_mm=800.0, rotation_rad=8.0, flexion_rad=8.0, abduction_rad=1.0
+    )
+    gap_max_s: Positive = 1.0
+
+
+class ObservationSettings(Settings):
+    """How an image scores a pose (paper, section 4; hand.md, observation model)."""
+
+    cost: Literal["union", "paper"] = "union"
+    likelihood: Literal["gaussian", "exponential"] = "gaussian"
+    sigma_mm: Positive = 3.0
+    clamp_mm: Positive = 40.0
+    window_px: Annotated[int, Field(ge=8, le=4096)] | None = None
+    window_mm: Positive = 240.0
+    tile_px: Annotated[int, Field(ge=8, le=1024)] = 64
+    unread_weight: Fraction = 0.2
+
+
+class SegmentationSettings(Settings):
+    """Which readings are the hand's; only the union cost needs to know."""
+
+    in_front_mm: Positive = 70.0
+    behind_mm: Positive = 70.0
+    reach_mm: Positive = 140.0
+    forearm_mm: float = 12.0
+
+
+class InitSettings(Settings):
+    """The prior of the first frame (paper, 7.3): palm to the sensor, in the middle of the image."""
+
+    depth_mm: Positive | None = None
+    spread: ComponentSettings = ComponentSettings(
+        position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08
+    )
+    velocity: ComponentSettings = ComponentSettings(
+        position_mm=100.0, rotation_rad=1.0, flexion_rad=1.5, abduction_rad=0.3
+    )
+
+
+class StatusSettings(Settings):
+    """When a track counts as lost: confidence 1 - D / c_max stays below for so many frames."""
+
+    lost_below: Fraction = 0.3
+    lost_after_frames: Annotated[int, Field(ge=1)] = 10
+
+
+class OutputSettings(Settings):
+    """What goes into the result."""
+
+    mesh: Literal["lean", "medium", "none"] = "lean"
+    flush_frames: Annotated[int, Field(ge=1)] = 10
+
+
+class HandConfig(Settings):
+    """Everything that a hand run depends on besides its recording and its seed."""
+
+    hand: HandSettings = HandSettings()
+    filter: FilterSettings = FilterSettings()
+    motion: MotionSettings = MotionSettings()
+    observation: ObservationSettings = ObservationSettings()
+    segmentation: SegmentationSettings = SegmentationSettings()
+    init: InitSettings = InitSettings()
+    status: StatusSettings = StatusSettings()
+    output: OutputSettings = OutputSettings()

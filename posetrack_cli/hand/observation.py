@@ -1,0 +1,151 @@
+"""What of a depth image the likelihood looks at: a window around the prediction, and in it the hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.rendering.window import Window
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A window of a depth image.
+
+    Attributes:
+        window: which pixels.
+        image: (tile, tile) float32: depth of target pixels, mm; negative: reading of something else; 0:
+            no reading, or one that is not to count (the forearm's).
+        target_pixels: how many there are.
+    """
+
+    window: Window
+    image: Float32Array
+    target_pixels: int
+
+
+class PixelSampler:
+    """Samples depth images at the undistorted pixels of a window; 0 outside the image.
+
+    Depth is never interpolated: a value between hand and wall exists nowhere.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._size = (camera.height, camera.width)
+        self._lookup = _undistorting_lookup(camera) if camera.is_distorted else None
+
+    def sample(self, depth: ImageArray, window: Window) -> Float32Array:
+        """Return the (height, width) float32 tile of a depth image, mm."""
+        rows, columns = window.rows(), window.columns()
+        inside_rows, inside_columns = (
+            (index >= 0) & (index < size) for index, size in zip((rows, columns), self._size, strict=True)
+        )
+        tile = np.zeros((window.height, window.width), dtype=np.float32)
+        part = np.ix_(rows[inside_rows], columns[inside_columns])
+        tile[np.ix_(inside_rows, inside_columns)] = self._at(depth, part)
+        return tile
+
+    def _at(self, depth: ImageArray, part: tuple[IntArray, ...]) -> ImageArray:
+        if self._lookup is None:
+            return depth[part]
+        rows, columns = (axis[part] for axis in self._lookup)
+        valid = (rows >= 0) & (rows < self._size[0]) & (columns >= 0) & (columns < self._size[1])
+        return np.where(valid, depth[np.where(valid, rows, 0), np.where(valid, columns, 0)], 0.0)
+
+
+def _undistorting_lookup(camera: Camera) -> tuple[IntArray, IntArray]:
+    """For every undistorted pixel the nearest row and column in the image as the sensor gives it."""
+    size = (camera.width, camera.height)
+    coefficients = np.asarray(camera.distortion)
+    fisheye = camera.distortion_model == "equidistant"
+    make_maps: Any = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    across, down = make_maps(camera.matrix, coefficients, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
+    return np.rint(down).astype(np.int64), np.rint(across).astype(np.int64)
+
+
+def window_around(joints: FloatArray, camera: Camera, settings: ObservationSettings) -> Window:
+    """The square window centred on the projection of a hand's joints (21, 3), mm.
+
+    ``window_px`` fixes its size as the paper does (128); else it spans ``window_mm`` at the hand's depth,
+    in whole steps of pixels, so that every camera and distance is sampled alike **[ours]**.
+    """
+    centre = joints.mean(axis=0)
+    z = max(float(centre[2]), 1.0)
+    pixel = camera.pixels_from_points(np.array([centre[0], centre[1], z]))[0]
+    size_px = settings.window_px or settings.window_mm * camera.fx / z
+    step = max(1, round(size_px / settings.tile_px))
+    # a prediction far outside the image still gives a window, with nothing in it
+    limit = 2.0 * np.array([camera.width, camera.height])
+    return Window.around(np.clip(pixel, -limit, 2.0 * limit), settings.tile_px, step)
+
+
+def everything(tile: Float32Array, window: Window) -> Observation:
+    """The paper's observation: every reading in the window is a target."""
+    return Observation(window, tile, int(np.count_nonzero(tile)))
+
+
+def segmented(
+    tile: Float32Array,
+    window: Window,
+    camera: Camera,
+    pose: FloatArray,
+    joints: FloatArray,
+    settings: SegmentationSettings,
+    scale: float,
+) -> Observation:
+    """The hand's pixels, told from body, background and forearm **[ours]**.
+
+    A reading is the hand's if it lies within the depths of the predicted joints and a margin, within
+    reach of their centre, and connected in the image to where the prediction falls. What lies beyond
+    the wrist is forearm: neither hand nor background.
+
+    Args:
+        tile: (h, w) depth, mm, 0 = no reading.
+        window: the pixels it shows.
+        camera: its camera.
+        pose: (22,) prediction.
+        joints: (21, 3) its joints, mm.
+        settings: margins.
+        scale: of the hand; margins grow with it.
+    """
+    points = _points(tile, window, camera)
+    near = joints[:, 2].min() - scale * settings.in_front_mm
+    far = joints[:, 2].max() + scale * settings.behind_mm
+    within = (tile > 0) & (tile > near) & (tile < far)
+    offset = points - joints.mean(axis=0)
+    within &= np.einsum("ijk,ijk->ij", offset, offset) < (scale * settings.reach_mm) ** 2
+    hand = within & _connected(within, joints, camera, window)
+    towards_elbow = rotations.matrices_from_quaternions(pose[3:7])[:, 1]
+    forearm = hand & ((points - pose[:3]) @ towards_elbow > scale * settings.forearm_mm)
+    image = np.where(hand, tile, -tile)
+    image[forearm] = 0.0
+    return Observation(window, image, int(np.count_nonzero(image > 0)))
+
+
+def _points(tile: Float32Array, window: Window, camera: Camera) -> FloatArray:
+    across = (window.columns() - camera.cx) / camera.fx
+    down = (window.rows() - camera.cy) / camera.fy
+    return np.stack([tile * across, tile * down[:, None], tile], axis=-1)
+
+
+def _connected(mask: BoolArray, joints: FloatArray, camera: Camera, window: Window) -> BoolArray:
+    """The connected parts of a mask that a predicted joint falls on, or else the largest part."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    if count == 1:
+        return mask
+    pixels, _ = camera.pixels_from_points(joints)
+    at = np.rint((pixels - [window.left, window.top]) / window.step).astype(np.int64)
+    inside = ((at >= 0) & (at < [window.width, window.height])).all(axis=1)
+    hit = np.unique(labels[at[inside, 1], at[inside, 0]])
+    hit = hit[hit > 0]
+    if not hit.size:
+        hit = np.array([1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))])
+    chosen: BoolArray = np.isin(labels, hit)
+    return chosen

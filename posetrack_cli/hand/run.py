@@ -1,0 +1,272 @@
+"""A hand run: every frame of a recording through the tracker into a result."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli import __version__
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.start import centre_pose, read_pose
+from posetrack_cli.hand.tracker import HandState, HandTracker, state_arrays, state_from_arrays
+from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
+from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.rendering.context import describe
+from posetrack_cli.results.checkpoint import Checkpoint
+from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.writer import ResultWriter
+
+INIT_CENTRE = "center"
+Report = Callable[[Estimate], None]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What a run depends on besides recording and configuration.
+
+    Attributes:
+        output: the result's path.
+        seed: of the random generator.
+        init: ``center`` or the path of a pose (see ``read_pose``).
+        start, end, stride: which frames.
+        resume: go on with an interrupted run.
+        overwrite: replace an existing result.
+        timings: write each frame's milliseconds; then two runs differ in their bytes.
+    """
+
+    output: Path
+    seed: int = 0
+    init: str = INIT_CENTRE
+    start: int = 0
+    end: int | None = None
+    stride: int = 1
+    resume: bool = False
+    overwrite: bool = False
+    timings: bool = False
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What came of a run.
+
+    Attributes:
+        frames: estimates in the result, also those of a run that was resumed.
+        tracked: frames tracked now.
+        lost: estimates in the result with status lost.
+        seconds: wall-clock time.
+        losses: data that could not be used.
+        stopped: whether it was interrupted.
+    """
+
+    frames: int
+    tracked: int
+    lost: int
+    seconds: float
+    losses: tuple[Loss, ...]
+    stopped: bool
+
+
+class HandRun:
+    """One run of the hand tracker over a recording.
+
+    Args:
+        recording: depth frames.
+        config: parameters.
+        options: the rest.
+        context: GL context.
+    """
+
+    def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
+        self._recording, self._config, self._options = recording, config, options
+        hand = config.hand
+        self._anatomy = make_anatomy(hand.side, hand.scale, hand.finger_lengths)
+        self._camera = recording.cameras[0]
+        scorer = RenderedCosts(
+            context, self._anatomy, self._camera, config.observation, config.filter.particles
+        )
+        self._tracker = HandTracker(config, self._anatomy, self._camera, scorer)
+        self._mesh = None if config.output.mesh == "none" else hand_mesh(self._anatomy, config.output.mesh)
+        self._start_pose = None if options.init == INIT_CENTRE else read_pose(Path(options.init))
+        self._record = run_record(recording, self._camera, config, options, str(describe(context)))
+        self._blank: list[int] = []
+
+    def track(self, report: Report, stopped: Callable[[], bool] = lambda: False) -> RunOutcome:
+        """Track every frame.
+
+        Args:
+            report: called with every estimate once it is written.
+            stopped: asked after every frame whether to stop; the result then stays unfinished.
+
+        Raises:
+            PosetrackError: the recording or the result fails; what was flushed stays as NAME.part.
+        """
+        began, tracked = time.perf_counter(), 0
+        writer, state, rng, last = self._open()
+        with writer, closing(self._frames()) as frames, closing(self._truth(writer)) as truth:
+            for frame in frames:
+                self._note_blank(frame)
+                if frame.index <= last:
+                    continue  # tracked before the interruption
+                state = state or self._tracker.start(self._first_pose(frame), frame.stamp_ns, rng)
+                state, estimate = self._timed_step(state, frame, rng)
+                truth.send(frame.stamp_ns)
+                if writer.write(estimate, self._vertices(estimate)):
+                    writer.save_checkpoint(_checkpoint(state, rng, frame.index, writer.frames_written))
+                report(estimate)
+                tracked += 1
+                if stopped():
+                    return self._outcome(writer, tracked, began, stopped=True)
+            self._finish(writer)
+        return self._outcome(writer, tracked, began, stopped=False)
+
+    def _open(self) -> tuple[ResultWriter, HandState | None, np.random.Generator, int]:
+        """The writer, and where to go on: state, random generator, last frame written."""
+        options, flush = self._options, self._config.output.flush_frames
+        rng = np.random.default_rng(options.seed)
+        if options.resume:
+            writer, checkpoint = ResultWriter.resume(
+                options.output, self._subject(), self._camera, self._record, flush_frames=flush
+            )
+            return writer, *_restored(checkpoint, rng)
+        writer = ResultWriter(
+            options.output,
+            self._subject(),
+            self._camera,
+            self._record,
+            flush_frames=flush,
+            overwrite=options.overwrite,
+        )
+        writer.save_checkpoint(_checkpoint(None, rng, -1, 0))
+        return writer, None, rng, -1
+
+    def _frames(self) -> Any:
+        options = self._options
+        return self._recording.frames(start=options.start, end=options.end, stride=options.stride)
+
+    def _truth(self, writer: ResultWriter) -> Any:
+        """A coroutine that carries truth over up to each stamp (ns) it is sent."""
+        carried = _carry_truth(self._recording.truth(), writer)
+        next(carried)
+        return carried
+
+    def _first_pose(self, frame: Frame) -> FloatArray:
+        if self._start_pose is not None:
+            return self._start_pose
+        return centre_pose(frame.depth, self._camera, self._anatomy, self._config.init.depth_mm)
+
+    def _timed_step(
+        self, state: HandState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[HandState, Estimate]:
+        began = time.perf_counter()
+        state, estimate = self._tracker.step(state, frame, rng)
+        if self._options.timings:
+            estimate = replace(estimate, milliseconds=1e3 * (time.perf_counter() - began))
+        return state, estimate
+
+    def _vertices(self, estimate: Estimate) -> FloatArray | None:
+        if self._mesh is None:
+            return None
+        pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
+        transforms = skinning_transforms(self._anatomy, pose[None]).astype(np.float64)
+        vertices: FloatArray = self._mesh.posed(transforms)[0]
+        return vertices
+
+    def _note_blank(self, frame: Frame) -> None:
+        if not frame.depth.any():
+            self._blank.append(frame.index)
+
+    def _losses(self) -> tuple[Loss, ...]:
+        blank = self._blank
+        where = f"frame {blank[0]}" if blank else ""
+        return self._recording.losses + (
+            (Loss("frames without any reading", len(blank), where),) if blank else ()
+        )
+
+    def _finish(self, writer: ResultWriter) -> None:
+        if writer.frames_written == 0:
+            raise UsageError(
+                "no frame to track",
+                where=self._recording.path,
+                found=f"{self._recording.frame_count} frames",
+                hint="check --start and --end",
+            )
+        losses = self._losses()
+        writer.finish({"losses": loss_line(losses)} if losses else {})
+
+    def _outcome(self, writer: ResultWriter, tracked: int, began: float, *, stopped: bool) -> RunOutcome:
+        seconds = time.perf_counter() - began
+        lost = writer.count(Status.LOST)
+        return RunOutcome(writer.frames_written, tracked, lost, seconds, self._losses(), stopped)
+
+    def _subject(self) -> Subject:
+        triangles = None if self._mesh is None else self._mesh.triangles
+        return Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
+
+
+def run_record(
+    recording: Recording, camera: Camera, config: HandConfig, options: RunOptions, renderer: str
+) -> dict[str, str]:
+    """What a result states about its run: everything that its bytes depend on, nothing else."""
+    camera_record = {
+        name: getattr(camera, name)
+        for name in ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion", "distortion_model")
+    }
+    return {
+        "tracker": "hand",
+        "version": __version__,
+        "configuration": json.dumps(config.model_dump(mode="json")),
+        "seed": str(options.seed),
+        "init": INIT_CENTRE if options.init == INIT_CENTRE else Path(options.init).name,
+        "start": str(options.start),
+        "end": "" if options.end is None else str(options.end),
+        "stride": str(options.stride),
+        "timings": str(options.timings).lower(),
+        "camera": json.dumps(camera_record),
+        "renderer": renderer,
+        **{f"input.{key}": value for key, value in recording.identity().items()},
+    }
+
+
+def _carry_truth(messages: Iterator[TruthMessage], writer: ResultWriter) -> Any:
+    """Write the truth up to each stamp sent; leave out what a resumed result holds already."""
+    for _ in range(writer.truth_messages):
+        next(messages, None)
+    message, stamp = next(messages, None), (yield)
+    while True:
+        while message is not None and message.log_time_ns <= stamp:
+            writer.add_truth(message)
+            message = next(messages, None)
+        stamp = yield
+
+
+def _checkpoint(state: HandState | None, rng: np.random.Generator, index: int, frames: int) -> Checkpoint:
+    record: dict[str, Any] = {"rng": rng.bit_generator.state}
+    if state is None:
+        return Checkpoint(index, frames, {}, record)
+    record |= {"stamp_ns": state.stamp_ns, "misses": state.misses}
+    return Checkpoint(index, frames, state_arrays(state), record)
+
+
+def _restored(
+    checkpoint: Checkpoint, rng: np.random.Generator
+) -> tuple[HandState | None, np.random.Generator, int]:
+    record = checkpoint.state
+    rng.bit_generator.state = record["rng"]
+    if not checkpoint.arrays:
+        return None, rng, checkpoint.frame_index
+    state = state_from_arrays(checkpoint.arrays, record["stamp_ns"], record["misses"])
+    return state, rng, checkpoint.frame_index
