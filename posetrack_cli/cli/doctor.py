@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import click
@@ -40,7 +39,7 @@ def doctor(device: int | None, particles: int) -> None:
             if not _check(f"device {number}", number, particles, quiet=True):
                 break
     if not default_works:
-        sys.exit(EXIT_FAILED)
+        click.get_current_context().exit(EXIT_FAILED)
 
 
 def _print_versions() -> None:

@@ -174,8 +174,8 @@ def _close(recording: Path, output: Path, outcome: RunOutcome) -> None:
     what += f", {outcome.lost} lost"
     if outcome.stopped:
         click.echo(f"interrupted after {what}: {part_path(output)}; --resume goes on", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+        click.get_current_context().exit(EXIT_INTERRUPTED)
     click.echo(f"{what}: {output}")
     if outcome.losses:
         click.echo(f"{recording}: {loss_line(outcome.losses)}", err=True)
-        sys.exit(EXIT_DATA_LOST)
+        click.get_current_context().exit(EXIT_DATA_LOST)

@@ -1,0 +1,1 @@
+"""Metrics of a result against truth."""
