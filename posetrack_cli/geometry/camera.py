@@ -17,6 +17,8 @@ DISTORTION_LENGTHS = {
     "rational_polynomial": (8, 12, 14),
     "equidistant": (4,),
 }
+# p2, the thin prism's s1 and s2, the sensor's tilt about y: with them x' keeps terms even in x
+_CHANGE_SIGN_IN_A_MIRROR = (3, 8, 9, 13)
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,11 @@ class Camera:
 
     def mirrored(self) -> Camera:
         """Return the camera of the image flipped left to right: cx' = width - 1 - cx."""
-        if self.is_distorted and self.distortion_model != "equidistant":
-            k = list(self.distortion) + [0.0] * (4 - min(4, len(self.distortion)))
-            k[3] = -k[3]  # p2 multiplies terms odd in x
-            return replace(self, cx=self.width - 1 - self.cx, distortion=tuple(k))
-        return replace(self, cx=self.width - 1 - self.cx)
+        signs = [-1.0 if k in _CHANGE_SIGN_IN_A_MIRROR else 1.0 for k in range(len(self.distortion))]
+        if self.distortion_model == "equidistant":
+            signs = [1.0] * len(signs)
+        distortion = tuple(sign * value for sign, value in zip(signs, self.distortion, strict=True))
+        return replace(self, cx=self.width - 1 - self.cx, distortion=distortion)
 
     def pixels_from_points(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Project without distortion.
