@@ -1,0 +1,122 @@
+"""Configuration: defaults < file < options, and every mistake is named on one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from pydantic import Field, ValidationError
+
+from posetrack_cli.configuration import Settings, find_configuration, load_settings, validated
+from posetrack_cli.errors import UsageError
+from posetrack_cli.hand.config import HandConfig
+
+
+class Inner(Settings):
+    particles: Annotated[int, Field(ge=1)] = 512
+    spread_mm: float = 2.0
+
+
+class Outer(Settings):
+    name: str = "a"
+    filter: Inner = Inner()
+    other: Inner | None = None
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "run.toml"
+    path.write_text(text)
+    return path
+
+
+def failure(path: Path | None, options: dict[str, object] | None = None) -> str:
+    with pytest.raises(UsageError) as caught:
+        load_settings(Outer, path, options or {})
+    line = str(caught.value)
+    assert "\n" not in line
+    return line
+
+
+def test_defaults_then_file_then_options(tmp_path: Path) -> None:
+    path = written(tmp_path, 'name = "file"\n[filter]\nparticles = 7\nspread_mm = 5.0\n')
+    assert load_settings(Outer, None, {}) == Outer()
+    options = {"filter.particles": 9, "filter.spread_mm": None, "name": None, "other.spread_mm": 1.0}
+    expected = Outer(name="file", filter=Inner(particles=9, spread_mm=5.0), other=Inner(spread_mm=1.0))
+    assert load_settings(Outer, path, options) == expected
+
+
+def test_frozen_and_finite() -> None:
+    with pytest.raises(ValidationError):
+        Outer().name = "b"
+    with pytest.raises(UsageError, match=r"'filter.spread_mm' cannot be used, found nan"):
+        validated(Outer, {"filter": {"spread_mm": float("nan")}}, "options")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nmae = 'x'", "unknown configuration key 'nmae'; did you mean 'name'?"),
+        ("[filter]\npartcles = 3", "unknown configuration key 'filter.partcles'; did you mean 'particles'?"),
+        ("[other]\nspred_mm = 3", "unknown configuration key 'other.spred_mm'; did you mean 'spread_mm'?"),
+        ("[filter]\nzzz = 3", "unknown configuration key 'filter.zzz'; known: particles, spread_mm"),
+        ("[filter]\nparticles = 'many'", "'filter.particles' cannot be used, found 'many', expected "),
+        ("[filter]\nparticles = 0", "'filter.particles' cannot be used, found 0, expected "),
+        ("filter = 3", "'filter' cannot be used, found 3, expected "),
+        ("filter = ", "not a TOML file, found "),
+    ],
+)
+def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
+    path = written(tmp_path, text)
+    assert failure(path).startswith(f"{path}: {message}")
+
+
+def test_mistakes_in_options(tmp_path: Path) -> None:
+    assert failure(None, {"filter.particles": 0}).startswith("options: 'filter.particles' cannot be used")
+    # a value stands where the option needs a table: the file's mistake is told, not a traceback
+    path = written(tmp_path, "filter = 3")
+    assert failure(path, {"filter.particles": 5}).startswith(f"{path}: 'filter' cannot be used, found 3")
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    missing = tmp_path / "none.toml"
+    assert failure(missing) == f"{missing}: configuration cannot be read, found No such file or directory"
+    assert "configuration cannot be read" in failure(tmp_path)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    assert failure(binary).startswith(f"{binary}: not a TOML file")
+
+
+def test_a_configuration_is_found_by_path_or_by_name(tmp_path: Path) -> None:
+    path = written(tmp_path, "")
+    assert find_configuration(path) == path
+    assert find_configuration("hand").name == "hand.toml"
+    with pytest.raises(UsageError, match=r"^hnad: no such configuration.* did you mean 'hand'\?$"):
+        find_configuration("hnad")
+
+
+def test_the_shipped_hand_configuration_states_every_default() -> None:
+    path = find_configuration("hand")
+    assert load_settings(HandConfig, path, {}) == HandConfig()
+    stated = leaves(tomllib_of(path))
+    # None cannot be written in TOML: such a key may be left out
+    optional = {key for key, value in leaves(HandConfig().model_dump()).items() if value is None}
+    assert set(leaves(HandConfig().model_dump())) - optional == set(stated) - optional
+
+
+def test_every_shipped_configuration_can_be_loaded() -> None:
+    for path in find_configuration("hand").parent.glob("hand*.toml"):
+        load_settings(HandConfig, path, {})
+
+
+def tomllib_of(path: Path) -> dict[str, object]:
+    import tomllib
+
+    return tomllib.loads(path.read_text())
+
+
+def leaves(table: dict[str, object], prefix: str = "") -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in table.items():
+        found |= leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return found
