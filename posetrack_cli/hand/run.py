@@ -98,7 +98,7 @@ class HandRun:
         scorer = RenderedCosts(
             context, self._anatomy, self._camera, config.observation, config.filter.particles
         )
-        self._tracker = HandTracker(config, self._anatomy, self._camera, scorer)
+        self.tracker = HandTracker(config, self._anatomy, self._camera, scorer)
         self._mesh = None if config.output.mesh == "none" else hand_mesh(self._anatomy, config.output.mesh)
         self._start_pose = None if options.init == INIT_CENTRE else read_pose(Path(options.init))
         self._record = run_record(recording, self._camera, config, options, str(describe(context)))
@@ -121,7 +121,7 @@ class HandRun:
                 self._note_blank(frame)
                 if frame.index <= last:
                     continue  # tracked before the interruption
-                state = state or self._tracker.start(self._first_pose(frame), frame.stamp_ns, rng)
+                state = state or self.tracker.start(self._first_pose(frame), frame.stamp_ns, rng)
                 state, estimate = self._timed_step(state, frame, rng)
                 truth.send(frame.stamp_ns)
                 if writer.write(estimate, self._vertices(estimate)):
@@ -172,7 +172,7 @@ class HandRun:
         self, state: HandState, frame: Frame, rng: np.random.Generator
     ) -> tuple[HandState, Estimate]:
         began = time.perf_counter()
-        state, estimate = self._tracker.step(state, frame, rng)
+        state, estimate = self.tracker.step(state, frame, rng)
         if self._options.timings:
             estimate = replace(estimate, milliseconds=1e3 * (time.perf_counter() - began))
         return state, estimate

@@ -60,7 +60,7 @@ class HandTracker:
 
     def __init__(self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, scorer: PoseScorer) -> None:
         self.config, self.anatomy, self.camera = config, anatomy, camera
-        self._scorer = scorer
+        self.scorer = scorer
         self._sampler = PixelSampler(camera)
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
@@ -114,7 +114,7 @@ class HandTracker:
         """None where there is nothing to compare with: the filter then only predicts."""
         if observation.target_pixels == 0:
             return None
-        return lambda poses: log_gibbs(self._scorer.costs(poses, observation), self.config.observation)
+        return lambda poses: log_gibbs(self.scorer.costs(poses, observation), self.config.observation)
 
     def _filter(
         self, particles: FilterState, dt: float, score: LogLikelihood | None, rng: np.random.Generator
@@ -127,7 +127,7 @@ class HandTracker:
     def _cost_of(self, pose: FloatArray, observation: Observation) -> float | None:
         if observation.target_pixels == 0:
             return None
-        return float(self._scorer.costs(pose[None], observation)[0])
+        return float(self.scorer.costs(pose[None], observation)[0])
 
     def _estimate(
         self, frame: Frame, posterior: Posterior, cost: float | None, confidence: float, lost: bool

@@ -1,0 +1,287 @@
+"""Speed and memory of posetrack on this machine: a table on standard output, and JSON.
+
+Times are medians over repeats in this one run. Ratios are of pairs measured in turn, so that a drifting
+clock rate touches both sides alike. Quote ratios rather than milliseconds from a shared machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from posetrack_cli import __version__
+from posetrack_cli.configuration import load_settings
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.run import HandRun, RunOptions
+from posetrack_cli.hand.start import centre_pose, scattered_poses
+from posetrack_cli.hand.synthesis.frames import synthesise
+from posetrack_cli.hand.synthesis.options import SynthOptions
+from posetrack_cli.hand.synthesis.sensor import CAMERA
+from posetrack_cli.hand.tracker import HandState, HandTracker
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.rendering.benchmark import scoring_milliseconds
+from posetrack_cli.rendering.context import describe, open_context
+
+PARTICLES = 512
+SWEEP = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
+FRAME_NS = 33_333_333
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured figure, its unit, and what it should be at most (None: no target)."""
+
+    name: str
+    value: float
+    unit: str
+    target: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Whether the target is met."""
+        return "" if self.target is None else ("ok" if self.value <= self.target else "MISSED")
+
+
+@click.command()
+@click.option("--json", "json_path", type=click.Path(path_type=Path), default=Path("out/bench.json"))
+@click.option("--device", type=int, help="EGL device index.")
+@click.option("--frames", default=150, show_default=True, help="Frames for the times per frame.")
+@click.option(
+    "--memory-frames", default=5000, show_default=True, help="Frames of the long run; 0 leaves it out."
+)
+@click.option("--repeats", default=31, show_default=True, help="Repeats of each timing of the renderer.")
+def main(json_path: Path, device: int | None, frames: int, memory_frames: int, repeats: int) -> None:
+    """Measure posetrack on this machine."""
+    context = open_context(device)
+    machine = describe_machine(context)
+    for key, value in machine.items():
+        print(f"{key}: {value}")
+    rows: list[Row] = []
+    recorded = [
+        frame.depth.astype(np.float32) for frame in synthesise(SynthOptions(frames=frames), context=context)
+    ]
+    for part in (
+        lambda: scoring(context, repeats),
+        lambda: rest_of_a_frame(context, recorded),
+        lambda: velocity_ratio(context, recorded),
+        lambda: against_particles(context, recorded[:1], repeats),
+        lambda: start_up(),
+        lambda: memory(recorded[:50], memory_frames) if memory_frames else iter(()),
+    ):
+        for row in part():
+            print(f"{row.name:58} {row.value:10.3f} {row.unit:6} {_target(row)}", flush=True)
+            rows.append(row)
+    json_path.parent.mkdir(parents=True, exist_ok=True)
+    table = [asdict(row) | {"verdict": row.verdict} for row in rows]
+    json_path.write_text(json.dumps({"machine": machine, "rows": table}, indent=1) + "\n")
+    print(f"written: {json_path}")
+
+
+def _target(row: Row) -> str:
+    return "" if row.target is None else f"target {row.target:g}  {row.verdict}"
+
+
+def describe_machine(context: Any) -> dict[str, str]:
+    """Processor, cores, load, Python, renderer."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return {
+        "posetrack": __version__,
+        "processor": models[0] if models else platform.processor(),
+        "cores": str(os.cpu_count()),
+        "load": f"{os.getloadavg()[0]:.2f}",
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "renderer": str(describe(context)),
+    }
+
+
+def scoring(context: Any, repeats: int) -> Iterator[Row]:
+    """Draw and reduce N poses: the paper's 128 x 128 window, and the same window sampled at 64 x 64."""
+    anatomy = make_anatomy()
+    poses = scattered_poses(anatomy, PARTICLES, np.random.default_rng(0))
+    transforms, mesh = skinning_transforms(anatomy, poses), hand_mesh(anatomy)
+    for tile, target in ((128, 80.0), (64, 33.0)):
+        value = scoring_milliseconds(context, mesh, transforms, tile, 128 // tile, repeats)
+        yield Row(f"draw and reduce, N = {PARTICLES}, {tile} x {tile} tiles", value, "ms", target)
+
+
+def rest_of_a_frame(context: Any, recorded: list[Any]) -> Iterator[Row]:
+    """A whole run from file to file, less the time the likelihood takes."""
+    config = HandConfig()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "in.mcap")
+        write_recording(path, recorded, len(recorded))
+        run = HandRun(open_recording(path), config, RunOptions(Path(folder, "out.mcap")), context)
+        scorer = Stopwatch(run.tracker.scorer.costs)
+        run.tracker.scorer.costs = scorer  # type: ignore[method-assign]
+        outcome = run.track(lambda estimate: None)
+    per_frame = 1e3 * outcome.seconds / outcome.tracked
+    scored = 1e3 * scorer.seconds / outcome.tracked
+    yield Row("frame in all, file to file, hand.toml", per_frame, "ms")
+    yield Row("  of it the likelihood (kinematics, draw, reduce)", scored, "ms")
+    yield Row("  of it everything else", per_frame - scored, "ms", 8.0)
+
+
+class Stopwatch:
+    """Adds up the time that calls of a function take."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function, self.seconds = function, 0.0
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function and add its time."""
+        began = time.perf_counter()
+        try:
+            return self.function(*arguments)
+        finally:
+            self.seconds += time.perf_counter() - began
+
+
+def velocity_ratio(context: Any, recorded: list[Any]) -> Iterator[Row]:
+    """Frame time of the RBPF over that of the PF: both step through the same frames in turn."""
+    walkers = {kind: Walker(context, {"filter.kind": kind}, recorded[0]) for kind in ("rbpf", "pf")}
+    ratios, times = [], {"rbpf": [], "pf": []}
+    for index, depth in enumerate(recorded):
+        order = ("rbpf", "pf") if index % 2 else ("pf", "rbpf")
+        took = {kind: walkers[kind].step(index, depth) for kind in order}
+        if index >= 5:
+            ratios.append(took["rbpf"] / took["pf"])
+            for kind in times:
+                times[kind].append(took[kind])
+    for kind in times:
+        yield Row(f"step of the {kind}", 1e3 * float(np.median(times[kind])), "ms")
+    yield Row("RBPF / PF frame time, median of pairs", float(np.median(ratios)), "", 1.03)
+
+
+class Walker:
+    """A tracker that is timed step by step."""
+
+    def __init__(self, context: Any, options: dict[str, Any], first: Any) -> None:
+        config = load_settings(HandConfig, None, options)
+        anatomy = make_anatomy()
+        scorer = RenderedCosts(context, anatomy, CAMERA, config.observation, config.filter.particles)
+        self.tracker = HandTracker(config, anatomy, CAMERA, scorer)
+        self.rng = np.random.default_rng(0)
+        pose = centre_pose(first, CAMERA, anatomy, None)
+        self.state: HandState = self.tracker.start(pose, 0, self.rng)
+
+    def step(self, index: int, depth: Any) -> float:
+        """Track one frame; return the seconds it took."""
+        frame = Frame(index, index * FRAME_NS, (depth,))
+        began = time.perf_counter()
+        self.state, _ = self.tracker.step(self.state, frame, self.rng)
+        return time.perf_counter() - began
+
+
+def against_particles(context: Any, recorded: list[Any], repeats: int) -> Iterator[Row]:
+    """Time of a step against N, and how far it is from a straight line (the paper's figure 10)."""
+    walkers = [Walker(context, {"filter.particles": n}, recorded[0]) for n in SWEEP]
+    taken: list[list[float]] = [[] for _ in SWEEP]
+    for repeat in range(max(5, repeats // 3) + 1):
+        for walker, times in zip(walkers, taken, strict=True):
+            seconds = walker.step(repeat, recorded[0])
+            if repeat:
+                times.append(seconds)
+    medians = 1e3 * np.array([np.median(times) for times in taken])
+    for n, milliseconds in zip(SWEEP, medians, strict=True):
+        yield Row(f"step, N = {n}", float(milliseconds), "ms")
+    particles = np.array(SWEEP, dtype=float)
+    # relative residuals: every N counts alike
+    design = np.stack([np.ones_like(particles), particles], axis=1) / medians[:, None]
+    (offset, slope), *_ = np.linalg.lstsq(design, np.ones_like(particles), rcond=None)
+    worst = np.abs((offset + slope * particles) / medians - 1.0).max()
+    yield Row("  line through them: per particle", 1e3 * float(slope), "us")
+    yield Row("  line through them: offset", float(offset), "ms")
+    yield Row("  largest distance from the line", 100.0 * float(worst), "%", 15.0)
+
+
+def start_up() -> Iterator[Row]:
+    """CPU time of posetrack --help."""
+    command = [sys.executable, "-m", "posetrack_cli.cli.main", "--help"]
+    times = []
+    for _ in range(6):
+        usage = _usage_of(command)
+        times.append(usage.ru_utime + usage.ru_stime)
+    yield Row("posetrack --help, CPU time", float(np.median(times[1:])), "s", 0.3)
+
+
+def memory(recorded: list[Any], frames: int) -> Iterator[Row]:
+    """Peak memory of hand run over a tenth of a long recording and over all of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "long.mcap")
+        write_recording(path, recorded, frames)
+        command = [
+            sys.executable,
+            "-m",
+            "posetrack_cli.cli.main",
+            "hand",
+            "run",
+            str(path),
+            "--particles",
+            str(PARTICLES),
+        ]
+        peaks = []
+        for end in (frames // 10, frames):
+            output = ["-o", str(Path(folder, f"{end}.mcap")), "--end", str(end)]
+            peaks.append(_usage_of(command + output).ru_maxrss / 1024)
+            yield Row(f"peak memory, {end} frames", peaks[-1], "MiB", 400.0)
+        yield Row("  of the long run over the short one", peaks[1] / peaks[0], "", 1.05)
+
+
+def write_recording(path: Path, depths: list[Any], frames: int) -> None:
+    """A recording of these images over and over, to and fro so that motion stays continuous."""
+    import cv2
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
+    coded = [cv2.imencode(".png", depth.astype(np.uint16))[1].tobytes() for depth in depths]
+    there_and_back = [*range(len(coded)), *range(len(coded) - 2, 0, -1)]
+    with McapSink(path, compression="none") as sink:
+        calibration = sink.channel("/camera/depth/calibration", CameraCalibration)
+        images = sink.channel("/camera/depth/image", CompressedImage)
+        message = calibration_message(CAMERA, 0, "camera")
+        sink.write(calibration, 0, message.SerializeToString(deterministic=True))
+        for index in range(frames):
+            image = CompressedImage(
+                data=coded[there_and_back[index % len(there_and_back)]], format="png", frame_id="camera"
+            )
+            image.timestamp.FromNanoseconds((index + 1) * FRAME_NS)
+            sink.write(images, (index + 1) * FRAME_NS, image.SerializeToString(deterministic=True))
+            if index % 50 == 49:
+                sink.flush()
+        sink.finish()
+
+
+def _usage_of(command: list[str]) -> resource.struct_rusage:
+    """Run a command and return what it used; raise if it fails."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    return usage
+
+
+if __name__ == "__main__":
+    main()

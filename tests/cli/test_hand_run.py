@@ -1,0 +1,448 @@
+"""``posetrack hand run`` end to end, on small recordings."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.cli.main import run
+from posetrack_cli.evaluation.joints import joint_errors
+from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.results import load_arrays, part_path, read_result, state_path
+
+FRAMES = 24
+SMALL = ["--particles", "48"]
+COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("synth") / "hand.mcap"
+    arguments = [
+        "hand",
+        "synth",
+        "--motion",
+        "C",
+        "--frames",
+        str(FRAMES),
+        "--seed",
+        "3",
+        "--no-drops",
+        "-o",
+        str(path),
+    ]
+    assert run(arguments) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same recording as a folder of images."""
+    path = tmp_path_factory.mktemp("folder")
+    write_folder(path, [(frame.stamp_ns, frame.depth.astype(np.uint16)) for frame in read_frames(recording)])
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("result") / "result.mcap"
+    assert run(["hand", "run", str(recording), "-o", str(path), *SMALL]) == 0
+    return path
+
+
+def read_frames(path: Path):
+    return list(open_recording(path).frames())
+
+
+def write_folder(path: Path, images: list[tuple[int, np.ndarray]], camera: bool = True) -> None:
+    names = [f"{index:06d}.png" for index in range(len(images))]
+    for name, (_, image) in zip(names, images, strict=True):
+        assert cv2.imwrite(str(path / name), image)
+    rows = [f"{name},{stamp}" for name, (stamp, _) in zip(names, images, strict=True)]
+    (path / "timestamps.csv").write_text("\n".join(["filename,stamp_ns", *rows]) + "\n")
+    if camera:
+        (path / "camera.toml").write_text("fx = 365.0\nfy = 365.0\ncx = 256.0\ncy = 212.0\n")
+
+
+def track(source: Path, output: Path, *options: str) -> int:
+    return run(["hand", "run", str(source), "-o", str(output), *SMALL, *options])
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line on standard error."""
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def same_estimates(first: Path, second: Path) -> None:
+    a, b = load_arrays(first), load_arrays(second)
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def test_result_holds_every_frame_with_truth_and_run_record(recording: Path, result: Path) -> None:
+    opened, arrays = read_result(result), load_arrays(result)
+    assert opened.finished and not opened.truncated
+    assert arrays["stamp_ns"].tolist() == [frame.stamp_ns for frame in read_frames(recording)]
+    assert opened.run["seed"] == "0" and "OpenGL" in opened.run["renderer"]
+    assert opened.summary["frames"] == str(FRAMES)
+    truth = load_arrays(result, "/truth/hand/estimate")
+    assert truth["stamp_ns"].tolist() == arrays["stamp_ns"].tolist()
+
+
+def test_tracks_the_hand(recording: Path, tmp_path: Path) -> None:
+    """From the true start, 512 particles stay near: hand.md gives about 20 mm for plain sampling; twice that
+    leaves room for the seed and still is far below what a hand that does not move would get wrong."""
+    output = tmp_path / "r.mcap"
+    assert run(["hand", "run", str(recording), "-o", str(output), "--init", str(recording)]) == 0
+    errors = joint_errors(output)
+    assert errors.unmatched == 0 and not errors.lost.any()
+    assert errors.distances_mm.mean() < 40.0
+
+
+def test_two_runs_give_the_same_bytes_and_another_seed_others(
+    recording: Path, result: Path, tmp_path: Path
+) -> None:
+    assert track(recording, tmp_path / "a.mcap") == 0
+    assert track(recording, tmp_path / "b.mcap", "--seed", "1") == 0
+    assert (tmp_path / "a.mcap").read_bytes() == result.read_bytes()
+    assert not np.array_equal(load_arrays(tmp_path / "b.mcap")["position"], load_arrays(result)["position"])
+
+
+def test_folder_and_mcap_give_identical_estimates(
+    folder: Path, recording: Path, result: Path, tmp_path: Path
+) -> None:
+    camera = open_recording(recording).cameras[0]
+    (folder / "camera.toml").write_text(
+        f"fx = {camera.fx}\nfy = {camera.fy}\ncx = {camera.cx}\ncy = {camera.cy}\n"
+    )
+    assert track(folder, tmp_path / "folder.mcap") == 0
+    same_estimates(tmp_path / "folder.mcap", result)
+
+
+def test_converted_folder_gives_identical_estimates(folder: Path, tmp_path: Path) -> None:
+    assert run(["convert", str(folder), str(tmp_path / "in.mcap")]) == 0
+    assert track(folder, tmp_path / "a.mcap") == 0
+    assert track(tmp_path / "in.mcap", tmp_path / "b.mcap") == 0
+    same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--filter", "pf"],
+        ["--proposal", "paper"],
+        ["--cost", "paper"],
+        ["--config", "hand-paper"],
+        *(["--resampling", name] for name in ("multinomial", "residual", "stratified")),
+    ],
+    ids=" ".join,
+)
+def test_every_variant_runs(recording: Path, tmp_path: Path, options: list[str]) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--end", "4", *options) == 0
+    arrays = load_arrays(tmp_path / "r.mcap")
+    assert len(arrays["stamp_ns"]) == 4
+    assert ("pf" in options) == (not arrays["twist"].any())
+
+
+def test_start_end_stride_choose_frames(recording: Path, tmp_path: Path) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--start", "3", "--end", "12", "--stride", "4") == 0
+    assert load_arrays(tmp_path / "r.mcap")["frame_index"].tolist() == [3, 7, 11]
+
+
+def test_timings_are_written_only_when_asked_for(recording: Path, result: Path, tmp_path: Path) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--end", "3", "--timings") == 0
+    assert (load_arrays(tmp_path / "r.mcap")["milliseconds"] > 0).all()
+    assert np.isnan(load_arrays(result)["milliseconds"]).all()
+
+
+def test_closing_line(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--end", "3") == 0
+    out = capsys.readouterr().out
+    assert out.startswith("3 frames in ") and "0 lost" in out and out.strip().endswith("r.mcap")
+
+
+# Killed and interrupted runs
+
+
+def start_slow(recording: Path, output: Path) -> subprocess.Popen[str]:
+    """A run of many particles, so that it can be stopped in the middle."""
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(output), "--particles", "512"]
+    return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_flush(process: subprocess.Popen[str], output: Path) -> None:
+    """Wait until the first ten frames are flushed: the checkpoint then holds a tracker's state."""
+    deadline = time.monotonic() + 120.0
+    while time.monotonic() < deadline and process.poll() is None:
+        if state_path(output).exists():
+            with np.load(state_path(output)) as saved:
+                if "array.pose" in saved.files:
+                    return
+        time.sleep(0.01)
+    raise AssertionError(f"nothing was flushed: {process.communicate()}")
+
+
+@pytest.fixture(scope="module")
+def slow_result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("slow") / "r.mcap"
+    assert run(["hand", "run", str(recording), "-o", str(path), "--particles", "512"]) == 0
+    return path
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_stopped_run_is_readable_and_resumes_to_the_same_bytes(
+    recording: Path, slow_result: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    output = tmp_path / "r.mcap"
+    process = start_slow(recording, output)
+    wait_for_flush(process, output)
+    process.send_signal(number)
+    _, errors = process.communicate()
+    assert not output.exists() and part_path(output).exists()
+    if number is signal.SIGKILL:
+        assert process.returncode == -signal.SIGKILL
+        assert run(["info", str(part_path(output))]) == 3
+    else:
+        assert process.returncode == 130
+        assert "--resume" in errors.splitlines()[-1]
+        assert run(["info", str(part_path(output))]) == 0
+    assert len(list(read_result(part_path(output)).estimates())) >= 10
+    assert run(["hand", "run", str(recording), "-o", str(output), "--particles", "512", "--resume"]) == 0
+    assert output.read_bytes() == slow_result.read_bytes()
+    assert not part_path(output).exists() and not state_path(output).exists()
+
+
+def test_resume_of_nothing_says_so(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--resume") == 1
+    assert "r.mcap.part" in one_line(capsys)
+
+
+# Bad input: one line, the right exit code, nothing lost
+
+
+def test_missing_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert track(tmp_path / "nothing", tmp_path / "r.mcap") == 1
+    assert "no such file or folder" in one_line(capsys)
+
+
+def test_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    assert track(tmp_path / "empty", tmp_path / "r.mcap") == 1
+    assert "empty" in one_line(capsys)
+
+
+def test_mixed_sizes_keep_what_was_tracked(
+    tmp_path: Path, recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [(frame.stamp_ns, frame.depth.astype(np.uint16)) for frame in read_frames(recording)[:5]]
+    images[3] = (images[3][0], images[3][1][:400, :500])
+    source = tmp_path / "mixed"
+    source.mkdir()
+    write_folder(source, images)
+    assert track(source, tmp_path / "r.mcap") == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert "000003.png" in lines[-1] and "500x400" in lines[-1]
+    assert len(list(read_result(part_path(tmp_path / "r.mcap")).estimates())) == 3
+
+
+def test_eight_bit_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folder(tmp_path, [(0, np.full((40, 50), 200, np.uint8))])
+    assert track(tmp_path, tmp_path / "r.mcap") == 1
+    assert "8" in one_line(capsys)
+
+
+def test_no_intrinsics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folder(tmp_path, [(0, np.full((40, 50), 700, np.uint16))], camera=False)
+    assert track(tmp_path, tmp_path / "r.mcap") == 1
+    assert "camera.toml" in one_line(capsys)
+
+
+def test_wrong_topic_lists_candidates(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--topic", "/camera/depht/image") == 1
+    assert "/camera/depth/image" in one_line(capsys)
+
+
+def test_truncated_recording_is_tracked_up_to_the_cut(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = recording.read_bytes()
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    readable = len(read_frames(cut))
+    assert 0 < readable < FRAMES
+    assert track(cut, tmp_path / "r.mcap") == 3
+    assert "truncated" in one_line(capsys)
+    assert len(load_arrays(tmp_path / "r.mcap")["stamp_ns"]) == readable
+
+
+@pytest.mark.parametrize("stamps", [[0, 40, 30, 80], [0, 40, 40, 80]], ids=["backwards", "doubled"])
+def test_stamps_that_do_not_increase_cost_a_frame(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], stamps: list[int]
+) -> None:
+    depths = [frame.depth.astype(np.uint16) for frame in read_frames(recording)[:4]]
+    write_folder(tmp_path, [(stamp * 10**6, depth) for stamp, depth in zip(stamps, depths, strict=True)])
+    assert track(tmp_path, tmp_path / "r.mcap") == 3
+    assert "frame 2" in one_line(capsys)
+    assert load_arrays(tmp_path / "r.mcap")["frame_index"].tolist() == [0, 1, 3]
+
+
+def test_frames_without_readings_are_lost_but_there(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = read_frames(recording)[:4]
+    images = [(frame.stamp_ns, frame.depth.astype(np.uint16)) for frame in frames]
+    images[2] = (images[2][0], np.zeros_like(images[2][1]))
+    write_folder(tmp_path, images)
+    assert track(tmp_path, tmp_path / "r.mcap") == 3
+    assert "frames without any reading: 1, first frame 2" in one_line(capsys)
+    assert load_arrays(tmp_path / "r.mcap")["status"].tolist() == ["tracking", "tracking", "lost", "tracking"]
+
+
+def test_nothing_but_zeros(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folder(tmp_path, [(k * 10**7, np.zeros((60, 80), np.uint16)) for k in range(3)])
+    assert track(tmp_path, tmp_path / "r.mcap") == 3
+    assert "frames without any reading: 3" in one_line(capsys)
+    arrays = load_arrays(tmp_path / "r.mcap")
+    assert set(arrays["status"]) == {"lost"} and not arrays["confidence"].any()
+
+
+def test_a_frame_of_nan(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+    opened = open_recording(recording)
+    path = tmp_path / "nan.mcap"
+    with McapSink(path) as sink:
+        calibration, images = sink.channel("/c", CameraCalibration), sink.channel("/d", RawImage)
+        message = calibration_message(opened.cameras[0], 0, "camera")
+        sink.write(calibration, 0, message.SerializeToString())
+        for number, frame in enumerate(read_frames(recording)[:4]):
+            metres = (frame.depth / 1000.0).astype(np.float32)
+            metres[:] = np.nan if number == 1 else metres
+            height, width = metres.shape
+            image = RawImage(
+                width=width, height=height, encoding="32FC1", step=4 * width, data=metres.tobytes()
+            )
+            image.frame_id = "camera"
+            image.timestamp.FromNanoseconds(frame.stamp_ns + 1)
+            sink.write(images, frame.stamp_ns + 1, image.SerializeToString())
+        sink.finish()
+    assert track(path, tmp_path / "r.mcap") == 3
+    assert "frames without any reading: 1, first frame 1" in one_line(capsys)
+    arrays = load_arrays(tmp_path / "r.mcap")
+    assert np.isfinite(arrays["position"]).all() and arrays["status"][1] == "lost"
+
+
+def test_unwritable_output(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert track(recording, tmp_path / "no" / "such" / "r.mcap") == 1
+    assert "no folder" in one_line(capsys)
+
+
+def test_existing_output_is_not_replaced(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "r.mcap").write_text("precious")
+    assert track(recording, tmp_path / "r.mcap") == 2
+    assert "--overwrite" in one_line(capsys)
+    assert (tmp_path / "r.mcap").read_text() == "precious"
+    assert track(recording, tmp_path / "r.mcap", "--end", "2", "--overwrite") == 0
+
+
+def test_full_disk_keeps_what_was_flushed(recording: Path, result: Path, tmp_path: Path) -> None:
+    output = tmp_path / "r.mcap"
+    allowed = result.stat().st_size * 3 // 4
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (allowed, allowed))
+
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(output), *SMALL]
+    done = subprocess.run(arguments, preexec_fn=limit, capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert "too large" in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
+    kept = list(read_result(part_path(output)).estimates())
+    assert len(kept) == 10 or len(kept) == 20
+
+
+def test_unknown_configuration_key_names_the_nearest(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "c.toml").write_text("[filter]\nparticels = 10\n")
+    assert track(recording, tmp_path / "r.mcap", "--config", str(tmp_path / "c.toml")) == 2
+    line = one_line(capsys)
+    assert "filter.particels" in line and "did you mean 'particles'?" in line
+
+
+def test_no_particles(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["hand", "run", str(recording), "-o", str(tmp_path / "r"), "--particles", "0"]) == 2
+    assert "0 is not in the range" in capsys.readouterr().err
+    (tmp_path / "c.toml").write_text("[filter]\nparticles = 0\n")
+    arguments = [
+        "hand",
+        "run",
+        str(recording),
+        "-o",
+        str(tmp_path / "r"),
+        "--config",
+        str(tmp_path / "c.toml"),
+    ]
+    assert run(arguments) == 2
+    assert "filter.particles" in one_line(capsys)
+
+
+def test_no_gl(recording: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none.json")}
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(tmp_path / "r.mcap")]
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "libegl1" in done.stderr and len(done.stderr.splitlines()) == 1
+    doctor = subprocess.run([*COMMAND, "doctor"], env=environment, capture_output=True, text=True)
+    assert doctor.returncode == 1 and "libegl1" in doctor.stderr
+
+
+def test_no_frame_in_the_range(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--start", "1000") == 2
+    assert "--start" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_wrong_start_file(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert track(recording, tmp_path / "r.mcap", "--init", str(tmp_path / "none.toml")) == 2
+    assert "none.toml" in one_line(capsys)
+
+
+def test_doctor_names_the_renderer(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["doctor", "--particles", "16"]) == 0
+    out = capsys.readouterr().out
+    assert "OpenGL default: " in out and "16 particles, 64x64 pixels each" in out
+
+
+KINECT = Path(__file__).parents[3] / "shared" / "data" / "kinect2-hand"
+
+
+@pytest.mark.skipif(not KINECT.is_dir(), reason="the real Kinect recording is not on this machine")
+def test_real_kinect_frames_from_folder_and_mcap(tmp_path: Path) -> None:
+    camera = tmp_path / "camera.toml"
+    camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
+    reading = ["--fps", "30", "--camera", str(camera)]
+    assert run(["convert", str(KINECT), str(tmp_path / "in.mcap"), *reading]) == 0
+    assert track(KINECT, tmp_path / "a.mcap", "--hand-side", "left", *reading) == 0
+    assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", "--hand-side", "left") == 0
+    same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 181
