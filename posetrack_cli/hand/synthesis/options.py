@@ -1,0 +1,93 @@
+"""What a synthetic recording is made of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+
+from posetrack_cli.errors import UsageError
+
+MOTIONS = ("A", "B", "C")
+SIDES = ("right", "left")
+SCALES = (0.5, 1.5)
+"""Smallest and largest hand: within them the hand stays in the image wherever it may go."""
+
+
+@dataclass(frozen=True)
+class Switches:
+    """What is added to the bare hand.
+
+    Attributes:
+        noise: Gaussian noise of the readings, and readings out of the sensor's range missing.
+        edges: missing readings beside edges of depth.
+        background: a room behind the hand.
+        body: torso and head behind the hand; the upper arm if the forearm is there too.
+        forearm: the forearm behind the wrist.
+        drops: frames that are missing.
+        late: frames that are taken late.
+    """
+
+    noise: bool = False
+    edges: bool = False
+    background: bool = False
+    body: bool = False
+    forearm: bool = False
+    drops: bool = False
+    late: bool = False
+
+    @classmethod
+    def all_on(cls) -> Switches:
+        """Everything a real recording has."""
+        return cls(**dict.fromkeys(SWITCH_NAMES, True))
+
+    @classmethod
+    def usual(cls, motion: str) -> Switches:
+        """Everything for the natural motion C, nothing for the paper's motions A and B."""
+        return cls.all_on() if motion == "C" else cls()
+
+
+SWITCH_NAMES = tuple(switch.name for switch in fields(Switches))
+
+
+@dataclass(frozen=True)
+class SynthOptions:
+    """A synthetic recording: the same options give the same frames.
+
+    Attributes:
+        motion: ``A`` pose random walk, eq. (66); ``B`` pose and velocity random walk, eq. (67);
+            ``C`` smooth natural motion.
+        frames: number of frame instants at the nominal rate, the dropped ones included.
+        seed: of everything random.
+        speed: of A and B a factor on the standard deviations of the noise; of C on the rate of time.
+        side: ``right`` or ``left``.
+        scale: factor on the hand's lengths, 0.5 to 1.5.
+        fps: nominal frame rate, Hz.
+        switches: what is added to the bare hand.
+
+    Raises:
+        UsageError: a value that cannot be meant.
+    """
+
+    motion: str = "C"
+    frames: int = 300
+    seed: int = 0
+    speed: float = 1.0
+    side: str = "right"
+    scale: float = 1.0
+    fps: float = 30.0
+    switches: Switches = field(default_factory=Switches.all_on)
+
+    def __post_init__(self) -> None:
+        _check("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
+        _check("side", self.side, self.side in SIDES, " or ".join(SIDES))
+        _check("frames", self.frames, self.frames >= 1, "1 or more")
+        _check("seed", self.seed, self.seed >= 0, "0 or more")
+        _check("speed", self.speed, math.isfinite(self.speed) and self.speed > 0.0, "more than 0")
+        _check("fps", self.fps, math.isfinite(self.fps) and 1.0 <= self.fps <= 1000.0, "1 to 1000")
+        low, high = SCALES
+        _check("scale", self.scale, low <= self.scale <= high, f"{low:g} to {high:g}")
+
+
+def _check(name: str, value: object, good: bool, expected: str) -> None:
+    if not good:
+        raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
