@@ -1,0 +1,103 @@
+"""``posetrack hand synth``: make a recording of a moving hand whose truth is known."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+SWITCHES = (
+    ("noise", "Noise of the readings, and none outside 0.5 to 4.5 m."),
+    ("edges", "Missing readings beside edges of depth."),
+    ("background", "A room behind the hand."),
+    ("body", "Trunk and head behind the hand."),
+    ("forearm", "The forearm behind the wrist."),
+    ("drops", "Missing frames."),
+    ("late", "Late frames."),
+)
+
+
+def switch_options(command: Command) -> Command:
+    """Add the switches; their default, None, stands for what is usual of the motion."""
+    for name, text in reversed(SWITCHES):
+        command = click.option(f"--{name}/--no-{name}", default=None, help=text)(command)
+    return command
+
+
+@click.command("synth")
+@click.option("-o", "--output", metavar="OUT.mcap", type=click.Path(path_type=Path), required=True)
+@click.option(
+    "--motion",
+    type=click.Choice(["A", "B", "C"], case_sensitive=False),
+    required=True,
+    help="A pose random walk, B pose and velocity random walk, C smooth natural motion.",
+)
+@click.option(
+    "--frames", default=300, show_default=True, help="Frames at the nominal rate, dropped ones included."
+)
+@click.option("--seed", default=0, show_default=True, help="Of everything random.")
+@click.option(
+    "--speed",
+    default=1.0,
+    show_default=True,
+    help="A, B: factor on the noise; C: factor on the rate of time.",
+)
+@click.option("--side", type=click.Choice(["right", "left"]), default="right", show_default=True)
+@click.option("--scale", default=1.0, show_default=True, help="Factor on the hand's lengths.")
+@click.option("--fps", default=30.0, show_default=True, help="Nominal frame rate, Hz.")
+@switch_options
+@click.option("--overwrite", is_flag=True, help="Replace OUT.mcap if it exists.")
+def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
+    """Make OUT.mcap, a recording of a moving hand as a Kinect v2 would see it, with truth on /truth/hand.
+
+    All switches are on for motion C and off for A and B unless they are given. The same options give
+    the same bytes.
+    """
+    import time
+
+    from posetrack_cli.hand.synthesis.writing import write_synthetic
+
+    options = synth_options(values)
+    began = time.perf_counter()
+    with _progress(options.frames) as report:
+        made = write_synthetic(options, output, overwrite=overwrite, report=report)
+    click.echo(
+        f"{output}: {made.frames} frames, {made.dropped} dropped, {made.seconds:.3f} s long, "
+        f"made in {time.perf_counter() - began:.1f} s"
+    )
+
+
+def synth_options(values: dict[str, Any]) -> Any:
+    """Return the SynthOptions of the command's values.
+
+    Raises:
+        UsageError: a value that cannot be meant.
+    """
+    from dataclasses import replace
+
+    from posetrack_cli.hand.synthesis.options import Switches, SynthOptions
+
+    values = dict(values)
+    given = {name: values.pop(name) for name, _ in SWITCHES}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return SynthOptions(**values, switches=replace(Switches.usual(values["motion"]), **chosen))
+
+
+@contextmanager
+def _progress(frames: int) -> Iterator[Callable[[Any], None]]:
+    """A bar on stderr if that is a terminal; it counts the instants that the frames have reached."""
+    from tqdm import tqdm
+
+    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
+        yield lambda frame: _advance(bar, frame.instant + 1)
+        _advance(bar, frames)
+
+
+def _advance(bar: Any, done: int) -> None:
+    bar.update(done - bar.n)
