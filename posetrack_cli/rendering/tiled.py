@@ -106,7 +106,17 @@ class TiledDepthRenderer:
             observed: (height, width) float32: depth of a target pixel, mm; negative where the reading
                 is of something else; 0 where there is none.
             clamp_mm: c_max of eq. (4).
+
+        Raises:
+            RenderingError: transforms, window or observed image do not fit.
         """
+        if observed.shape != (window.height, window.width):
+            raise RenderingError(
+                "observed image does not fit the window",
+                found=observed.shape,
+                expected=(window.height, window.width),
+            )
+        self._check(transforms, window)  # before anything is written to the device
         self._observed.write(np.ascontiguousarray(observed, dtype=np.float32))
         self._reduce["clamp_mm"] = clamp_mm
         rows = np.empty((len(transforms), 4), dtype=np.float32)
