@@ -2,8 +2,9 @@
 
 Beside an edge, on the farther side, light of both surfaces mixes and the projector's is shaded, so the
 reading is given up. What was measured is the missing fraction 1 to 8 px outside a hand's edge
-(``MISSING_FRACTIONS``, hand.md). The fractions hold on average; where the holes are is correlated: they come
-in patches, and more of them on the side where the projector casts its shadow.
+(``MISSING_FRACTIONS``, hand.md). The fractions hold on average over all directions of an edge; where the
+holes are is correlated: they come in patches, and more of them on the side where the projector casts its
+shadow.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ FULL_JUMP_MM = 200.0
 """[ours]: the measured edges were steps of 300 mm and more. Beside a smaller step than this the holes reach
 less far: the distance counts FULL_JUMP_MM / step times. So fingers before the palm keep their rim."""
 
-PATCH_PX = 2.0
-SHADOW_SHARE = 0.45
+PATCH_PX = 2.5
+SHADOW_SHARE = 0.55
 """Share of the variance that depends on the side of the edge; the rest is in patches."""
 SHADOW_SIDE = -1.0
 """Sign of the image's x direction in which the projector's shadow falls: to the left."""
