@@ -35,6 +35,7 @@ def switch_options(command: Command) -> Command:
 @click.option(
     "--motion",
     type=click.Choice(["A", "B", "C"], case_sensitive=False),
+    metavar="[A|B|C]",  # click would show the choices in lower case
     required=True,
     help="A pose random walk, B pose and velocity random walk, C smooth natural motion.",
 )
