@@ -1,0 +1,208 @@
+"""What is looked at: pixels sampled one by one, the window about the hand, the hand's pixels in a scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hand_support import KINECT, REST
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.observation import PixelSampler, everything, segmented, window_around
+from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.window import Window
+
+ANATOMY = make_anatomy()
+windows = st.builds(
+    Window,
+    st.integers(-40, 90),
+    st.integers(-40, 70),
+    st.integers(1, 4),
+    st.integers(1, 20),
+    st.integers(1, 20),
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(windows)
+def test_sampling_takes_single_pixels_and_zero_outside(window: Window) -> None:
+    camera = Camera(64, 48, 90.0, 90.0, 31.5, 23.5)
+    depth = (1.0 + np.arange(48 * 64)).reshape(48, 64).astype(np.float32)
+    tile = PixelSampler(camera).sample(depth, window)
+    for j in range(window.height):
+        for i in range(window.width):
+            u, v = window.left + i * window.step, window.top + j * window.step
+            assert tile[j, i] == (depth[v, u] if 0 <= u < 64 and 0 <= v < 48 else 0.0)
+
+
+DISTORTED = {
+    "plumb_bob": Camera(512, 424, 365.0, 365.0, 255.5, 211.5, (0.09, -0.27, 0.004, -0.003, 0.1)),
+    "fisheye": Camera(512, 424, 365.0, 365.0, 255.5, 211.5, (0.1, -0.05, 0.02, 0.01), "equidistant"),
+}
+
+
+@pytest.mark.parametrize("name", DISTORTED)
+def test_a_distorted_image_is_looked_up_where_the_ray_arrives(name: str) -> None:
+    # what each stored pixel shows: the plane z = 1000 + 400 x/z + 300 y/z along its ray, by OpenCV's inverse
+    camera = DISTORTED[name]
+    stored = np.stack(np.meshgrid(np.arange(512.0), np.arange(424.0)), axis=-1).reshape(-1, 1, 2)
+    undistort = cv2.fisheye.undistortPoints if name == "fisheye" else cv2.undistortPoints
+    rays = undistort(stored, camera.matrix, np.array(camera.distortion)).reshape(424, 512, 2)
+    depth = (1000.0 + rays @ [400.0, 300.0]).astype(np.float32)
+    window = Window(40, 30, 8, 54, 45)
+    tile = PixelSampler(camera).sample(depth, window)
+    u, v = np.meshgrid(window.columns(), window.rows())
+    expected = 1000.0 + 400.0 * (u - camera.cx) / camera.fx + 300.0 * (v - camera.cy) / camera.fy
+    # the nearest pixel is at most half a pixel off in both directions, stretched by 1.3 at most
+    half_pixel_mm = 0.5 * 1.3 * (400.0 + 300.0) / 365.0
+    seen = tile > 0
+    assert seen.mean() > 0.9
+    assert np.abs(tile - expected)[seen].max() < half_pixel_mm
+    undistorted = PixelSampler(Camera(512, 424, 365.0, 365.0, 255.5, 211.5)).sample(depth, window)
+    assert np.abs(undistorted - expected)[seen].max() > 4 * half_pixel_mm  # the distortion is there
+
+
+def test_pixels_that_no_ray_reaches_are_zero() -> None:
+    pincushion = Camera(64, 48, 60.0, 60.0, 31.5, 23.5, (0.4, 0.0, 0.0, 0.0))
+    tile = PixelSampler(pincushion).sample(np.ones((48, 64), np.float32), Window.whole(pincushion))
+    assert tile[24, 32] == 1.0
+    assert tile[0, 0] == tile[-1, -1] == 0.0
+
+
+def joints_at(x: float, y: float, z: float) -> np.ndarray:
+    joints = joint_positions(ANATOMY, REST[None])[0]
+    return joints - joints.mean(axis=0) + [x, y, z]
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 650.0), (120.0, -80.0, 500.0), (-300.0, 200.0, 900.0)])
+def test_the_window_spans_the_hand_at_its_depth(centre: tuple[float, float, float]) -> None:
+    settings_ = ObservationSettings(tile_px=64, window_mm=240.0)
+    window = window_around(joints_at(*centre), KINECT, settings_)
+    pixel, _ = KINECT.pixels_from_points(np.array(centre))
+    assert np.abs(window.centre - pixel).max() <= 0.5 + 1e-9
+    assert (window.width, window.height) == (64, 64)
+    size_px = 240.0 * 365.0 / centre[2]
+    assert abs(window.step * 64 - size_px) <= 32.0  # whole steps: the nearest multiple of the tile
+
+
+def test_the_paper_s_window_is_128_pixels_at_any_depth() -> None:
+    for z in (400.0, 650.0, 2000.0):
+        window = window_around(joints_at(0, 0, z), KINECT, ObservationSettings(window_px=128, tile_px=64))
+        assert (window.step, window.width) == (2, 64)
+    window = window_around(joints_at(0, 0, 650.0), KINECT, ObservationSettings(window_px=128, tile_px=128))
+    assert (window.step, window.width) == (1, 128)
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, -300.0), (1e6, -1e6, 100.0), (0.0, 0.0, 0.0)])
+def test_a_prediction_gone_astray_still_gives_a_window(centre: tuple[float, float, float]) -> None:
+    window = window_around(joints_at(*centre), KINECT, ObservationSettings())
+    tile = PixelSampler(KINECT).sample(np.ones((424, 512), np.float32), window)
+    assert tile.shape == (64, 64)
+
+
+def test_the_paper_s_observation_is_every_reading() -> None:
+    tile = np.array([[0.0, 500.0], [900.0, 0.0]], dtype=np.float32)
+    observation = everything(tile, Window(0, 0, 1, 2, 2))
+    np.testing.assert_array_equal(observation.image, tile)
+    assert observation.target_pixels == 2
+
+
+WALL_MM, ARM_MM = 1500.0, 655.0
+
+
+class Scene:
+    """A drawn hand with a forearm below its wrist, a wall behind, a blob beside it and a few holes."""
+
+    def __init__(self, context: Any) -> None:
+        self.pose = REST.copy()
+        self.pose[:3] = [0.0, 60.0, 650.0]
+        self.joints = joint_positions(ANATOMY, self.pose[None])[0]
+        self.window = window_around(self.joints, KINECT, ObservationSettings(tile_px=96, window_mm=340.0))
+        renderer = TiledDepthRenderer(context, hand_mesh(ANATOMY), (96, 96), 1)
+        self.drawn = renderer.depth(skinning_transforms(ANATOMY, self.pose[None]), KINECT, self.window)[0]
+        x = (self.window.columns()[None] - KINECT.cx) / KINECT.fx * ARM_MM
+        y = (self.window.rows()[:, None] - KINECT.cy) / KINECT.fy * ARM_MM
+        self.hand = self.drawn > 0
+        # 1 mm below the skin's end, where the limit is 12 mm, the arm is taken for the hand's
+        self.arm = (np.abs(x) < 28.0) & (y > 60.0 + 14.0) & (y < 60.0 + 100.0) & ~self.hand
+        self.blob = (np.abs(x + 95.0) < 12.0) & (np.abs(y - 30.0) < 15.0) & ~self.hand
+        self.bridge = (np.abs(x) < 28.0) & (y > 60.0) & (y <= 60.0 + 14.0) & ~self.hand
+        self.tile = np.where(self.hand, self.drawn, WALL_MM).astype(np.float32)
+        self.tile[self.arm | self.blob | self.bridge] = ARM_MM
+        self.holes = np.random.default_rng(1).random(self.tile.shape) < 0.05
+        self.tile[self.holes] = 0.0
+
+    def segmented(self, **changes: float) -> Any:
+        margins = SegmentationSettings(**changes)
+        return segmented(self.tile, self.window, KINECT, self.pose, self.joints, margins, ANATOMY.scale)
+
+
+@pytest.fixture(scope="module")
+def scene(context: Any) -> Scene:
+    return Scene(context)
+
+
+def test_the_hand_is_told_from_wall_arm_and_blob(scene: Scene) -> None:
+    observation = scene.segmented(reach_mm=250.0)  # as far as the arm reaches
+    image, read = observation.image, ~scene.holes
+    assert (scene.hand.sum(), scene.arm.sum(), scene.blob.sum()) > (800, 100, 30)
+    palm = scene.hand & read & (scene.window.rows()[:, None] < KINECT.cy + KINECT.fy * 60.0 / 650.0)
+    np.testing.assert_array_equal(image[palm], scene.tile[palm])
+    wall = ~(scene.hand | scene.arm | scene.blob | scene.bridge) & read
+    np.testing.assert_array_equal(image[wall], -WALL_MM)
+    # not connected to the hand: as deep, as near, but another thing
+    np.testing.assert_array_equal(image[scene.blob & read], -ARM_MM)
+    # the forearm is neither hand nor background
+    np.testing.assert_array_equal(image[scene.arm], 0.0)
+    np.testing.assert_array_equal(image[scene.holes], 0.0)
+    assert observation.target_pixels == (image > 0).sum()
+
+
+def test_each_margin_holds_something_back(scene: Scene) -> None:
+    usual = scene.segmented().target_pixels
+    assert scene.segmented(reach_mm=60.0).target_pixels < 0.7 * usual
+    nearest, farthest = scene.drawn[scene.hand].min(), scene.drawn[scene.hand].max()
+    joints = scene.joints[:, 2]
+    # a margin that ends inside the skin cuts the skin there; just outside, nothing
+    front, behind = joints.min() - nearest, farthest - joints.max()
+    assert front > 0
+    assert scene.segmented(in_front_mm=front + 1.0, behind_mm=70.0).target_pixels == usual
+    assert scene.segmented(in_front_mm=1e-3, behind_mm=70.0).target_pixels < usual
+    assert scene.segmented(in_front_mm=70.0, behind_mm=max(behind, 0.0) + 10.0).target_pixels == usual
+    assert scene.segmented(forearm_mm=-40.0).target_pixels < 0.9 * usual
+
+
+def test_margins_grow_with_the_hand(scene: Scene) -> None:
+    margins = SegmentationSettings(reach_mm=60.0)
+    arguments = (scene.tile, scene.window, KINECT, scene.pose, scene.joints)
+    small = segmented(*arguments, margins, 1.0).target_pixels
+    assert segmented(*arguments, margins, 1.5).target_pixels > 1.3 * small
+    same = SegmentationSettings(reach_mm=90.0, in_front_mm=105.0, behind_mm=105.0, forearm_mm=18.0)
+    assert segmented(*arguments, margins, 1.5).target_pixels == segmented(*arguments, same, 1.0).target_pixels
+
+
+def test_a_prediction_beside_the_hand_takes_the_largest_part(scene: Scene) -> None:
+    joints = np.tile(
+        scene.joints.mean(axis=0) + np.array([110.0, 0.0, 0.0]), (21, 1)
+    )  # all where the wall is
+    margins = SegmentationSettings(reach_mm=400.0)
+    found = segmented(scene.tile, scene.window, KINECT, scene.pose, joints, margins, 1.0)
+    palm = scene.hand & ~scene.holes & (scene.drawn > 560.0)
+    assert (found.image[palm] > 0).mean() > 0.9
+    assert (found.image[scene.blob] <= 0).all()
+
+
+def test_nothing_in_the_window_is_no_target(scene: Scene) -> None:
+    for value in (0.0, WALL_MM):
+        tile = np.full_like(scene.tile, value)
+        found = segmented(tile, scene.window, KINECT, scene.pose, scene.joints, SegmentationSettings(), 1.0)
+        assert found.target_pixels == 0
+        np.testing.assert_array_equal(found.image, -tile)
