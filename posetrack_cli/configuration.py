@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -51,6 +51,24 @@ def validated(model: type[Model], values: Mapping[str, Any], where: object) -> M
         return model.model_validate(values)
     except ValidationError as error:
         raise _explained(error, model, where) from error
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Return ``{"a.b": 1}`` of ``["a.b=1"]``; values as TOML has them, text without quotes too.
+
+    Raises:
+        UsageError: no equals sign, or no key before it.
+    """
+    values = {}
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not equals or not key.strip():
+            raise UsageError("not an assignment", where="--set", found=assignment, expected="KEY=VALUE")
+        try:
+            values[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[key.strip()] = text.strip()
+    return values
 
 
 def find_configuration(name: str | os.PathLike[str]) -> Path:
@@ -108,7 +126,10 @@ def _explained(error: ValidationError, model: type[Settings], where: object) -> 
             f"unknown configuration key '{key}'", where=where, hint=nearest_name(location[-1], known)
         )
     return UsageError(
-        f"'{key}' cannot be used", where=where, found=repr(problem["input"]), expected=problem["msg"]
+        f"'{key}' cannot be used",
+        where=where,
+        found=repr(problem["input"]),
+        expected=problem["msg"].removeprefix("Input should be "),
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import resource
 import subprocess
 import sys
 import tempfile
@@ -219,10 +218,7 @@ def against_particles(context: Any, recorded: list[Any], repeats: int) -> Iterat
 def start_up() -> Iterator[Row]:
     """CPU time of posetrack --help."""
     command = [sys.executable, "-m", "posetrack_cli.cli.main", "--help"]
-    times = []
-    for _ in range(6):
-        usage = _usage_of(command)
-        times.append(usage.ru_utime + usage.ru_stime)
+    times = [usage_of(command)[0] for _ in range(6)]
     yield Row("posetrack --help, CPU time", float(np.median(times[1:])), "s", 0.3)
 
 
@@ -244,7 +240,7 @@ def memory(recorded: list[Any], frames: int) -> Iterator[Row]:
         peaks = []
         for end in (frames // 10, frames):
             output = ["-o", str(Path(folder, f"{end}.mcap")), "--end", str(end)]
-            peaks.append(_usage_of(command + output).ru_maxrss / 1024)
+            peaks.append(usage_of(command + output)[1])
             yield Row(f"peak memory, {end} frames", peaks[-1], "MiB", 400.0)
         yield Row("  of the long run over the short one", peaks[1] / peaks[0], "", 1.05)
 
@@ -273,14 +269,26 @@ def write_recording(path: Path, depths: list[Any], frames: int) -> None:
         sink.finish()
 
 
-def _usage_of(command: list[str]) -> resource.struct_rusage:
-    """Run a command and return what it used; raise if it fails."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, command)
-    return usage
+# A child's ru_maxrss begins at the size of whoever forked it, so a small process has to do that.
+_LAUNCHER = """
+import json, os, sys
+quiet = os.open(os.devnull, os.O_WRONLY)
+actions = [(os.POSIX_SPAWN_DUP2, quiet, 1), (os.POSIX_SPAWN_DUP2, quiet, 2)]
+pid = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=actions)
+_, status, usage = os.wait4(pid, 0)
+print(json.dumps([os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss]))
+"""
+
+
+def usage_of(command: list[str]) -> tuple[float, float]:
+    """Run a command; return its CPU seconds and its peak memory, MiB. Raise if it fails."""
+    launched = subprocess.run(
+        [sys.executable, "-S", "-c", _LAUNCHER, *command], check=True, capture_output=True, text=True
+    )
+    code, seconds, kibibytes = json.loads(launched.stdout)
+    if code:
+        raise subprocess.CalledProcessError(code, command)
+    return seconds, kibibytes / 1024
 
 
 if __name__ == "__main__":

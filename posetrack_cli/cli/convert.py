@@ -11,7 +11,7 @@ from posetrack_cli.cli.recording_options import opening_arguments, recording_opt
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 
-@click.command()
+@click.command(short_help="Write a recording as one MCAP file, without loss.")
 @click.argument("recording", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("out", metavar="OUT.mcap", type=click.Path(path_type=Path))
 @recording_options

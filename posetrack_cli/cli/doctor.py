@@ -27,7 +27,7 @@ LIBRARIES = (
 )
 
 
-@click.command()
+@click.command(short_help="Tell which OpenGL renderer is used and how fast it is.")
 @click.option("--device", type=click.IntRange(min=0), help="Only this EGL device.")
 @click.option("--particles", type=click.IntRange(min=1), default=PARTICLES, show_default=True)
 def doctor(device: int | None, particles: int) -> None:

@@ -39,10 +39,17 @@ def hand() -> None:
 hand.add_command(hand_synth)
 
 
-@hand.command("run")
+@hand.command("run", short_help="Track the hand in recorded depth.")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Result to write, MCAP.")
 @click.option("--config", help="TOML file, or a shipped name: hand (the defaults), hand-paper.")
+@click.option(
+    "--set",
+    "settings",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Set any key of the configuration, such as observation.sigma_mm=5; repeatable.",
+)
 @click.option("--filter", "filter_kind", type=click.Choice(["rbpf", "pf"]), help="Filter.  [default: rbpf]")
 @click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512]")
 @click.option("--proposal", type=click.Choice(["marginal", "paper"]), help="Proposal of the RBPF.")
@@ -105,11 +112,12 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:
-    from posetrack_cli.configuration import find_configuration, load_settings
+    from posetrack_cli.configuration import find_configuration, load_settings, parse_assignments
     from posetrack_cli.hand.config import HandConfig
 
     path = find_configuration(options["config"]) if options["config"] else None
-    return load_settings(HandConfig, path, {key: options[name] for name, key in CONFIGURED.items()})
+    own = {key: options[name] for name, key in CONFIGURED.items() if options[name] is not None}
+    return load_settings(HandConfig, path, parse_assignments(options["settings"]) | own)
 
 
 @contextmanager

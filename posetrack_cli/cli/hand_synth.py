@@ -36,7 +36,8 @@ def switch_options(command: Command) -> Command:
     "--motion",
     type=click.Choice(["A", "B", "C"], case_sensitive=False),
     metavar="[A|B|C]",  # click would show the choices in lower case
-    required=True,
+    default="C",
+    show_default=True,
     help="A pose random walk, B pose and velocity random walk, C smooth natural motion.",
 )
 @click.option(
@@ -49,7 +50,7 @@ def switch_options(command: Command) -> Command:
     show_default=True,
     help="A, B: factor on the noise; C: factor on the rate of time.",
 )
-@click.option("--side", type=click.Choice(["right", "left"]), default="right", show_default=True)
+@click.option("--hand-side", "side", type=click.Choice(["right", "left"]), default="right", show_default=True)
 @click.option("--scale", default=1.0, show_default=True, help="Factor on the hand's lengths.")
 @click.option("--fps", default=30.0, show_default=True, help="Nominal frame rate, Hz.")
 @switch_options

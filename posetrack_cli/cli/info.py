@@ -14,7 +14,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST
 Values = Mapping[str, Any]
 
 
-@click.command()
+@click.command(short_help="Tell what a recording or a result holds.")
 @click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the same as JSON.")
 def info(path: Path, as_json: bool) -> None:

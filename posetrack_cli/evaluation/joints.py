@@ -31,7 +31,8 @@ class JointErrors:
         d = self.distances_mm
         return (
             f"joint error over {len(d)} frames: mean {d.mean():.1f} mm, median {np.median(d):.1f} mm, "
-            f"95 % below {np.percentile(d, 95):.1f} mm; {int(self.lost.sum())} lost, {self.unmatched} without truth"
+            f"95 % below {np.percentile(d, 95):.1f} mm; {int(self.lost.sum())} lost, "
+            f"{self.unmatched} without truth"
         )
 
 
