@@ -106,6 +106,11 @@ def test_a_prediction_gone_astray_still_gives_a_window(centre: tuple[float, floa
     window = window_around(joints_at(*centre), KINECT, ObservationSettings())
     tile = PixelSampler(KINECT).sample(np.ones((424, 512), np.float32), window)
     assert tile.shape == (64, 64)
+    assert np.abs(window.centre).max() <= 4 * 512 + 1  # indices stay small, whatever the prediction
+
+
+def test_a_prediction_in_the_sensor_itself() -> None:
+    assert window_around(np.zeros((21, 3)), KINECT, ObservationSettings()).width == 64
 
 
 def test_the_paper_s_observation_is_every_reading() -> None:
@@ -185,8 +190,18 @@ def test_margins_grow_with_the_hand(scene: Scene) -> None:
     arguments = (scene.tile, scene.window, KINECT, scene.pose, scene.joints)
     small = segmented(*arguments, margins, 1.0).target_pixels
     assert segmented(*arguments, margins, 1.5).target_pixels > 1.3 * small
-    same = SegmentationSettings(reach_mm=90.0, in_front_mm=105.0, behind_mm=105.0, forearm_mm=18.0)
-    assert segmented(*arguments, margins, 1.5).target_pixels == segmented(*arguments, same, 1.0).target_pixels
+    wide = SegmentationSettings(reach_mm=120.0)
+    same = SegmentationSettings(reach_mm=180.0, in_front_mm=105.0, behind_mm=105.0, forearm_mm=18.0)
+    larger, expected = (segmented(*arguments, m, k).image for m, k in ((wide, 1.5), (same, 1.0)))
+    np.testing.assert_array_equal(larger, expected)
+
+
+@pytest.mark.parametrize(("margin", "taken"), [(65.0, True), (75.0, False)])
+def test_what_touches_the_hand_is_told_by_its_depth(scene: Scene, margin: float, taken: bool) -> None:
+    farthest = scene.joints[:, 2].max()
+    tile = np.where(scene.hand, scene.drawn, farthest + margin).astype(np.float32)  # 70 mm is the limit
+    found = segmented(tile, scene.window, KINECT, scene.pose, scene.joints, SegmentationSettings(), 1.0)
+    assert (found.image[~scene.hand] > 0).any() == taken
 
 
 def test_a_prediction_beside_the_hand_takes_the_largest_part(scene: Scene) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hand_support import KINECT
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts
@@ -205,6 +205,8 @@ def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(kind: str) -> N
     assert state.misses > 0
     arrays = {name: array.copy() for name, array in state_arrays(state).items()}
     restored = state_from_arrays(arrays, state.stamp_ns, state.misses)
+    np.testing.assert_array_equal(restored.velocity, state.velocity)
+    np.testing.assert_array_equal(restored.pose, state.pose)
     for k in range(4, 7):
         state, expected = tracker.step(state, seen(k), np.random.default_rng(k))
         restored, found = tracker.step(restored, seen(k), np.random.default_rng(k))
@@ -238,6 +240,39 @@ def test_the_prediction_moves_on_and_stays_inside_the_limits() -> None:
     assert predicted[0] == START[0] + 100.0
     assert predicted[7] == pytest.approx(np.deg2rad(74.0))
     assert tracker.observe(BLANK, predicted).window.centre[0] > tracker.observe(BLANK, START).window.centre[0]
+
+
+@both_filters
+def test_no_particle_leaves_the_joint_limits(kind: str) -> None:
+    state, _ = run(tracker_with(DistanceScorer(START[:3]), kind), [seen(k) for k in range(5)])
+    angles = state.particles.poses[:, 7:]
+    assert (angles >= ANGLE_LIMITS[:, 0]).all()
+    assert (angles <= ANGLE_LIMITS[:, 1]).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"proposal": "paper"},
+        {"discretisation": "euler"},
+        {"resampling": "multinomial"},
+        {"ess_threshold": 0.0},
+    ],
+)
+def test_the_filter_s_settings_reach_the_filter(changes: dict[str, object]) -> None:
+    def last(settings: dict[str, object]) -> np.ndarray:
+        tables = {"filter": {"particles": 64, "ess_threshold": 1.0, **settings}}
+        tracker = tracker_with(DistanceScorer(START[:3]), **tables)
+        return run(tracker, [seen(k) for k in range(3)])[1][-1].position
+
+    assert np.abs(last(changes) - last({})).max() > 1e-3
+
+
+def test_only_the_union_tells_hand_from_wall() -> None:
+    wall = np.full_like(BLANK, 1500.0)
+    for cost, pixels in (("paper", 64 * 64), ("union", 0)):
+        tracker = tracker_with(DistanceScorer(START[:3]), observation={"cost": cost})
+        assert tracker.observe(wall, START).target_pixels == pixels
 
 
 def translating_hand(context: Any, count: int) -> tuple[list[Frame], np.ndarray]:
