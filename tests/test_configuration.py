@@ -8,7 +8,13 @@ from typing import Annotated
 import pytest
 from pydantic import Field, ValidationError
 
-from posetrack_cli.configuration import Settings, find_configuration, load_settings, validated
+from posetrack_cli.configuration import (
+    Settings,
+    find_configuration,
+    load_settings,
+    parse_assignments,
+    validated,
+)
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.config import HandConfig
 
@@ -76,6 +82,15 @@ def test_mistakes_in_options(tmp_path: Path) -> None:
     # a value stands where the option needs a table: the file's mistake is told, not a traceback
     path = written(tmp_path, "filter = 3")
     assert failure(path, {"filter.particles": 5}).startswith(f"{path}: 'filter' cannot be used, found 3")
+
+
+def test_assignments_are_toml_values_or_plain_text() -> None:
+    given = ["filter.particles=9", " name = plain text", "a=[1, 2]", 'b="x=y"', "c=true"]
+    expected = {"filter.particles": 9, "name": "plain text", "a": [1, 2], "b": "x=y", "c": True}
+    assert parse_assignments(given) == expected
+    for wrong in ("filter.particles", "=3", " =3"):
+        with pytest.raises(UsageError, match="not an assignment"):
+            parse_assignments([wrong])
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
