@@ -159,7 +159,7 @@ def _progress(total: int | None) -> Iterator[Any]:
 @contextmanager
 def _kept(output: Path) -> Iterator[None]:
     """When the run fails, say what of it can still be read."""
-    from posetrack_cli.results.writer import part_path
+    from posetrack_cli.recording.output import part_path
 
     try:
         yield
@@ -173,7 +173,7 @@ def _kept(output: Path) -> Iterator[None]:
 def _close(recording: Path, output: Path, outcome: RunOutcome) -> None:
     """The closing line, and the exit code."""
     from posetrack_cli.recording.losses import loss_line
-    from posetrack_cli.results.writer import part_path
+    from posetrack_cli.recording.output import part_path
 
     rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
     what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"

@@ -49,13 +49,13 @@ class MotionSettings(Settings):
     """
 
     pose: ComponentSettings = ComponentSettings(
-        position_mm=25.0, rotation_rad=0.35, flexion_rad=0.8, abduction_rad=0.25
+        position_mm=40.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.3
     )
     pose_alone: ComponentSettings = ComponentSettings(
         position_mm=60.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.4
     )
     velocity: ComponentSettings = ComponentSettings(
-        position_mm=800.0, rotation_rad=8.0, flexion_rad=8.0, abduction_rad=1.0
+        position_mm=600.0, rotation_rad=1.0, flexion_rad=0.1, abduction_rad=0.05
     )
     gap_max_s: Positive = 1.0
 
@@ -65,7 +65,7 @@ class ObservationSettings(Settings):
 
     cost: Literal["union", "paper"] = "union"
     likelihood: Literal["gaussian", "exponential"] = "gaussian"
-    sigma_mm: Positive = 3.0
+    sigma_mm: Positive = 4.0
     clamp_mm: Positive = 40.0
     window_px: Annotated[int, Field(ge=8, le=4096)] | None = None
     window_mm: Positive = 240.0
@@ -90,7 +90,7 @@ class InitSettings(Settings):
         position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08
     )
     velocity: ComponentSettings = ComponentSettings(
-        position_mm=100.0, rotation_rad=1.0, flexion_rad=1.5, abduction_rad=0.3
+        position_mm=30.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05
     )
 
 

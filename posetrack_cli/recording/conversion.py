@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -12,13 +11,14 @@ from typing import Any, Literal
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
-from posetrack_cli.errors import RecordingError, ResultError, UsageError
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.base import Loss, TruthMessage
 from posetrack_cli.recording.depth import MM_PER_M
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.recording.output import check_output, whole_or_nothing
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.stored import DepthEncoding, StoredFrame, StoredRecording, UnreadableImageError
 
@@ -56,16 +56,9 @@ def convert_recording(recording: StoredRecording, out: Path, *, overwrite: bool 
         RecordingError: if the recording cannot be read or has no frame.
         ResultError: if the file cannot be written.
     """
-    _check_out(recording.path, out, overwrite)
-    part = out.with_name(out.name + ".part")
-    try:
-        conversion = _write(recording, part)
-        _rename(part, out)
-    except BaseException:  # also Ctrl-C: half a copy is of no use
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise
-    return conversion
+    check_output(out, overwrite=overwrite, source=recording.path)
+    with whole_or_nothing(out) as part:
+        return _write(recording, part)
 
 
 def _write(recording: StoredRecording, part: Path) -> Conversion:
@@ -178,23 +171,3 @@ def _message_class(encoding: DepthEncoding) -> Any:
 
 def _time(entry: _Image | TruthMessage) -> int:
     return entry.log_time_ns if isinstance(entry, TruthMessage) else entry.stamp_ns
-
-
-def _check_out(source: Path, out: Path, overwrite: bool) -> None:
-    if out.suffix != ".mcap":
-        raise UsageError(
-            "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
-        )
-    if not out.exists():
-        return
-    if out.samefile(source):
-        raise UsageError("output is the recording itself", where=out)
-    if not overwrite:
-        raise UsageError("exists already", where=out, hint="pass --overwrite to replace it")
-
-
-def _rename(part: Path, out: Path) -> None:
-    try:
-        part.replace(out)
-    except OSError as error:
-        raise ResultError("cannot be renamed", where=part, found=error.strerror or error) from error

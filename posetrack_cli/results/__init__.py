@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         estimate_to_json,
     )
     from posetrack_cli.results.reader import Result, load_arrays, read_result
-    from posetrack_cli.results.writer import ResultWriter, part_path, state_path
+    from posetrack_cli.results.writer import ResultWriter, state_path
 
 __all__ = [
     "ESTIMATE_SCHEMA",
@@ -32,7 +32,6 @@ __all__ = [
     "estimate_from_json",
     "estimate_to_json",
     "load_arrays",
-    "part_path",
     "read_result",
     "state_path",
 ]
@@ -42,7 +41,7 @@ _MODULES = {
     "estimate": ("Estimate", "Status", "Subject"),
     "estimate_json": ("ESTIMATE_SCHEMA", "ESTIMATE_SCHEMA_NAME", "estimate_from_json", "estimate_to_json"),
     "reader": ("Result", "load_arrays", "read_result"),
-    "writer": ("ResultWriter", "part_path", "state_path"),
+    "writer": ("ResultWriter", "state_path"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

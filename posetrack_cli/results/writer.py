@@ -14,6 +14,7 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
@@ -25,14 +26,9 @@ RUN_RECORD = "posetrack.run"
 SUMMARY_RECORD = "posetrack.summary"
 
 
-def part_path(path: Path) -> Path:
-    """Return the name of a result while it is written: NAME.part."""
-    return path.with_name(path.name + ".part")
-
-
 def state_path(path: Path) -> Path:
     """Return the name of the checkpoint of an unfinished result: NAME.part.state."""
-    return path.with_name(path.name + ".part.state")
+    return part_path(path).with_name(part_path(path).name + ".state")
 
 
 class ResultWriter:

@@ -22,12 +22,12 @@ from results_support import (
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
     ResultWriter,
     estimate_to_json,
     load_arrays,
-    part_path,
     read_result,
 )
 from posetrack_cli.results.estimate import FIELD_NAMES

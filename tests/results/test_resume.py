@@ -21,7 +21,8 @@ from results_support import (
 )
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.results import ResultWriter, Subject, part_path, state_path
+from posetrack_cli.recording.output import part_path
+from posetrack_cli.results import ResultWriter, Subject, state_path
 
 FRAMES = 26
 ENDS = range(FRAMES)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli import __version__
 from posetrack_cli.arrays import ImageArray
-from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.hand.synthesis.frames import Plan, SyntheticFrame, make_plan, render_plan
 from posetrack_cli.hand.synthesis.options import SWITCH_NAMES, SynthOptions
 from posetrack_cli.hand.synthesis.sensor import CAMERA
@@ -23,6 +21,7 @@ from posetrack_cli.hand.synthesis.walk import WalkNoise
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, CHUNK_BYTES, IMAGE_TOPIC
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.recording.output import check_output, whole_or_nothing
 
 SYNTH_RECORD = "posetrack.synth"
 PNG_LEVEL = 1
@@ -72,20 +71,16 @@ def write_synthetic(
         ResultError: the file cannot be written.
         RenderingError: there is no working GL.
     """
-    _check_out(out, overwrite)
-    part = out.with_name(out.name + ".part")
+    check_output(out, overwrite=overwrite)
     noise = noise or WalkNoise()
     plan = make_plan(options, noise)
-    try:
-        with McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink:
-            sink.metadata(SYNTH_RECORD, synth_record(options, plan, noise))
-            written = _write(sink, options, plan, report)
-            sink.finish()
-        _rename(part, out)
-    except BaseException:  # also Ctrl-C: a recording that ends early is not the one asked for
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise
+    with (
+        whole_or_nothing(out) as part,
+        McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink,
+    ):
+        sink.metadata(SYNTH_RECORD, synth_record(options, plan, noise))
+        written = _write(sink, options, plan, report)
+        sink.finish()
     return written
 
 
@@ -136,19 +131,3 @@ def _png(depth: ImageArray) -> bytes:
 
 def _numbers(values: Any) -> str:
     return " ".join(f"{value:.6g}" for value in np.ravel(values))
-
-
-def _check_out(out: Path, overwrite: bool) -> None:
-    if out.suffix != ".mcap":
-        raise UsageError(
-            "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
-        )
-    if out.exists() and not overwrite:
-        raise UsageError("exists already", where=out, hint="pass --overwrite to replace it")
-
-
-def _rename(part: Path, out: Path) -> None:
-    try:
-        part.replace(out)
-    except OSError as error:
-        raise ResultError("cannot be renamed", where=part, found=error.strerror or error) from error
