@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.bounds import BoneSpheres
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.window import Window
@@ -17,7 +18,7 @@ from posetrack_cli.rendering.window import Window
 NEAR_MM = 50.0
 # An atlas of this many pixels (32 MiB) keeps a pass long enough to fill a GPU and small enough for any.
 ATLAS_PIXELS = 512 * 128 * 128
-LANES = 128  # work items that share a tile: measured best on llvmpipe for tiles of 64 and 128
+LANES = 64  # work items that share a tile: 32 to 128 are alike on llvmpipe
 _GL_CLIP_DISTANCE0 = 0x3000
 
 
@@ -40,6 +41,7 @@ class TiledDepthRenderer:
         self.bones = mesh.weights.shape[1]
         self.grid = _grid(context, tile, most)
         self.capacity = self.grid[0] * self.grid[1]
+        self._spheres = BoneSpheres(mesh)
         self._make_targets()
         self._make_programs(mesh)
 
@@ -52,6 +54,7 @@ class TiledDepthRenderer:
         self._observed = self.context.texture((width, height), 1, dtype="f4")
         self._observed.filter = (self.context.NEAREST, self.context.NEAREST)
         self._transforms = self.context.buffer(reserve=self.capacity * self.bones * 48, dynamic=True)
+        self._boxes = self.context.buffer(reserve=self.capacity * 16, dynamic=True)
         self._sums = self.context.buffer(reserve=self.capacity * 16, dynamic=True)
         self._rows = np.empty((self.capacity, 4), dtype=np.float32)
 
@@ -67,7 +70,7 @@ class TiledDepthRenderer:
         self._influences = self.context.buffer(influences.tobytes())
         self._reduce = self.context.compute_shader(_shader("tile_sums.comp", {"LANES": LANES}))
         self._draw["tile_size"], self._draw["grid"] = self.tile, self.grid
-        self._reduce["tile_size"], self._reduce["grid"] = self.tile, self.grid
+        self._reduce["tile_size"], self._reduce["columns"] = self.tile, self.grid[0]
         self._draw["near_mm"] = self._reduce["near_mm"] = NEAR_MM
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
@@ -100,7 +103,7 @@ class TiledDepthRenderer:
         """Render and reduce on the device.
 
         Args:
-            transforms: (N, B, 3, 4) camera_T_rest of every bone, mm.
+            transforms: (N, B, 3, 4) rigid camera_T_rest of every bone, mm.
             camera: pinhole intrinsics.
             window: what the tiles and the observed image show.
             observed: (height, width) float32: depth of a target pixel, mm; negative where the reading
@@ -122,14 +125,21 @@ class TiledDepthRenderer:
         rows = np.empty((len(transforms), 4), dtype=np.float32)
         first = 0
         for part in self._passes(transforms, camera, window):
-            self._atlas.use(0)
-            self._observed.use(1)
-            self._sums.bind_to_storage_buffer(1)
-            self._reduce.run(len(part))
-            self._sums.read_into(self._rows, size=len(part) * 16)
-            rows[first : first + len(part)] = self._rows[: len(part)]
+            boxes = self._spheres.tile_boxes(part, window.tile_projection(camera), self.tile, NEAR_MM)
+            self._boxes.write(boxes)
+            rows[first : first + len(part)] = self._reduced(len(part))
             first += len(part)
         return TileSums.from_rows(rows, float(np.count_nonzero(observed > 0)))
+
+    def _reduced(self, count: int) -> Float32Array:
+        """The sums (count, 4) of the tiles that are drawn."""
+        self._atlas.use(0)
+        self._observed.use(1)
+        self._sums.bind_to_storage_buffer(1)
+        self._boxes.bind_to_storage_buffer(3)
+        self._reduce.run(count)
+        self._sums.read_into(self._rows, size=count * 16)
+        return self._rows[:count]
 
     def _passes(self, transforms: Float32Array, camera: Camera, window: Window) -> Any:
         """Draw the tiles, as many a time as the atlas holds; yield each part once it is drawn."""

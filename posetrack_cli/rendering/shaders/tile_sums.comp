@@ -8,8 +8,10 @@ layout(binding = 0) uniform sampler2D atlas;      // near / z, 0 where nothing i
 layout(binding = 1) uniform sampler2D observed;   // z of a target pixel, < 0 other reading, 0 no reading
 layout(std430, binding = 1) writeonly buffer Sums { vec4 sums[]; };
 
+layout(std430, binding = 3) readonly buffer Boxes { ivec4 boxes[]; };  // what a tile's mesh can cover
+
 uniform ivec2 tile_size;
-uniform ivec2 grid;
+uniform int columns;  // of tiles in the atlas
 uniform float near_mm;
 uniform float clamp_mm;
 
@@ -18,11 +20,13 @@ shared vec4 partial[LANES];
 void main() {
     int tile = int(gl_WorkGroupID.x);
     int lane = int(gl_LocalInvocationIndex);
-    ivec2 corner = ivec2(tile % grid.x, tile / grid.x) * tile_size;
+    ivec2 corner = ivec2(tile % columns, tile / columns) * tile_size;
+    ivec4 box = boxes[tile];
+    int width = max(box.z - box.x, 0);
+    int pixels = width * max(box.w - box.y, 0);
     vec4 sum = vec4(0.0);
-    int pixels = tile_size.x * tile_size.y;
     for (int i = lane; i < pixels; i += LANES) {
-        ivec2 at = ivec2(i % tile_size.x, i / tile_size.x);
+        ivec2 at = box.xy + ivec2(i % width, i / width);
         float inverse = texelFetch(atlas, corner + at, 0).x;
         if (inverse > 0.0) {
             float y = texelFetch(observed, at, 0).x;
