@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -68,7 +69,7 @@ def test_one_schema_per_type_and_a_fixed_library(tmp_path: Path) -> None:
         "posetrack.values",
     ]
     with path.open("rb") as stream:
-        assert make_reader(stream).get_header().library == LIBRARY
+        assert asdict(make_reader(stream).get_header())["library"] == LIBRARY
 
 
 def test_channel_without_schema(tmp_path: Path) -> None:
