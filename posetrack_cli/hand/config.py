@@ -45,7 +45,8 @@ class MotionSettings(Settings):
     """Noise densities of eq. (44): standard deviations after one second of random walk.
 
     ``pose`` is the square root of Q^n, ``velocity`` that of Q^l (per second). ``pose_alone`` replaces
-    ``pose`` when there is no velocity, which then has to explain all motion.
+    ``pose`` when there is no velocity, which then has to explain all motion. ``gap_max_s`` is the longest
+    time without an observation that is predicted, and counts for all longer ones **[ours]**.
     """
 
     pose: ComponentSettings = ComponentSettings(

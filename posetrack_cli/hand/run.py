@@ -257,7 +257,7 @@ def _checkpoint(state: HandState | None, rng: np.random.Generator, index: int, f
     record: dict[str, Any] = {"rng": rng.bit_generator.state}
     if state is None:
         return Checkpoint(index, frames, {}, record)
-    record |= {"stamp_ns": state.stamp_ns, "misses": state.misses}
+    record |= {"stamp_ns": state.stamp_ns, "misses": state.misses, "unseen_ns": state.unseen_ns}
     return Checkpoint(index, frames, state_arrays(state), record)
 
 
@@ -268,5 +268,6 @@ def _restored(
     rng.bit_generator.state = record["rng"]
     if not checkpoint.arrays:
         return None, rng, checkpoint.frame_index
-    state = state_from_arrays(checkpoint.arrays, record["stamp_ns"], record["misses"])
+    counted = (record[name] for name in ("stamp_ns", "misses", "unseen_ns"))
+    state = state_from_arrays(checkpoint.arrays, *counted)
     return state, rng, checkpoint.frame_index

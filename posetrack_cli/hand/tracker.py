@@ -9,11 +9,13 @@ from typing import TypeAlias
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
 from posetrack_cli.filtering.model import Dynamics, LogLikelihood
 from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
-from posetrack_cli.filtering.posterior import Posterior
+from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_moments
 from posetrack_cli.filtering.resampling import Resampling
+from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
@@ -37,8 +39,9 @@ class HandState:
         particles: the filter's state.
         stamp_ns: of the last frame.
         pose: (22,) last estimate.
-        velocity: (21,) last estimate of the tangent velocity.
+        velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         misses: frames in a row without confidence.
+        unseen_ns: time since the last frame in which there was something to compare with.
     """
 
     particles: FilterState
@@ -46,6 +49,7 @@ class HandState:
     pose: FloatArray
     velocity: FloatArray
     misses: int = 0
+    unseen_ns: int = 0
 
 
 class HandTracker:
@@ -79,18 +83,34 @@ class HandTracker:
         return HandState(particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros_like(spread))
 
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
-        """Advance by one frame.
+        """Advance by one frame; the state given is left as it is.
+
+        The confidence is 1 - D / c_max of the estimate's own cost D. **[ours]** No gap counts for longer than
+        ``gap_max_s``, whether frames are missing or have nothing to compare with: the velocity's random walk
+        would else spread the hand over metres. Particles then stay where they are until something is seen.
+
+        Args:
+            state: after the frame before.
+            frame: depth, mm.
+            rng: source of randomness.
 
         Raises:
             FilterError: stamps do not increase.
         """
-        dt = min((frame.stamp_ns - state.stamp_ns) * 1e-9, self.config.motion.gap_max_s)
+        elapsed_ns = frame.stamp_ns - state.stamp_ns
+        check_time_step(elapsed_ns * 1e-9)
+        dt = min(elapsed_ns * 1e-9, self.config.motion.gap_max_s)
         observation = self.observe(frame.depth, self.predict(state, dt))
+        seen = observation.target_pixels > 0
+        if not seen:
+            dt = min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9)
         particles, posterior = self._filter(state.particles, dt, self._log_likelihood(observation), rng)
         cost = self._cost_of(posterior.pose, observation)
         confidence = 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
         misses = state.misses + 1 if confidence < self.config.status.lost_below else 0
-        following = HandState(particles, frame.stamp_ns, posterior.pose, posterior.velocity, misses)
+        unseen_ns = 0 if seen else state.unseen_ns + elapsed_ns
+        pose, velocity = posterior.pose, posterior.velocity
+        following = HandState(particles, frame.stamp_ns, pose, velocity, misses, unseen_ns)
         lost = cost is None or misses >= self.config.status.lost_after_frames
         return following, self._estimate(frame, posterior, cost, confidence, lost)
 
@@ -119,10 +139,19 @@ class HandTracker:
     def _filter(
         self, particles: FilterState, dt: float, score: LogLikelihood | None, rng: np.random.Generator
     ) -> tuple[FilterState, Posterior]:
+        if dt <= 0.0:
+            return particles, self._standing_still(particles)
         common = (dt, self._dynamics, self._space, score, self._resampling, rng)
         if isinstance(particles, MarginalState):
             return marginal_step(particles, *common, proposal=self.config.filter.proposal)
         return particle_step(particles, *common)
+
+    def _standing_still(self, particles: FilterState) -> Posterior:
+        """What is known of the hand when neither time nor an observation moves it."""
+        weighing, velocity = weigh(particles.log_weights, particles.poses, None), None
+        if isinstance(particles, MarginalState):
+            velocity = velocity_moments(particles.velocities, particles.velocity_variance, weighing.weights)
+        return summarise(self._space, particles.poses, velocity, weighing, resampled=False)
 
     def _cost_of(self, pose: FloatArray, observation: Observation) -> float | None:
         if observation.target_pixels == 0:
@@ -174,12 +203,14 @@ def state_arrays(state: HandState) -> dict[str, FloatArray]:
     return arrays
 
 
-def state_from_arrays(arrays: Mapping[str, FloatArray], stamp_ns: int, misses: int) -> HandState:
-    """The state that ``state_arrays`` took apart."""
+def state_from_arrays(
+    arrays: Mapping[str, FloatArray], stamp_ns: int, misses: int, unseen_ns: int
+) -> HandState:
+    """The state that ``state_arrays`` took apart, with the numbers that are no arrays."""
     poses, log_weights = arrays["particles_poses"], arrays["particles_log_weights"]
     particles: FilterState = ParticleState(poses, log_weights)
     if "particles_velocities" in arrays:
         particles = MarginalState(
             poses, arrays["particles_velocities"], arrays["particles_velocity_variance"], log_weights
         )
-    return HandState(particles, stamp_ns, arrays["pose"], arrays["velocity"], misses)
+    return HandState(particles, stamp_ns, arrays["pose"], arrays["velocity"], misses, unseen_ns)

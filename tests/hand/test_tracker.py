@@ -156,9 +156,44 @@ def test_a_long_gap_counts_as_the_longest_allowed() -> None:
     assert (unlimited.pose_variance[:3] > 2.0 * first.pose_variance[:3]).all()
 
 
+@both_filters
+def test_ten_seconds_without_an_observation_are_no_worse_than_the_longest_gap(kind: str) -> None:
+    class Moving(DistanceScorer):
+        def costs(self, poses: np.ndarray, observation: Observation) -> np.ndarray:
+            self.target = START[:3] + 8.0 * (len(self.asked) // 2) * np.eye(3)[0]  # 240 mm/s
+            return super().costs(poses, observation)
+
+    frames = [seen(k) for k in range(15)] + [blank(k) for k in range(15, 315)] + [seen(315)]
+    _, estimates = run(tracker_with(Moving(START[:3]), kind), frames)
+    last_seen, held, again = estimates[14], estimates[50:315], estimates[315]
+    assert {str(e.status) for e in held} == {"lost"}
+    gap_max_s, noise = configured().motion.gap_max_s, configured().motion
+    # over the longest gap: the velocity goes on, and wanders by sd v t^1.5 / sqrt(3); mean of 64 particles
+    wander = noise.velocity.position_mm * gap_max_s**1.5 / np.sqrt(3.0) + noise.pose_alone.position_mm
+    most = (np.linalg.norm(last_seen.twist[:3]) + 300.0) * gap_max_s + 4.0 * wander / np.sqrt(64)
+    for estimate in held:
+        assert all(np.isfinite(values).all() for values in (estimate.points, estimate.pose_rate))
+        assert np.linalg.norm(estimate.position - last_seen.position) < most
+        np.testing.assert_allclose(estimate.position, held[0].position, atol=1e-9)
+        np.testing.assert_allclose(estimate.pose_variance, held[0].pose_variance, rtol=1e-9)
+    # what is seen again is weighed as after any gap, and its step has the noise of one frame
+    assert again.cost is not None
+    assert np.abs(again.position - held[-1].position).max() < 2.0 * most
+
+
+def test_the_gap_starts_anew_with_every_observation() -> None:
+    frames = [seen(0), *(blank(k) for k in range(1, 6)), seen(6), *(blank(k) for k in range(7, 12))]
+    tracker = tracker_with(DistanceScorer(START[:3]), motion={"gap_max_s": 3 * FRAME_NS * 1e-9})
+    _, estimates = run(tracker, frames)
+    moves = [not np.allclose(b.position, a.position) for a, b in itertools.pairwise(estimates)]
+    assert moves == [True, True, True, False, False, True, True, True, True, False, False]
+
+
 def test_stamps_must_increase() -> None:
     with pytest.raises(FilterError, match="time does not move forward"):
         run(tracker_with(DistanceScorer(START[:3])), [seen(0), seen(1, stamp_ns=0)])
+    with pytest.raises(FilterError, match="time does not move forward"):  # also when nothing moves any more
+        run(tracker_with(DistanceScorer(START[:3])), [seen(0), *map(blank, range(1, 40)), blank(3)])
 
 
 @both_filters
@@ -204,7 +239,7 @@ def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(kind: str) -> N
     state, _ = run(tracker, [seen(k) for k in range(4)])
     assert state.misses > 0
     arrays = {name: array.copy() for name, array in state_arrays(state).items()}
-    restored = state_from_arrays(arrays, state.stamp_ns, state.misses)
+    restored = state_from_arrays(arrays, state.stamp_ns, state.misses, state.unseen_ns)
     np.testing.assert_array_equal(restored.velocity, state.velocity)
     np.testing.assert_array_equal(restored.pose, state.pose)
     for k in range(4, 7):
