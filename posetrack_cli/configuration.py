@@ -9,15 +9,48 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from posetrack_cli.errors import UsageError, nearest_name
 
+# What pydantic calls an error, and what we say was expected; {names} are of the error's context.
+_EXPECTED = {
+    "int_parsing": "a whole number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "{ge:g} or more",
+    "less_than": "less than {lt:g}",
+    "less_than_equal": "{le:g} or less",
+    "literal_error": "{expected}",
+    "string_type": "text",
+    "bool_parsing": "true or false",
+    "bool_type": "true or false",
+    "tuple_type": "a list of values",
+    "too_short": "{min_length} values",
+    "too_long": "{max_length} values",
+    "model_type": "a table of settings",
+}
+
 
 class Settings(BaseModel):
-    """Base of all configuration tables."""
+    """Base of all configuration tables: frozen, no unknown keys, no NaN, no infinity, no true for 1."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_value_as_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """Pydantic takes true for 1; whoever writes ``particles = true`` does not mean one particle."""
+        kinds = _kinds(cls, str(info.field_name))
+        values = value if isinstance(value, list | tuple) else [value]
+        if bool not in kinds and any(isinstance(one, bool) for one in values):
+            raise PydanticCustomError("not_a_truth_value", "a value other than true or false")
+        return value
 
 
 Model = TypeVar("Model", bound=Settings)
@@ -117,7 +150,8 @@ def _put(values: dict[str, Any], keys: list[str], value: Any) -> None:
 
 def _explained(error: ValidationError, model: type[Settings], where: object) -> UsageError:
     """The first problem as one line."""
-    problem = error.errors(include_url=False)[0]
+    problems = error.errors(include_url=False)
+    problem = problems[0]
     location = [str(part) for part in problem["loc"]]
     key = ".".join(location)
     if problem["type"] == "extra_forbidden":
@@ -125,19 +159,39 @@ def _explained(error: ValidationError, model: type[Settings], where: object) -> 
         return UsageError(
             f"unknown configuration key '{key}'", where=where, hint=nearest_name(location[-1], known)
         )
-    return UsageError(
-        f"'{key}' cannot be used",
-        where=where,
-        found=repr(problem["input"]),
-        expected=problem["msg"].removeprefix("Input should be "),
-    )
+    if problem["type"] == "missing":
+        if isinstance(problem["loc"][-1], str):
+            return UsageError(f"'{key}' is missing", where=where)
+        key, expected = ".".join(location[:-1]), f"{_places(problems)} values"
+    else:
+        expected = _expected(problem)
+    return UsageError(f"'{key}' cannot be used", where=where, found=repr(problem["input"]), expected=expected)
+
+
+def _places(problems: list[ErrorDetails]) -> int:
+    """How many values a list must have that is too short; the first problem is about it."""
+    row = problems[0]["loc"][:-1]
+    missing = [p["loc"][-1] for p in problems if p["type"] == "missing" and p["loc"][:-1] == row]
+    return 1 + max(place for place in missing if isinstance(place, int))
+
+
+def _expected(problem: ErrorDetails) -> str:
+    """What should have been there, in plain words."""
+    if problem["type"] not in _EXPECTED:
+        return problem["msg"].removeprefix("Input should be ")
+    return _EXPECTED[problem["type"]].format(**problem.get("ctx", {}))
+
+
+def _kinds(model: type[BaseModel], name: str) -> tuple[Any, ...]:
+    """The type of a field, and what it is made of: ``int | None`` gives itself, int and None."""
+    field = model.model_fields.get(name)
+    return () if field is None else (field.annotation, *get_args(field.annotation))
 
 
 def _fields_at(model: type[BaseModel], location: list[str]) -> list[str]:
     """Names of the keys in the table at a location."""
     for part in location:
-        field = model.model_fields.get(part)
-        kinds = () if field is None else (field.annotation, *get_args(field.annotation))
+        kinds = _kinds(model, part)
         tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
         if not tables:
             return []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from pydantic import Field, ValidationError
@@ -66,15 +66,88 @@ def test_frozen_and_finite() -> None:
         ("[filter]\npartcles = 3", "unknown configuration key 'filter.partcles'; did you mean 'particles'?"),
         ("[other]\nspred_mm = 3", "unknown configuration key 'other.spred_mm'; did you mean 'spread_mm'?"),
         ("[filter]\nzzz = 3", "unknown configuration key 'filter.zzz'; known: particles, spread_mm"),
-        ("[filter]\nparticles = 'many'", "'filter.particles' cannot be used, found 'many', expected "),
-        ("[filter]\nparticles = 0", "'filter.particles' cannot be used, found 0, expected "),
-        ("filter = 3", "'filter' cannot be used, found 3, expected "),
+        ("filter = 3", "'filter' cannot be used, found 3, expected a table of settings"),
+        ("filter = true", "'filter' cannot be used, found True, expected "),
         ("filter = ", "not a TOML file, found "),
     ],
 )
 def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
     path = written(tmp_path, text)
     assert failure(path).startswith(f"{path}: {message}")
+
+
+class Every(Settings):
+    """One field of each kind that configurations have."""
+
+    count: Annotated[int, Field(ge=1)] = 1
+    size_mm: Annotated[float, Field(gt=0.0)] = 1.0
+    share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+    below: Annotated[float, Field(lt=2.5)] = 0.5
+    window_px: Annotated[int, Field(ge=8, le=4096)] | None = None
+    kind: Literal["rbpf", "pf"] = "pf"
+    name: str = ""
+    switch: bool = False
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angles: Annotated[tuple[float, ...], Field(min_length=2, max_length=2)] = (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("count", "many", "a whole number"),
+        ("count", 2.5, "a whole number"),
+        ("count", [1], "a whole number"),
+        ("count", 0, "1 or more"),
+        ("size_mm", "wide", "a number"),
+        ("size_mm", {}, "a number"),
+        ("size_mm", 0.0, "more than 0"),
+        ("size_mm", float("inf"), "a finite number"),
+        ("share", 1.5, "1 or less"),
+        ("below", 2.5, "less than 2.5"),
+        ("window_px", 4097, "4096 or less"),
+        ("window_px", "x", "a whole number"),
+        ("kind", "kf", "'rbpf' or 'pf'"),
+        ("name", 3, "text"),
+        ("switch", "perhaps", "true or false"),
+        ("switch", [], "true or false"),
+        ("point", 3.0, "a list of values"),
+        ("point", [], "3 values"),
+        ("point", [1.0, 2.0], "3 values"),
+        ("point", [1.0, 2.0, 3.0, 4.0], "3 values"),
+        ("angles", [1.0], "2 values"),
+        ("angles", [1.0, 2.0, 3.0], "2 values"),
+        ("count", True, "a value other than true or false"),
+        ("size_mm", False, "a value other than true or false"),
+        ("window_px", True, "a value other than true or false"),
+        ("point", [True, 2.0, 3.0], "a value other than true or false"),
+    ],
+)
+def test_what_was_expected_is_said_in_plain_words(key: str, value: object, expected: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        validated(Every, {key: value}, "options")
+    line = f"options: '{key}' cannot be used, found {value!r}, expected {expected}"
+    assert str(caught.value) == line
+
+
+def test_one_value_of_a_list_is_named_by_its_place() -> None:
+    with pytest.raises(
+        UsageError, match=r"^options: 'point.1' cannot be used, found 'x', expected a number$"
+    ):
+        validated(Every, {"point": [1.0, "x", 2.0]}, "options")
+
+
+def test_a_key_without_a_default_is_missing() -> None:
+    class Needed(Settings):
+        position_mm: tuple[float, float, float]
+
+    with pytest.raises(UsageError, match=r"^options: 'position_mm' is missing$"):
+        validated(Needed, {}, "options")
+
+
+def test_what_can_be_meant_is_taken() -> None:
+    given = {"count": 2.0, "size_mm": "3", "switch": True, "point": [1, 2, 3], "name": "true"}
+    expected = Every(count=2, size_mm=3.0, switch=True, point=(1.0, 2.0, 3.0), name="true")
+    assert validated(Every, given, "options") == expected
 
 
 def test_mistakes_in_options(tmp_path: Path) -> None:

@@ -109,7 +109,14 @@ def _parse(path: Path) -> dict[str, Any]:
         parsed = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError) as error:
         raise UsageError("start pose cannot be read", where=path, found=error) from error
-    return parsed if isinstance(parsed, dict) else {"": parsed}
+    if not isinstance(parsed, dict):
+        raise UsageError(
+            "start pose cannot be used",
+            where=path,
+            found=repr(parsed),
+            expected="an object with position_mm, quaternion_xyzw and angles_rad",
+        )
+    return parsed
 
 
 def _first_pose(path: Path) -> FloatArray:

@@ -100,8 +100,10 @@ def test_a_pose_from_toml_or_json(tmp_path: Path) -> None:
     [
         ("a.json", "{", "start pose cannot be read, found "),
         ("a.toml", "position_mm = ", "start pose cannot be read, found "),
-        ("a.json", "[1, 2]", "'position_mm' cannot be used"),
-        ("a.toml", "angles_rad = []", "'position_mm' cannot be used"),
+        ("a.json", "[1, 2]", "start pose cannot be used, found [1, 2], expected an object with position_mm"),
+        ("a.json", "7", "start pose cannot be used, found 7, expected an object with position_mm"),
+        ("a.toml", "angles_rad = []", "'position_mm' is missing"),
+        ("a.toml", "position_mm = [1, 2]", "'position_mm' cannot be used, found [1, 2], expected 3 values"),
         ("a.toml", as_toml({**POSE, "angles_rad": [0.0] * 14}), "'angles_rad' cannot be used"),
         ("a.toml", as_toml({**POSE, "quaternion_xyzw": [0.0] * 4}), "'quaternion_xyzw' cannot be used"),
         ("a.toml", as_toml(POSE) + "\npositon = [1]", "unknown configuration key 'positon'; did you mean"),
