@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import click
@@ -24,6 +25,7 @@ LIBRARIES = (
     "protobuf",
     "pydantic",
     "click",
+    "tqdm",
 )
 
 
@@ -33,12 +35,12 @@ LIBRARIES = (
 def doctor(device: int | None, particles: int) -> None:
     """Tell which OpenGL renderer is used, how fast it scores particles, and what is missing if none works."""
     _print_versions()
-    default_works = _check("default" if device is None else f"device {device}", device, particles)
-    if device is None:
-        for number in range(MOST_DEVICES):
-            if not _check(f"device {number}", number, particles, quiet=True):
-                break
-    if not default_works:
+    works = _check("default" if device is None else f"device {device}", device, particles)
+    numbers = _working_devices() if device is None else []
+    if len(numbers) > 1 or not works:  # the only device is the default one, told already
+        for number in numbers:
+            _check(f"device {number}", number, particles)
+    if not works:
         click.get_current_context().exit(EXIT_FAILED)
 
 
@@ -56,22 +58,34 @@ def _print_versions() -> None:
             click.echo(f"  {name} is missing: install posetrack again with pip")
 
 
-def _check(label: str, device: int | None, particles: int, *, quiet: bool = False) -> bool:
-    """Print what a device draws with and how fast; say what is missing if it does not, unless quiet."""
+def _working_devices() -> list[int]:
+    """Numbers of the EGL devices that open; one that does not may lie between others that do."""
+    from posetrack_cli.rendering.context import open_context
+
+    numbers = []
+    for number in range(MOST_DEVICES):
+        with suppress(PosetrackError):
+            open_context(number).release()
+            numbers.append(number)
+    return numbers
+
+
+def _check(label: str, device: int | None, particles: int) -> bool:
+    """Print what a device draws with and how fast; say what is missing if it does not."""
     from posetrack_cli.rendering.context import describe, open_context
 
     try:
-        context = open_context(device)
-        times = _scoring_times(context, particles)
+        with ExitStack() as stack:
+            context = open_context(device)
+            stack.callback(context.release)
+            name, times = describe(context), _scoring_times(context, particles)
     except PosetrackError as error:
-        if not quiet:
-            click.echo(f"OpenGL {label}: does not work")
-            click.echo(f"posetrack: {error}", err=True)
+        click.echo(f"OpenGL {label}: does not work")
+        click.echo(f"posetrack: {error}", err=True)
         return False
-    click.echo(f"OpenGL {label}: {describe(context)}")
+    click.echo(f"OpenGL {label}: {name}")
     for tile, milliseconds in times.items():
         click.echo(f"  {particles} particles, {tile}x{tile} pixels each: {milliseconds:.1f} ms")
-    context.release()
     return True
 
 

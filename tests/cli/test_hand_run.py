@@ -428,12 +428,6 @@ def test_wrong_start_file(recording: Path, tmp_path: Path, capsys: pytest.Captur
     assert "none.toml" in one_line(capsys)
 
 
-def test_doctor_names_the_renderer(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["doctor", "--particles", "16"]) == 0
-    out = capsys.readouterr().out
-    assert "OpenGL default: " in out and "16 particles, 64x64 pixels each" in out
-
-
 KINECT = Path(__file__).parents[3] / "shared" / "data" / "kinect2-hand"
 
 

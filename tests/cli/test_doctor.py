@@ -1,0 +1,109 @@
+"""``posetrack doctor``: each renderer once, and what is missing if there is none."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from posetrack_cli.cli.doctor import LIBRARIES
+from posetrack_cli.cli.main import run
+from posetrack_cli.errors import RenderingError
+from posetrack_cli.rendering import context as contexts
+
+SMALL = ["doctor", "--particles", "16"]
+
+
+class FakeContext:
+    """Knows its name; counts how many are open."""
+
+    opened = 0
+
+    def __init__(self, device: int | None) -> None:
+        name = "default" if device is None else f"card {device}"
+        self.info = {"GL_RENDERER": name, "GL_VENDOR": "nobody", "GL_VERSION": "4.5"}
+        FakeContext.opened += 1
+
+    def release(self) -> None:
+        FakeContext.opened -= 1
+
+
+def with_devices(monkeypatch: pytest.MonkeyPatch, numbers: set[int], default: bool = True) -> None:
+    """Let EGL have these devices, and a default one or not."""
+
+    def open_fake(device: int | None = None) -> Any:
+        if device in numbers or (device is None and default):
+            return FakeContext(device)
+        raise RenderingError("no headless context", where=f"OpenGL device {device}")
+
+    monkeypatch.setattr(contexts, "open_context", open_fake)
+    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", lambda context, particles: {64: 1.0})
+
+
+def drawn_with(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    out = capsys.readouterr().out
+    return [line.removeprefix("OpenGL ") for line in out.splitlines() if line.startswith("OpenGL ")]
+
+
+def test_names_and_measures_the_real_renderer(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(SMALL) == 0
+    out = capsys.readouterr().out
+    assert "OpenGL default: " in out and "16 particles, 64x64 pixels each" in out
+
+
+def test_every_library_that_posetrack_needs_is_told() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    assert {re.split("[<>=]", name)[0] for name in project["dependencies"]} == set(LIBRARIES)
+
+
+def test_a_single_device_is_told_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_devices(monkeypatch, {0})
+    assert run(SMALL) == 0
+    assert drawn_with(capsys) == ["default: default, OpenGL 4.5"]
+    assert FakeContext.opened == 0
+
+
+def test_several_devices_are_all_told_also_beyond_one_that_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_devices(monkeypatch, {0, 2})
+    assert run(SMALL) == 0
+    assert [line.split(",")[0] for line in drawn_with(capsys)] == [
+        "default: default",
+        "device 0: card 0",
+        "device 2: card 2",
+    ]
+
+
+def test_one_device_can_be_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_devices(monkeypatch, {0, 1})
+    assert run([*SMALL, "--device", "1"]) == 0
+    assert drawn_with(capsys) == ["device 1: card 1, OpenGL 4.5"]
+
+
+def test_a_device_that_works_is_told_when_the_default_does_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_devices(monkeypatch, {1}, default=False)
+    assert run(SMALL) == 1
+    assert drawn_with(capsys) == ["default: does not work", "device 1: card 1, OpenGL 4.5"]
+
+
+def test_a_context_is_released_when_measuring_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(context: Any, particles: int) -> dict[int, float]:
+        raise RenderingError("tile is too large for this GL")
+
+    with_devices(monkeypatch, {0})
+    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", fail)
+    assert run([*SMALL, "--device", "0"]) == 1
+    assert FakeContext.opened == 0
+    assert drawn_with(capsys) == ["device 0: does not work"]
