@@ -14,7 +14,7 @@ from posetrack_cli.results.reader import load_arrays, read_result
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """Distances between estimated and true joints, frame by frame.
+    """Euclidean distances between estimated and true joints, frame by frame.
 
     Attributes:
         distances_mm: (frames, joints), of the frames that have a truth of the same stamp.
@@ -40,10 +40,15 @@ def joint_errors(path: Path) -> JointErrors:
     """Compare a result's joints with ``/truth/<subject>/estimate`` at equal stamps.
 
     Raises:
-        ResultError: the result carries no truth, or none at any of its stamps.
+        ResultError: the result carries no truth, none at any of its stamps, or one of other joints.
     """
     topic = f"/truth/{read_result(path).subject.name}/estimate"
     estimated, true = load_arrays(path), load_arrays(path, topic)
+    joints, true_joints = estimated["points"].shape[1], true["points"].shape[1]
+    if joints != true_joints:
+        raise ResultError(
+            "truth has other joints", where=f"{path}, {topic}", found=true_joints, expected=joints
+        )
     _, mine, theirs = np.intersect1d(estimated["stamp_ns"], true["stamp_ns"], return_indices=True)
     if not mine.size:
         raise ResultError("no truth at any of the stamps", where=f"{path}, {topic}")
