@@ -184,7 +184,7 @@ class TiledDepthRenderer:
 
 
 def _grid(context: Any, tile: tuple[int, int], most: int) -> tuple[int, int]:
-    """Columns and rows of tiles: no more than asked for, than the budget, than a texture may have."""
+    """Columns and rows of tiles: as many as asked for, within the budget and what a texture may have."""
     width, height = tile
     largest = min(context.info["GL_MAX_TEXTURE_SIZE"], 16384)
     if max(width, height) > largest:
@@ -192,7 +192,8 @@ def _grid(context: Any, tile: tuple[int, int], most: int) -> tuple[int, int]:
             "tile is too large for this GL", found=tile, expected=f"at most {largest} pixels"
         )
     count = max(1, min(most, ATLAS_PIXELS // (width * height)))
-    columns = min(2 ** round(np.log2(np.sqrt(count * height / width)) + 0.49), count, largest // width)
+    square = np.log2(np.sqrt(count * height / width))
+    columns = min(2 ** max(0, round(square + 0.49)), count, largest // width)
     return columns, min(-(-count // columns), largest // height)
 
 

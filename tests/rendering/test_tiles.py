@@ -184,6 +184,15 @@ def test_a_thousand_flat_tiles_are_drawn_alike(context: Any) -> None:
     np.testing.assert_allclose(depth, np.broadcast_to(depth[0], depth.shape), atol=DEPTH_MM)
 
 
+@pytest.mark.parametrize("tile", [(512, 64), (1000, 1), (64, 512)])
+def test_a_single_long_tile(context: Any, tile: tuple[int, int]) -> None:
+    drawing = TiledDepthRenderer(context, sphere(50.0, 1), tile, 1)
+    assert drawing.grid == (1, 1)
+    centre = Window.around(np.array([CAMERA.cx, CAMERA.cy]), 1, 1)
+    seen = Window(centre.left - tile[0] // 2, centre.top - tile[1] // 2, 1, *tile)
+    assert drawing.depth(moved((0, 0, 400)), CAMERA, seen)[0, tile[1] // 2, tile[0] // 2] > 0
+
+
 def test_drawing_twice_gives_the_same_bytes(context: Any, hands: np.ndarray) -> None:
     drawing = renderer(context, 64)
     image = observed_image(drawing.depth(hands[:1], KINECT, window())[0])
