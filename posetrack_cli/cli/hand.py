@@ -12,7 +12,7 @@ import click
 
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.hand.config import HandConfig
@@ -95,7 +95,7 @@ def hand_run(recording: Path, **options: Any) -> None:
 
 def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None]:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.hand.run import HandRun, RunOptions
+    from posetrack_cli.hand.run import HandRun, RunOptions, frames_ahead
     from posetrack_cli.recording.opening import open_recording
     from posetrack_cli.rendering.context import open_context
 
@@ -103,12 +103,8 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     source = open_recording(recording, **opening_arguments(options))
     names = ("output", "seed", "init", "start", "end", "stride", "resume", "overwrite", "timings")
     run_options = RunOptions(**{name: options[name] for name in names})
-    context = open_context(options["device"])
-    total = source.frame_count
-    if total is not None:
-        end = total if options["end"] is None else min(total, options["end"])
-        total = len(range(options["start"], end, options["stride"]))
-    return HandRun(source, config, run_options, context), total
+    run = HandRun(source, config, run_options, open_context(options["device"]))
+    return run, frames_ahead(source, run_options)
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:
@@ -158,14 +154,14 @@ def _progress(total: int | None) -> Iterator[Any]:
 
 @contextmanager
 def _kept(output: Path) -> Iterator[None]:
-    """When the run fails, say what of it can still be read."""
+    """When the run fails, say what of it can still be read; what is refused has tracked nothing."""
     from posetrack_cli.recording.output import part_path
 
     try:
         yield
-    except PosetrackError:
+    except PosetrackError as error:
         part = part_path(output)
-        if part.is_file():
+        if part.is_file() and not isinstance(error, UsageError):
             click.echo(f"kept: {part} holds what was tracked before (posetrack info reads it)", err=True)
         raise
 

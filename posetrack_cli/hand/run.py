@@ -88,10 +88,16 @@ class HandRun:
         config: parameters.
         options: the rest.
         context: GL context.
+
+    Raises:
+        UsageError: no frame to track, or no start pose in ``options.init``.
+        RenderingError: a window that this GL cannot draw.
     """
 
     def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
         self._recording, self._config, self._options = recording, config, options
+        if frames_ahead(recording, options) == 0:
+            raise self._nothing_to_track()  # before a file is made that would have to be overwritten
         hand = config.hand
         self._anatomy = make_anatomy(hand.side, hand.scale, hand.finger_lengths)
         self._camera = recording.cameras[0]
@@ -101,7 +107,8 @@ class HandRun:
         self.tracker = HandTracker(config, self._anatomy, self._camera, scorer)
         self._mesh = None if config.output.mesh == "none" else hand_mesh(self._anatomy, config.output.mesh)
         self._start_pose = None if options.init == INIT_CENTRE else read_pose(Path(options.init))
-        self._record = run_record(recording, self._camera, config, options, str(describe(context)))
+        renderer = str(describe(context))
+        self._record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
 
     def track(self, report: Report, stopped: Callable[[], bool] = lambda: False) -> RunOutcome:
@@ -198,14 +205,15 @@ class HandRun:
 
     def _finish(self, writer: ResultWriter) -> None:
         if writer.frames_written == 0:
-            raise UsageError(
-                "no frame to track",
-                where=self._recording.path,
-                found=f"{self._recording.frame_count} frames",
-                hint="check --start and --end",
-            )
+            raise self._nothing_to_track()
         losses = self._losses()
         writer.finish({"losses": loss_line(losses)} if losses else {})
+
+    def _nothing_to_track(self) -> UsageError:
+        count = self._recording.frame_count
+        found = "none that can be read" if count is None else f"{count} frames"
+        where, hint = self._recording.path, "check --start and --end"
+        return UsageError("no frame to track", where=where, found=found, hint=hint)
 
     def _outcome(self, writer: ResultWriter, tracked: int, began: float, *, stopped: bool) -> RunOutcome:
         seconds = time.perf_counter() - began
@@ -217,10 +225,33 @@ class HandRun:
         return Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
 
 
+def frames_ahead(recording: Recording, options: RunOptions) -> int | None:
+    """How many frames of the recording a run goes through, None when that shows only in reading it."""
+    count = recording.frame_count
+    if count is None:
+        return None
+    end = count if options.end is None else min(count, options.end)
+    return len(range(options.start, end, options.stride))
+
+
 def run_record(
-    recording: Recording, camera: Camera, config: HandConfig, options: RunOptions, renderer: str
+    recording: Recording,
+    camera: Camera,
+    config: HandConfig,
+    options: RunOptions,
+    renderer: str,
+    start_pose: FloatArray | None = None,
 ) -> dict[str, str]:
-    """What a result states about its run: everything that its bytes depend on, nothing else."""
+    """What a result states about its run: all that its bytes depend on but the machine, nothing else.
+
+    Args:
+        recording: its identity is stated, not its path.
+        camera: intrinsics that are used.
+        config: resolved, with the defaults.
+        options: frames, seed and start.
+        renderer: the driver's names.
+        start_pose: (22,) if it was read from a file; stated as ``init.pose``, for the file may change.
+    """
     camera_record = {
         name: getattr(camera, name)
         for name in ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion", "distortion_model")
@@ -237,6 +268,7 @@ def run_record(
         "timings": str(options.timings).lower(),
         "camera": json.dumps(camera_record),
         "renderer": renderer,
+        **({} if start_pose is None else {"init.pose": json.dumps(start_pose.tolist())}),
         **{f"input.{key}": value for key, value in recording.identity().items()},
     }
 

@@ -419,8 +419,20 @@ def test_no_gl(recording: Path, tmp_path: Path) -> None:
 
 
 def test_no_frame_in_the_range(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert track(recording, tmp_path / "r.mcap", "--start", "1000") == 2
-    assert "--start" in capsys.readouterr().err.splitlines()[-1]
+    for options in (["--start", "1000"], ["--start", "5", "--end", "5"]):
+        assert track(recording, tmp_path / "r.mcap", *options) == 2
+        line = one_line(capsys)
+        assert f"found {FRAMES} frames" in line and "--start" in line
+    assert not list(tmp_path.iterdir())  # nothing is left that a second try would have to overwrite
+
+
+def test_an_interrupted_run_is_not_replaced(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part_path(tmp_path / "r.mcap").touch()
+    state_path(tmp_path / "r.mcap").touch()
+    assert track(recording, tmp_path / "r.mcap") == 2
+    assert "--resume" in one_line(capsys)
 
 
 def test_wrong_start_file(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
