@@ -61,15 +61,12 @@ def _finger_chain(anatomy: HandAnatomy, angles: FloatArray) -> tuple[FloatArray,
     return values, ends
 
 
-def skinning_transforms(
-    anatomy: HandAnatomy, poses: FloatArray, out: Float32Array | None = None
-) -> Float32Array:
+def skinning_transforms(anatomy: HandAnatomy, poses: FloatArray) -> Float32Array:
     """camera_T_rest of every bone: takes a vertex of the rest mesh to camera coordinates.
 
     Args:
         anatomy: the hand.
         poses: (N, 22).
-        out: (N, 16, 3, 4) to write into.
 
     Returns:
         (N, 16, 3, 4), translations in mm: the palm, then three bones a finger, thumb first.
@@ -85,7 +82,7 @@ def skinning_transforms(
     palm = rotations.matrices_from_quaternions(poses[:, 3:7])
     posed = (palm @ bones.reshape(n, 3, 60)).reshape(n, 3, 15, 4)
     posed[..., 3] += poses[:, :3, None]
-    out = np.empty((n, BONE_COUNT, 3, 4), dtype=np.float32) if out is None else out
+    out = np.empty((n, BONE_COUNT, 3, 4), dtype=np.float32)
     out[:, 0, :, :3], out[:, 0, :, 3] = palm, poses[:, :3]
     out[:, 1:] = posed.transpose(0, 2, 1, 3)
     return out
