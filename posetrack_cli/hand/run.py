@@ -25,6 +25,7 @@ from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker, state_arrays, state_from_arrays
 from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
 from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.recording.output import check_output
 from posetrack_cli.rendering.context import describe
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
@@ -90,12 +91,13 @@ class HandRun:
         context: GL context.
 
     Raises:
-        UsageError: no frame to track, or no start pose in ``options.init``.
+        UsageError: the output may not be written, no frame to track, or no start pose in ``options.init``.
         RenderingError: a window that this GL cannot draw.
     """
 
     def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
         self._recording, self._config, self._options = recording, config, options
+        check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
         if frames_ahead(recording, options) == 0:
             raise self._nothing_to_track()  # before a file is made that would have to be overwritten
         hand = config.hand

@@ -14,22 +14,44 @@ def part_path(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
+def state_path(path: Path) -> Path:
+    """Return the name of the checkpoint of an interrupted run's result: NAME.part.state."""
+    return path.with_name(path.name + ".part.state")
+
+
 def check_output(out: Path, *, overwrite: bool, source: Path | None = None) -> None:
-    """Refuse an output that is not named ``*.mcap``, is the source itself, or may not be replaced.
+    """Refuse an output that cannot be written under this name, or would replace what it must not.
 
     Raises:
-        UsageError: says which.
+        UsageError: it is not named ``*.mcap``, is a folder, would be written over the source (under its own
+            name or as NAME.part), or a result or an interrupted run is there that may not be replaced.
+        ResultError: its folder does not exist.
     """
     if out.suffix != ".mcap":
         raise UsageError(
             "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
         )
-    if not out.exists():
-        return
-    if source is not None and out.samefile(source):
-        raise UsageError("output is the recording itself", where=out)
+    if not out.parent.is_dir():
+        raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}")
+    for written in (out, part_path(out)):
+        if source is not None and source.exists() and written.exists() and written.samefile(source):
+            raise UsageError("output would replace the recording", where=written, hint="choose another name")
+        if written.is_dir():
+            raise UsageError("output is a folder", where=written, expected="the name of a file")
     if not overwrite:
-        raise UsageError("exists already", where=out, hint="pass --overwrite to replace it")
+        check_free(out)
+
+
+def check_free(out: Path) -> None:
+    """Raise UsageError if writing here would replace a file or a run that can be resumed."""
+    if out.exists():
+        raise UsageError("exists already", where=out, hint="use --overwrite to replace it")
+    if state_path(out).exists():
+        raise UsageError(
+            "is of an interrupted run",
+            where=part_path(out),
+            hint="use --resume to go on with it or --overwrite to replace it",
+        )
 
 
 @contextmanager

@@ -14,7 +14,8 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.output import part_path
+from posetrack_cli.recording.output import check_free, part_path
+from posetrack_cli.recording.output import state_path as state_path  # part of this interface
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
@@ -24,11 +25,6 @@ from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_to_reco
 
 RUN_RECORD = "posetrack.run"
 SUMMARY_RECORD = "posetrack.summary"
-
-
-def state_path(path: Path) -> Path:
-    """Return the name of the checkpoint of an unfinished result: NAME.part.state."""
-    return part_path(path).with_name(part_path(path).name + ".state")
 
 
 class ResultWriter:
@@ -85,7 +81,7 @@ class ResultWriter:
         overwrite: bool = False,
     ) -> None:
         if not overwrite:
-            _check_free(path)
+            check_free(path)
         with _reported(path):
             state_path(path).unlink(missing_ok=True)  # it belongs to the file that is replaced now
         self._begin(path, part_path(path), subject, camera, run, flush_frames)
@@ -327,18 +323,6 @@ class ResultWriter:
 def _first_records(run: Mapping[str, str], subject: Subject) -> dict[str, Mapping[str, str]]:
     """Return the metadata that a result begins with; sorted, since the order is part of the bytes."""
     return {RUN_RECORD: dict(sorted(run.items())), SUBJECT_RECORD: subject_to_record(subject)}
-
-
-def _check_free(path: Path) -> None:
-    """Raise UsageError if writing here would replace a result or a run that can be resumed."""
-    if path.exists():
-        raise UsageError("exists already", where=path, hint="use --overwrite to replace it")
-    if state_path(path).exists():
-        raise UsageError(
-            "is of an interrupted run",
-            where=part_path(path),
-            hint="use --resume to go on with it or --overwrite to replace it",
-        )
 
 
 def _check_checkpoint(

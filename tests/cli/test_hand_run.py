@@ -366,6 +366,19 @@ def test_existing_output_is_not_replaced(
     assert track(recording, tmp_path / "r.mcap", "--end", "2", "--overwrite") == 0
 
 
+@pytest.mark.parametrize("name", ["hand.mcap", "./link.mcap"])
+def test_the_recording_is_never_replaced(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    source = tmp_path / "hand.mcap"
+    source.write_bytes(recording.read_bytes())
+    (tmp_path / "link.mcap").symlink_to(source)
+    assert track(source, tmp_path / name, "--overwrite") == 2
+    assert "would replace the recording" in one_line(capsys)
+    assert source.read_bytes() == recording.read_bytes()
+    assert not part_path(source).exists()
+
+
 def test_full_disk_keeps_what_was_flushed(recording: Path, result: Path, tmp_path: Path) -> None:
     output = tmp_path / "r.mcap"
     allowed = result.stat().st_size * 3 // 4
@@ -392,7 +405,7 @@ def test_unknown_configuration_key_names_the_nearest(
 
 
 def test_no_particles(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["hand", "run", str(recording), "-o", str(tmp_path / "r"), "--particles", "0"]) == 2
+    assert run(["hand", "run", str(recording), "-o", str(tmp_path / "r.mcap"), "--particles", "0"]) == 2
     assert "0 is not in the range" in capsys.readouterr().err
     (tmp_path / "c.toml").write_text("[filter]\nparticles = 0\n")
     arguments = [
@@ -400,7 +413,7 @@ def test_no_particles(recording: Path, tmp_path: Path, capsys: pytest.CaptureFix
         "run",
         str(recording),
         "-o",
-        str(tmp_path / "r"),
+        str(tmp_path / "r.mcap"),
         "--config",
         str(tmp_path / "c.toml"),
     ]
