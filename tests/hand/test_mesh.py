@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_support import REST, enclosed_volume, posed_from, random_poses
+from hand_support import REST, bent, enclosed_volume, posed_from, random_poses
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -132,8 +132,13 @@ def section_radius(mesh: SkinnedMesh, finger: int, bone: int, share: float) -> f
     faces = mesh.vertices[mesh.triangles]
     distance = bone_distances(faces.mean(axis=1)[None], joint_positions(RIGHT, REST[None]))[0]
     mine = distance.reshape(len(faces), 5, 4).min(axis=2).argmin(axis=1) == finger
+    return float(np.sqrt(section_area(faces[mine], centre, axis) / np.pi))
+
+
+def section_area(faces: np.ndarray, centre: np.ndarray, axis: np.ndarray) -> float:
+    """Area that triangles (T, 3, 3) enclose about a centre in the plane through it across an axis, mm^2."""
     area = 0.0
-    for corners in faces[mine] - centre:
+    for corners in faces - centre:
         height = corners @ axis
         cut = [
             corners[i] + height[i] / (height[i] - height[j]) * (corners[j] - corners[i])
@@ -142,7 +147,7 @@ def section_radius(mesh: SkinnedMesh, finger: int, bone: int, share: float) -> f
         ]
         if cut:
             area += 0.5 * abs(np.cross(*cut) @ axis)
-    return float(np.sqrt(area / np.pi))
+    return area
 
 
 @every_level
@@ -156,6 +161,49 @@ def test_fingers_are_as_thick_as_published(level: str, finger: int) -> None:
         if table[bone] is not None:
             about_mm = 1.3  # "about" in the table, and what a hexagon's sides lie inside the circle
             assert abs(section_radius(mesh, finger, bone, share) - table[bone]) < about_mm
+
+
+def bent_joint_2(mesh: SkinnedMesh, finger: int, angle: float) -> tuple[np.ndarray, float]:
+    """Vertices with a finger's joint 2 bent, and the area of the section that halves the angle, mm^2."""
+    name = FINGERS[finger]
+    pose = bent(**{f"{name}_{'mcp' if finger == 0 else 'pip'}_flexion": angle})[None]
+    vertices = posed(mesh, RIGHT, pose)[0]
+    chain = joint_positions(RIGHT, pose)[0, 1:].reshape(5, 4, 3)[finger]
+    near, far = (part / np.linalg.norm(part) for part in np.diff(chain, axis=0)[:2])
+    across = (near + far) / np.linalg.norm(near + far)
+    moves = mesh.weights[:, 1 + 3 * finger : 3 + 3 * finger]
+    mine = (moves.sum(axis=1) > 0.6)[mesh.triangles].all(axis=1)
+    return vertices, section_area(vertices[mesh.triangles[mine]], chain[1], across)
+
+
+@every_level
+@pytest.mark.parametrize("finger", range(5), ids=FINGERS)
+def test_a_bent_joint_neither_collapses_nor_tears(level: str, finger: int) -> None:
+    # at 90 deg the palmar skin of both sides meets in the plane that halves the angle: a crease, no section
+    mesh, angle = hand_mesh(RIGHT, level), np.deg2rad(74.0 if finger == 0 else 85.0)
+    rest, whole = bent_joint_2(mesh, finger, 0.0)
+    vertices, area = bent_joint_2(mesh, finger, angle)
+    # what two bones share half and half keeps cos(angle / 2) of its distance in the plane of the bend
+    assert area > 0.9 * np.cos(angle / 2) * whole
+    # no skin is pulled longer than the arc that the back of the finger, a radius away, goes round
+    edges = mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]]
+    lengths = [np.linalg.norm(v[edges[..., 0]] - v[edges[..., 1]], axis=-1) for v in (rest, vertices)]
+    assert (lengths[1] - lengths[0]).max() < angle * RIGHT.radii[finger, 1]
+
+
+@pytest.mark.parametrize("finger", range(5), ids=FINGERS)
+def test_the_rings_beside_a_bent_joint_keep_their_size(finger: int) -> None:
+    mesh, angle = hand_mesh(RIGHT), np.deg2rad(74.0 if finger == 0 else 90.0)
+    first, second = mesh.weights[:, 1 + 3 * finger], mesh.weights[:, 2 + 3 * finger]
+    for ring in (first == 0.75) & (second == 0.25), (first == 0.25) & (second == 0.75):
+        assert ring.sum() == 6
+        areas = []
+        for turn in (0.0, angle):
+            corners = bent_joint_2(mesh, finger, turn)[0][ring]
+            areas.append(0.5 * np.linalg.norm(np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)))
+        # |3/4 + 1/4 exp(i angle)| = .79 at 90 deg is what the blend leaves of the diameter in its plane
+        left = abs(0.75 + 0.25 * np.exp(1j * angle))
+        assert areas[1] > 0.95 * left * areas[0]
 
 
 @every_level
