@@ -77,7 +77,7 @@ def hand_mesh(anatomy: HandAnatomy, level: str = "lean") -> SkinnedMesh:
     """The skinned mesh of a hand in its rest pose, hand coordinates, mm, bound to its 16 bones.
 
     Args:
-        anatomy: the hand.
+        anatomy: of ``make_anatomy``: side, scale and segments are its own, the rest is the average hand's.
         level: ``lean`` (410 triangles, for the likelihood), ``medium`` (4 times) or ``fine`` (16 times).
     """
     right = _right_mesh(tuple(anatomy.segments.ravel() / anatomy.scale), level)
@@ -165,41 +165,36 @@ def _join_rows(builder: _Builder, rows: list[list[int]]) -> None:
 
 def _finger_bases(builder: _Builder, anatomy: HandAnatomy, last: list[int]) -> list[list[int]]:
     """Close the palm's front around four hexagons and return them, index finger first."""
-    corners = np.empty(
-        (4, 4), dtype=int
-    )  # per finger: dorsal near index, dorsal far, palmar far, palmar near
-    for f in range(4):
-        base, frame, radius = (
-            anatomy.base_positions[f + 1],
-            anatomy.base_rotations[f + 1],
-            anatomy.radii[f + 1, 0],
-        )
-        weights = {0: 0.5, 1 + 3 * (f + 1): 0.5}
-        for c, (x, z, forward) in enumerate(
-            ((0.5, 1.0, 4.0), (-0.5, 1.0, 4.0), (-0.5, -1.0, 18.0), (0.5, -1.0, 18.0))
-        ):
-            local = np.array([x * radius, -forward, z * radius * 0.98])
-            corners[f, c] = builder.vertex(base + frame @ local, weights)
+    corners = [_base_corners(builder, anatomy, f) for f in range(4)]
     webs = [_web(builder, anatomy, k) for k in range(5)]
-    dorsal = [0, 1, 2, 3, 4, 5, 6, 7]
-    palmar = [16, 15, 14, 13, 12, 11, 10, 9]
+    dorsal, palmar = last[:8], last[16:8:-1]  # two columns a finger, from the index finger's side
     for f in range(4):
         d0, d1, p0, p1 = dorsal[2 * f], dorsal[2 * f + 1], palmar[2 * f], palmar[2 * f + 1]
-        builder.quad(last[d0], last[d1], corners[f, 1], corners[f, 0])
-        builder.quad(last[p1], last[p0], corners[f, 3], corners[f, 2])
+        builder.quad(d0, d1, corners[f][1], corners[f][0])
+        builder.quad(p1, p0, corners[f][3], corners[f][2])
         if f < 3:
-            n0, m0 = dorsal[2 * f + 2], palmar[2 * f + 2]
-            builder.quad(last[d1], last[n0], corners[f + 1, 0], corners[f, 1])
-            builder.triangles.append((corners[f, 1], corners[f + 1, 0], webs[f + 1]))
-            builder.quad(last[m0], last[p1], corners[f, 2], corners[f + 1, 3])
-            builder.triangles.append((corners[f + 1, 3], corners[f, 2], webs[f + 1]))
-    builder.quad(last[_INDEX_SIDE], last[0], corners[0, 0], webs[0])
-    builder.quad(last[16], last[_INDEX_SIDE], webs[0], corners[0, 3])
-    builder.quad(last[7], last[_LITTLE_SIDE], webs[4], corners[3, 1])
-    builder.quad(last[_LITTLE_SIDE], last[9], corners[3, 2], webs[4])
+            here, there, web = corners[f], corners[f + 1], webs[f + 1]
+            builder.quad(d1, dorsal[2 * f + 2], there[0], here[1])
+            builder.triangles.append((here[1], there[0], web))
+            builder.quad(palmar[2 * f + 2], p1, here[2], there[3])
+            builder.triangles.append((there[3], here[2], web))
+    builder.quad(last[_INDEX_SIDE], dorsal[0], corners[0][0], webs[0])
+    builder.quad(palmar[0], last[_INDEX_SIDE], webs[0], corners[0][3])
+    builder.quad(dorsal[7], last[_LITTLE_SIDE], webs[4], corners[3][1])
+    builder.quad(last[_LITTLE_SIDE], palmar[7], corners[3][2], webs[4])
+    return [[webs[f], *corners[f][:2], webs[f + 1], *corners[f][2:]] for f in range(4)]
+
+
+def _base_corners(builder: _Builder, anatomy: HandAnatomy, f: int) -> list[int]:
+    """A finger's base: dorsal near the index finger, dorsal far, palmar far, palmar near."""
+    base, frame = anatomy.base_positions[f + 1], anatomy.base_rotations[f + 1]
+    radius = anatomy.radii[f + 1, 0]
+    weights = {0: 0.5, 1 + 3 * (f + 1): 0.5}
+    # x and z in radii, mm beyond the joint: the palm reaches farther along the finger than the back
+    table = ((0.5, 1.0, 4.0), (-0.5, 1.0, 4.0), (-0.5, -1.0, 18.0), (0.5, -1.0, 18.0))
     return [
-        [webs[f], int(corners[f, 0]), int(corners[f, 1]), webs[f + 1], int(corners[f, 2]), int(corners[f, 3])]
-        for f in range(4)
+        builder.vertex(base + frame @ np.array([x * radius, -forward, z * radius * 0.98]), weights)
+        for x, z, forward in table
     ]
 
 

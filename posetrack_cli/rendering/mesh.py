@@ -61,7 +61,7 @@ def joined(meshes: list[SkinnedMesh]) -> SkinnedMesh:
 
 
 def edges_of(triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Undirected edges (E, 2), and (T, 3) the edge opposite to each corner's successor: (ab, bc, ca)."""
+    """Undirected edges (E, 2), lower vertex first, and (T, 3) the edges ab, bc, ca of each triangle abc."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, index = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
     return edges, index.reshape(-1, 3)
