@@ -10,7 +10,7 @@ from hypothesis import settings
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.rendering.context import open_context
 
-# The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=random looks for new ones.
+# The same examples in every run: a red run means a change. HYPOTHESIS_PROFILE=random looks for new ones.
 settings.register_profile("same", derandomize=True)
 settings.register_profile("random", derandomize=False)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))

@@ -25,6 +25,8 @@ ROUNDING = 1e-9
 both = pytest.mark.parametrize("discretisation", DISCRETISATIONS)
 positive = arrays(np.float64, 3, elements=st.floats(1e-2, 1e3))
 time_steps = st.floats(5e-3, 0.5)
+# nothing, or so much that products of two are no subnormal numbers, which have fewer digits
+variances = st.one_of(st.just(0.0), st.floats(1e-100, 1e6))
 relaxed = settings(deadline=None, max_examples=100)
 
 
@@ -79,9 +81,9 @@ def test_gain_as_printed_makes_the_variance_negative(P: float, steps: int) -> No
 @both
 @relaxed
 @given(
-    P=arrays(np.float64, 3, elements=st.floats(0.0, 1e6)),
-    Qn=arrays(np.float64, 3, elements=st.floats(0.0, 1e6)),
-    Ql=arrays(np.float64, 3, elements=st.floats(0.0, 1e6)),
+    P=arrays(np.float64, 3, elements=variances),
+    Qn=arrays(np.float64, 3, elements=variances),
+    Ql=arrays(np.float64, 3, elements=variances),
     dt=st.floats(1e-6, 100.0),
 )
 def test_variance_stays_between_zero_and_what_was_there(
@@ -89,8 +91,7 @@ def test_variance_stays_between_zero_and_what_was_there(
 ) -> None:
     gain = velocity_gain(P, Qn, Ql, dt, discretisation)
     assert np.all(gain.variance >= 0.0)
-    smallest = 1e-300  # subnormal numbers have fewer digits
-    assert np.all(gain.variance <= (P + dt * Ql) * (1.0 + 1e-12) + smallest)
+    assert np.all(gain.variance <= (P + dt * Ql) * (1.0 + 1e-12))
     assert np.all(np.isfinite(gain.gain))
     assert np.all(gain.gain >= 0.0)
 
