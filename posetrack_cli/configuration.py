@@ -57,7 +57,7 @@ Model = TypeVar("Model", bound=Settings)
 
 
 def load_settings(model: type[Model], path: Path | None, options: Mapping[str, Any]) -> Model:
-    """Resolve a configuration.
+    """Resolve a configuration. A table that is given in part keeps the default's other values.
 
     Args:
         model: the configuration's type; its defaults come first.
@@ -71,7 +71,8 @@ def load_settings(model: type[Model], path: Path | None, options: Mapping[str, A
     for key, value in options.items():
         if value is not None:
             _put(values, key.split("."), value)
-    return validated(model, values, path or "options")
+    defaults = {name: field.default for name, field in model.model_fields.items()}
+    return validated(model, _filled_up(values, defaults), path or "options")
 
 
 def validated(model: type[Model], values: Mapping[str, Any], where: object) -> Model:
@@ -99,7 +100,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
             raise UsageError("not an assignment", where="--set", found=assignment, expected="KEY=VALUE")
         try:
             values[key.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (tomllib.TOMLDecodeError, RecursionError):
             values[key.strip()] = text.strip()
     return values
 
@@ -135,8 +136,18 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError("configuration cannot be read", where=path, found=error.strerror or error) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError("not a TOML file", where=path, found=error) from error
+
+
+def _filled_up(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Values whose tables have what they leave out from the default table of the same name."""
+    filled = dict(values)
+    for key, default in defaults.items():
+        if isinstance(default, BaseModel) and isinstance(values.get(key), dict):
+            table = dict(default)
+            filled[key] = table | _filled_up(values[key], table)
+    return filled
 
 
 def _put(values: dict[str, Any], keys: list[str], value: Any) -> None:

@@ -52,6 +52,28 @@ def test_defaults_then_file_then_options(tmp_path: Path) -> None:
     assert load_settings(Outer, path, options) == expected
 
 
+def test_a_table_given_in_part_keeps_the_other_defaults(tmp_path: Path) -> None:
+    """Also where the table's own fields have none: --set motion.pose.position_mm=50 sets any key."""
+    path = written(tmp_path, "[motion.pose]\nposition_mm = 30.0\n[init.spread]\nrotation_rad = 0.5\n")
+    config = load_settings(HandConfig, path, {"motion.pose.flexion_rad": 2.0, "motion.gap_max_s": 3.0})
+    default = HandConfig()
+    pose = default.motion.pose.model_copy(update={"position_mm": 30.0, "flexion_rad": 2.0})
+    spread = default.init.spread.model_copy(update={"rotation_rad": 0.5})
+    assert config.motion == default.motion.model_copy(update={"pose": pose, "gap_max_s": 3.0})
+    assert config.init == default.init.model_copy(update={"spread": spread})
+    with pytest.raises(UsageError, match=r"unknown configuration key 'motion.pose.flexion'"):
+        load_settings(HandConfig, None, {"motion.pose.flexion": 2.0})
+
+
+@pytest.mark.parametrize("value", [1e300, 1e-300, -1.0])
+@pytest.mark.parametrize(
+    "key", ["hand.scale", "observation.sigma_mm", "observation.clamp_mm", "init.depth_mm"]
+)
+def test_sizes_that_no_hand_or_camera_has_are_refused(key: str, value: float) -> None:
+    with pytest.raises(UsageError, match=rf"'{key}' cannot be used"):
+        load_settings(HandConfig, None, {key: value})
+
+
 def test_frozen_and_finite() -> None:
     with pytest.raises(ValidationError):
         Outer().name = "b"

@@ -8,8 +8,10 @@ from pydantic import Field
 
 from posetrack_cli.configuration import Settings
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+# Wider than any hand, camera or time, and narrow enough that no arithmetic on them overflows.
+Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
+Size = Annotated[float, Field(ge=0.1, le=10.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -17,15 +19,15 @@ class HandSettings(Settings):
     """Which hand, and how large."""
 
     side: Literal["right", "left"] = "right"
-    scale: Positive = 1.0
-    finger_lengths: tuple[Positive, Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.0, 1.0, 1.0)
+    scale: Size = 1.0
+    finger_lengths: tuple[Size, Size, Size, Size, Size] = (1.0, 1.0, 1.0, 1.0, 1.0)
 
 
 class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md)."""
 
     kind: Literal["rbpf", "pf"] = "rbpf"
-    particles: Annotated[int, Field(ge=1)] = 512
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 512
     proposal: Literal["marginal", "paper"] = "marginal"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
@@ -80,7 +82,7 @@ class SegmentationSettings(Settings):
     in_front_mm: Positive = 70.0
     behind_mm: Positive = 70.0
     reach_mm: Positive = 140.0
-    forearm_mm: float = 12.0
+    forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 12.0
 
 
 class InitSettings(Settings):

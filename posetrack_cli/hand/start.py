@@ -21,6 +21,7 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_messages
+from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.results.estimate_json import estimate_from_json
 
 ESTIMATE_TOPICS = ("/hand/estimate", "/truth/hand/estimate")
@@ -29,13 +30,15 @@ USUAL_DEPTH_MM = 650.0
 _HAND_DEPTH_MM = 100.0
 _NEAREST_PERCENT = 2.0
 
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+
 
 class PoseFile(Settings):
     """A pose in a TOML or JSON file; what is left out is as in the rest pose."""
 
-    position_mm: tuple[float, float, float]
-    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    angles_rad: Annotated[tuple[float, ...], Field(min_length=15, max_length=15)] = (0.0,) * 15
+    position_mm: tuple[Number, Number, Number]
+    quaternion_xyzw: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
+    angles_rad: Annotated[tuple[Number, ...], Field(min_length=15, max_length=15)] = (0.0,) * 15
 
 
 def rest_pose(anatomy: HandAnatomy, centre: FloatArray) -> FloatArray:
@@ -93,7 +96,7 @@ def read_pose(path: Path) -> FloatArray:
     """
     if not path.is_file():
         raise UsageError("no such file to start from", where=path, expected="a pose file, or --init center")
-    if path.suffix == ".mcap":
+    if path.suffix == ".mcap" or is_mcap(path):  # also NAME.mcap.part
         return _first_pose(path)
     values = validated(PoseFile, _parse(path), path)
     quaternion = np.array(values.quaternion_xyzw)
@@ -107,7 +110,7 @@ def _parse(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
         parsed = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise UsageError("start pose cannot be read", where=path, found=error) from error
     if not isinstance(parsed, dict):
         raise UsageError(

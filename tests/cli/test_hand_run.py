@@ -453,6 +453,14 @@ def test_wrong_start_file(recording: Path, tmp_path: Path, capsys: pytest.Captur
     assert "none.toml" in one_line(capsys)
 
 
+def test_an_unfinished_result_can_be_started_from(recording: Path, result: Path, tmp_path: Path) -> None:
+    unfinished = tmp_path / "before.mcap.part"
+    unfinished.write_bytes(result.read_bytes()[: result.stat().st_size * 3 // 4])
+    assert track(recording, tmp_path / "a.mcap", "--init", str(unfinished), "--end", "2") == 0
+    assert track(recording, tmp_path / "b.mcap", "--init", str(result), "--end", "2") == 0
+    same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
+
+
 KINECT = Path(__file__).parents[3] / "shared" / "data" / "kinect2-hand"
 
 

@@ -101,6 +101,8 @@ def test_a_pose_from_toml_or_json(tmp_path: Path) -> None:
         ("a.json", "{", "start pose cannot be read, found "),
         ("a.toml", "position_mm = ", "start pose cannot be read, found "),
         ("a.json", "[1, 2]", "start pose cannot be used, found [1, 2], expected an object with position_mm"),
+        ("a.json", "[" * 100_000, "start pose cannot be read, found "),
+        ("a.toml", "position_mm = [1e300, 0, 600]", "'position_mm.0' cannot be used, found 1e+300"),
         ("a.json", "7", "start pose cannot be used, found 7, expected an object with position_mm"),
         ("a.toml", "angles_rad = []", "'position_mm' is missing"),
         ("a.toml", "position_mm = [1, 2]", "'position_mm' cannot be used, found [1, 2], expected 3 values"),
