@@ -56,7 +56,7 @@ COSTS: dict[str, Cost] = {"paper": paper_cost, "union": union_cost}
 
 
 def log_gibbs(costs: FloatArray, settings: ObservationSettings) -> FloatArray:
-    """log p(y | x) up to a constant: -D^2 / (2 sigma^2) (47) or -D / sigma (3)."""
+    """log p(y | x) (N,) of costs D (N,), mm, up to a constant: -D^2 / (2 sigma^2) (47) or -D / sigma (3)."""
     scaled = costs / settings.sigma_mm
     return -0.5 * scaled**2 if settings.likelihood == "gaussian" else -scaled
 
