@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
+from contextlib import suppress
 
 import click
 
@@ -12,7 +14,7 @@ from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.info import info
-from posetrack_cli.errors import EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
+from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -31,6 +33,9 @@ for command in (hand, info, convert, doctor):
 
 def main() -> None:
     """Run the command line and exit."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # not so where it is closed
+            stream.reconfigure(errors="backslashreplace")  # a name that it cannot show is no reason to fail
     sys.exit(run(sys.argv[1:]))
 
 
@@ -38,24 +43,46 @@ def run(arguments: list[str]) -> int:
     """Run a command line, print an error as one line, and return the exit code."""
     try:
         code = cli.main(args=arguments, prog_name="posetrack", standalone_mode=False)
-        sys.stdout.flush()
-        return code if isinstance(code, int) else 0
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code if isinstance(code, int) else EXIT_DONE
     except PosetrackError as error:
-        click.echo(f"posetrack: {error}", err=True)
-        return error.exit_code
-    except click.ClickException as error:
+        return _failed(str(error), error.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return error.exit_code
+    except click.ClickException as error:
+        return _failed(_usage_line(error), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("posetrack: interrupted", err=True)
-        return EXIT_INTERRUPTED
+        return _failed("interrupted", EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # the reader of our output has gone: what is buffered goes nowhere, and exit must not try again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return EXIT_FAILED
+    except OSError as error:
+        _discard_output()
+        return _failed(f"{error.filename or 'output'}: {error.strerror or error}", EXIT_FAILED)
     except MemoryError:
-        click.echo("posetrack: out of memory; try fewer --particles", err=True)
-        return EXIT_FAILED
+        return _failed("out of memory; try fewer --particles", EXIT_FAILED)
+
+
+def _failed(message: str, code: int) -> int:
+    """Print one line on standard error, if anyone can read it, and return the exit code."""
+    with suppress(OSError):
+        click.echo(f"posetrack: {message}", err=True)
+    return code
+
+
+def _usage_line(error: click.ClickException) -> str:
+    """Click's message on one line, and which help to read."""
+    message = " ".join(error.format_message().split()).removesuffix(".")
+    context = getattr(error, "ctx", None)
+    return message if context is None else f"{message}; see: {context.command_path} --help"
+
+
+def _discard_output() -> None:
+    """What is buffered for an output that cannot be written goes nowhere: exit must not try again."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":
