@@ -17,6 +17,8 @@ DISTORTION_LENGTHS = {
     "rational_polynomial": (8, 12, 14),
     "equidistant": (4,),
 }
+# Beyond those of any camera; within them no arithmetic on pixels overflows.
+SMALLEST_FOCAL_PX, LARGEST_PX = 0.1, 1e6
 # p2, the thin prism's s1 and s2, the sensor's tilt about y: with them x' keeps terms even in x
 _CHANGE_SIGN_IN_A_MIRROR = (3, 8, 9, 13)
 
@@ -49,12 +51,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
-        if not all(np.isfinite(values)) or self.fx <= 0 or self.fy <= 0:
+        focal_lengths = min(self.fx, self.fy) >= SMALLEST_FOCAL_PX
+        if not all(np.isfinite(values)) or max(np.abs(values[:4])) > LARGEST_PX or not focal_lengths:
             raise PosetrackError(
                 "intrinsics cannot be used",
                 where=self.name,
                 found=f"fx {self.fx} fy {self.fy} cx {self.cx} cy {self.cy}",
-                expected="finite values and fx, fy > 0",
+                expected=f"finite values up to {LARGEST_PX:g}, and fx, fy from {SMALLEST_FOCAL_PX:g} pixels",
             )
         if self.width <= 0 or self.height <= 0:
             raise PosetrackError(

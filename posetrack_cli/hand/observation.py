@@ -67,7 +67,13 @@ def _undistorting_lookup(camera: Camera) -> tuple[IntArray, IntArray]:
     fisheye = camera.distortion_model == "equidistant"
     make_maps: Any = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
     across, down = make_maps(camera.matrix, coefficients, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
-    return np.rint(down).astype(np.int64), np.rint(across).astype(np.int64)
+    return _nearest(down, camera.height), _nearest(across, camera.width)
+
+
+def _nearest(at: Float32Array, size: int) -> IntArray:
+    """The nearest of ``size`` pixels; -1 or ``size`` where a strong distortion leads outside, or nowhere."""
+    inside = np.clip(np.nan_to_num(at, nan=-1.0), -1.0, size)
+    return np.rint(inside).astype(np.int64)
 
 
 def window_around(joints: FloatArray, camera: Camera, settings: ObservationSettings) -> Window:

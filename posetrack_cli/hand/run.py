@@ -24,6 +24,7 @@ from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker, state_arrays, state_from_arrays
 from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
+from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.losses import loss_line
 from posetrack_cli.recording.output import check_output
 from posetrack_cli.rendering.context import describe
@@ -263,7 +264,7 @@ def run_record(
         "version": __version__,
         "configuration": json.dumps(config.model_dump(mode="json")),
         "seed": str(options.seed),
-        "init": INIT_CENTRE if options.init == INIT_CENTRE else Path(options.init).name,
+        "init": INIT_CENTRE if options.init == INIT_CENTRE else shown_name(Path(options.init)),
         "start": str(options.start),
         "end": "" if options.end is None else str(options.end),
         "stride": str(options.stride),

@@ -16,6 +16,7 @@ CAMERA_FILE_NAME = "camera.toml"
 EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Unit = Annotated[float, Field(ge=1e-6, le=1e6)]  # 16-bit codes of it are depths that float32 holds
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -42,7 +43,7 @@ class CameraFile(BaseModel):
     cy: Finite
     distortion: tuple[Finite, ...] = ()
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
-    depth_unit_mm: Positive = 1.0
+    depth_unit_mm: Unit = 1.0
     missing: Annotated[int, Field(ge=0, le=65535)] = 0
     mirror: bool = False
     crop: tuple[int, int, int, int] | None = None

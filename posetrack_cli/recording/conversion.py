@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -71,11 +72,10 @@ def _write(recording: StoredRecording, part: Path) -> Conversion:
     compression: Literal["none", "zstd"] = "none" if encoding == "16UC1" else "zstd"
     with McapSink(part, compression=compression, chunk_bytes=CHUNK_BYTES) as sink:
         writer = _Writer(sink, recording, encoding)
-        images: Iterator[_Image | TruthMessage] = read_ahead(
-            _images(first, stored, recording.cameras[0].name, losses)
-        )
-        for entry in heapq.merge(images, recording.truth(), key=_time):
-            writer.write(entry)
+        serialised = read_ahead(_images(first, stored, recording.cameras[0].name, losses))
+        with closing(serialised) as images:
+            for entry in heapq.merge(images, recording.truth(), key=_time):
+                writer.write(entry)
         if not writer.frames:
             raise RecordingError("no frame can be decoded", where=recording.path)
         sink.finish()

@@ -11,7 +11,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import Frame, Loss, TruthMessage
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, CameraFile, load_camera_file, no_intrinsics
 from posetrack_cli.recording.depth import depth_from_codes
-from posetrack_cli.recording.identity import files_digest
+from posetrack_cli.recording.identity import files_digest, shown_name
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, decode_codes, list_images, read_image
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.ordering import check_range, select_frames
@@ -87,7 +87,7 @@ class FolderRecording:
         files.append((CAMERA_FILE_NAME, self._camera_path))
         size, digest = files_digest(files)
         return {
-            "name": self._path.resolve().name,
+            "name": shown_name(self._path.resolve()),
             "kind": "folder",
             "bytes": str(size),
             "sha256": digest,

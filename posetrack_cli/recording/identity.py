@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -27,9 +28,21 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
     total = 0
     for name, path in files:
         # Sizes are hashed so that bytes cannot move from one file to the next unnoticed.
-        digest.update(f"{name}\0{path.stat().st_size}\0".encode())
+        digest.update(os.fsencode(name) + f"\0{_size(path)}\0".encode())
         total += _feed(digest, path)
     return total, digest.hexdigest()
+
+
+def shown_name(path: Path) -> str:
+    """Return the name of a file or folder as text that every file can hold, whatever its bytes are."""
+    return os.fsencode(path.name).decode(errors="replace")
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
 
 
 def _feed(digest: hashlib._Hash, path: Path) -> int:

@@ -12,6 +12,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.camera_file import load_camera_file
 from posetrack_cli.recording.folder import camera_path
+from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.image_files import decode_any, list_images, read_image
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps
@@ -51,7 +52,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
     stamps, no_stamps = _or_reason(lambda: _stamps(path, images))
     camera, no_camera = _or_reason(lambda: _camera(path, width, height))
     return {
-        "name": path.resolve().name,
+        "name": shown_name(path.resolve()),
         "kind": "folder",
         "bytes": sum(entry.stat().st_size for entry in images),
         "images": len(images),

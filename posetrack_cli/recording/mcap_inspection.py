@@ -9,6 +9,7 @@ from typing import Any
 from mcap.records import Attachment, Metadata
 
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.inspection import camera_values, loss_values
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_calibration import camera_from_message
@@ -89,7 +90,7 @@ def describe_mcap(path: Path) -> dict[str, Any]:
     survey = McapSurvey(path)
     extras = list(_extras(path))
     return {
-        "name": path.resolve().name,
+        "name": shown_name(path.resolve()),
         "kind": "mcap",
         "bytes": path.stat().st_size,
         "complete": not survey.losses.losses,

@@ -13,7 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import Frame, Loss, TruthMessage
 from posetrack_cli.recording.camera_file import CameraFile, load_camera_file
 from posetrack_cli.recording.depth import Window
-from posetrack_cli.recording.identity import file_digest
+from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
 from posetrack_cli.recording.mcap_decoding import (
@@ -98,7 +98,7 @@ class McapRecording:
         """Name, kind, size and SHA-256 of the file, and the topics in use."""
         size, digest = file_digest(self._path)
         return {
-            "name": self._path.resolve().name,
+            "name": shown_name(self._path.resolve()),
             "kind": "mcap",
             "bytes": str(size),
             "sha256": digest,

@@ -9,6 +9,9 @@ from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.stored import StoredFrame
 
 NOT_LATER = "frame dropped, stamp not later than the frame before"
+OUT_OF_RANGE = "frame dropped, stamp before 1970 or after 2262"
+LATEST_NS = 2**63 - 1
+"""What 64-bit integers, and so arrays of stamps, can hold."""
 
 
 def select_frames(
@@ -22,7 +25,8 @@ def select_frames(
     """Yield (index, frame) for the indices start, start + stride, ... below end.
 
     Which frames count as out of order does not depend on the range: every frame is compared with the
-    latest stamp before it, selected or not. Reading stops at ``end``.
+    latest stamp before it, selected or not. Stamps that 64 bits cannot hold are dropped too, and are no
+    reason to drop what follows. Reading stops at ``end``.
 
     Args:
         stored: all frames of the recording; None for one that could not be read, which keeps its index.
@@ -42,13 +46,21 @@ def select_frames(
         wanted = index >= start and (index - start) % stride == 0
         if frame is None:
             continue
-        if frame.stamp_ns <= latest:
+        fault = _fault(frame.stamp_ns, latest)
+        if fault is not None:
             if wanted:
-                losses.add(NOT_LATER, f"frame {index} at {frame.stamp_ns} ns, {frame.where}")
+                losses.add(fault, f"frame {index} at {frame.stamp_ns} ns, {frame.where}")
             continue
         latest = frame.stamp_ns
         if wanted:
             yield index, frame
+
+
+def _fault(stamp_ns: int, latest: int) -> str | None:
+    """Why a frame with this stamp is dropped after one with the latest; None if it is not."""
+    if not 0 <= stamp_ns <= LATEST_NS:
+        return OUT_OF_RANGE
+    return NOT_LATER if stamp_ns <= latest else None
 
 
 def check_range(start: int, end: int | None, stride: int) -> None:

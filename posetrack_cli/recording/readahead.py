@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -68,7 +68,7 @@ class _Reader(Generic[T]):
             close()  # in this thread: a generator that holds files closes them now
 
 
-def read_ahead(items: Iterator[T], ahead: int = FRAMES_AHEAD) -> Iterator[T]:
+def read_ahead(items: Iterator[T], ahead: int = FRAMES_AHEAD) -> Generator[T]:
     """Yield the items of an iterator that runs in a thread, at most ``ahead`` + 1 items in front.
 
     An exception of the iterator is raised here, after the items before it. Closing the generator, or

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Sequence
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.ordering import LATEST_NS
 
 STAMPS_FILE_NAME = "timestamps.csv"
+STAMPS = f"0 to {LATEST_NS} ns, the years 1970 to 2262"
 EXPECTED_HEADER = "stamp_ns or time_s, with or without a column filename before it"
 NS_PER_S = 1_000_000_000
+SLOWEST_HZ, FASTEST_HZ = 1e-6, 1e6
 
 
 def stamps_at_rate(count: int, fps: float) -> list[int]:
     """Return stamps of frames 0 to count - 1 at a fixed rate: frame i at round(i / fps), ns.
 
     Raises:
-        UsageError: unless the rate is finite and above 0.
+        UsageError: unless the rate is one that cameras have.
     """
-    if not (math.isfinite(fps) and fps > 0):
-        raise UsageError("frame rate cannot be used", found=f"--fps {fps}", expected="a number above 0")
+    if not SLOWEST_HZ <= fps <= FASTEST_HZ:
+        expected = f"a number above 0, from {SLOWEST_HZ:g} to {FASTEST_HZ:g}"
+        raise UsageError("frame rate cannot be used", found=f"--fps {fps}", expected=expected)
     period = NS_PER_S / Fraction(fps)
     return [round(index * period) for index in range(count)]
 
@@ -80,14 +83,14 @@ def _entry(row: list[str], number: int, header: tuple[str, ...], path: Path) -> 
         )
     cell = row[-1].strip()
     try:
-        stamp = int(cell) if header[-1] == "stamp_ns" else round(Decimal(cell) * NS_PER_S)
-    except (ValueError, InvalidOperation, OverflowError) as error:
+        number_ns = Decimal(cell) * (1 if header[-1] == "stamp_ns" else NS_PER_S)
+        if not 0 <= number_ns <= LATEST_NS:  # before it is rounded: 1e99999 has as many digits
+            raise RecordingError("stamp is negative or too late", where=where, found=cell, expected=STAMPS)
+        return row[0].strip(), int(cell) if header[-1] == "stamp_ns" else round(number_ns)
+    except (ValueError, ArithmeticError) as error:
         raise RecordingError(
             "stamp is not a number", where=where, found=f"'{cell}'", expected=header[-1]
         ) from error
-    if stamp < 0:
-        raise RecordingError("stamp is negative", where=where, found=cell)
-    return row[0].strip(), stamp
 
 
 def _by_name(entries: list[tuple[str, int]], names: Sequence[str], path: Path) -> list[int]:

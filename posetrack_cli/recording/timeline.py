@@ -6,6 +6,7 @@ from array import array
 from statistics import median
 
 GAP_FACTOR = 1.5
+LONGEST_NS = 2**64 - 1
 NS_PER_S = 1e9
 
 
@@ -30,7 +31,7 @@ class Timeline:
         if self.count == 1:
             self._first = self._latest = stamp_ns
         elif stamp_ns > self._latest:
-            self._intervals.append(stamp_ns - self._latest)
+            self._intervals.append(min(stamp_ns - self._latest, LONGEST_NS))
             self._latest = stamp_ns
         else:
             self.not_later += 1

@@ -103,6 +103,8 @@ def check_mirrored(camera: Camera) -> None:
         ({"fy": -1.0}, "fy -1.0"),
         ({"cx": np.nan}, "cx nan"),
         ({"cy": np.inf}, "cy inf"),
+        ({"cx": 1e300}, "intrinsics"),
+        ({"fy": 1e-300}, "intrinsics"),
         ({"distortion": (np.nan, 0.0, 0.0, 0.0)}, "intrinsics"),
         ({"width": 0}, "image size cannot be used, found 0x424"),
         ({"height": -3}, "512x-3"),

@@ -77,6 +77,19 @@ def test_pixels_that_no_ray_reaches_are_zero() -> None:
     assert tile[0, 0] == tile[-1, -1] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [("plumb_bob", (1e8, 1e9, 1e5, -1e5, 1e12)), ("equidistant", (1e9, -1e9, 1e12, -1e300))],
+)
+def test_a_distortion_that_leads_nowhere_reads_nothing_there(
+    model: str, distortion: tuple[float, ...]
+) -> None:
+    """Warnings are errors in the tests: none about numbers that are no pixels."""
+    camera = Camera(64, 48, 90.0, 90.0, 31.5, 23.5, distortion, model)
+    tile = PixelSampler(camera).sample(np.ones((48, 64), np.float32), Window.whole(camera))
+    assert set(np.unique(tile)) <= {0.0, 1.0} and not tile[0].any()
+
+
 def joints_at(x: float, y: float, z: float) -> np.ndarray:
     joints = joint_positions(ANATOMY, REST[None])[0]
     return joints - joints.mean(axis=0) + [x, y, z]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from mcap.records import Metadata
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.folder import FolderRecording
+from posetrack_cli.recording.inspection import describe
+from posetrack_cli.recording.mcap_stream import read_extras
 from posetrack_cli.recording.opening import open_recording
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -148,6 +153,9 @@ def test_seconds_are_exact_even_for_epoch_times(tmp_path: Path, make: SimpleName
         (["stamp_ns", "1", "2.5"], "stamp is not a number"),
         (["time_s", "nan", "2.5"], "stamp is not a number"),
         (["stamp_ns", "-1", "2"], "negative"),
+        (["stamp_ns", "1", "9223372036854775808"], "line 3: stamp is negative or too late"),
+        (["time_s", "1", "1e99999"], "too late"),
+        (["time_s", "1", "1e999999999999999999"], "stamp is not a number"),
         (["filename,stamp_ns", "000000.png,1", "other.png,2"], "no line for 000001.png"),
         (["filename,stamp_ns", "000000.png,1", "2"], "line 3: line does not fit the header"),
         ([""], "is empty"),
@@ -166,7 +174,7 @@ def test_no_stamps_says_what_to_do(tmp_path: Path, make: SimpleNamespace) -> Non
     assert "timestamps.csv" in message_of(folder)
 
 
-@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("fps", [0.0, -1.0, 1e-300, 1e300, float("nan"), float("inf")])
 def test_frame_rate_must_be_usable(tmp_path: Path, make: SimpleNamespace, fps: float) -> None:
     folder = make.write_folder(tmp_path / "r", make.depth_codes(1))
     with pytest.raises(UsageError, match="frame rate"):
@@ -203,6 +211,7 @@ def test_camera_option_replaces_the_folders_file(tmp_path: Path, make: SimpleNam
         ("{c}crop = [20, 0, 10, 10]\n", "crop does not lie in the image"),
         ("{c}crop = [-1, 0, 10, 10]\n", "crop does not lie in the image"),
         ("fx = 0.0\nfy = 1.0\ncx = 1.0\ncy = 1.0\n", "key 'fx' cannot be used"),
+        ("{c}depth_unit_mm = 1e300\n", "key 'depth_unit_mm' cannot be used"),
         ("fx = inf\nfy = 1.0\ncx = 1.0\ncy = 1.0\n", "key 'fx' cannot be used"),
     ],
 )
@@ -305,6 +314,25 @@ def test_identity_depends_on_contents_and_names_no_path(tmp_path: Path, make: Si
     assert first["sha256"] != other["sha256"]
     assert str(tmp_path) not in str(first)
     assert (first["name"], first["kind"], first["frames"]) == ("r", "folder", "3")
+
+
+def test_a_name_that_is_no_text_is_told_and_stored(tmp_path: Path, make: SimpleNamespace) -> None:
+    folder = make.write_folder(tmp_path / os.fsdecode(b"r\xff\xc3\xb6"), make.depth_codes(2))
+    out = tmp_path / "out.mcap"
+    convert_recording(open_recording(folder), out)
+    assert open_recording(folder).identity()["name"] == describe(folder)["name"] == "r\ufffdö"
+    (source,) = (record for record in read_extras(out) if isinstance(record, Metadata))
+    assert source.metadata["name"] == "r\ufffdö"
+
+
+def test_a_link_to_nowhere_is_an_error_on_one_line(tmp_path: Path, make: SimpleNamespace) -> None:
+    folder = make.write_folder(tmp_path / "r", make.depth_codes(2))
+    (folder / "000001.png").unlink()
+    (folder / "000001.png").symlink_to(tmp_path / "nowhere.png")
+    recording = open_recording(folder)
+    assert len(list(recording.frames())) == 1 and recording.losses[0].first == "frame 1, 000001.png"
+    with pytest.raises(RecordingError, match=r"000001.png: cannot be read"):
+        recording.identity()
 
 
 def test_hidden_files_are_no_images(tmp_path: Path, make: SimpleNamespace) -> None:

@@ -25,6 +25,16 @@ def test_doubled_and_backward_stamps_are_dropped_and_counted() -> None:
     assert "3, first frame 2 at 20 ns" in loss_line(log.losses)
 
 
+def test_stamps_that_64_bits_cannot_hold_are_dropped_and_harm_no_others() -> None:
+    log = LossLog()
+    stamps = [-5, 10, 2**63, 2**200, 20, 2**63 - 1, 30]
+    assert [i for i, _ in select_frames(map(frame, stamps), log)] == [1, 4, 5]
+    assert [(loss.count, loss.first) for loss in log.losses] == [
+        (3, "frame 0 at -5 ns, x"),
+        (1, "frame 6 at 30 ns, x"),
+    ]
+
+
 def test_unreadable_frame_keeps_its_index() -> None:
     found = [i for i, _ in select_frames([frame(0), None, frame(2)], LossLog())]
     assert found == [0, 2]
