@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -14,6 +16,7 @@ from posetrack_cli.recording.stored import UnreadableImageError
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_LEVEL = 9
+PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -77,6 +80,8 @@ def decode_any(data: bytes) -> ImageArray:
     """
     if not data:
         raise UnreadableImageError("file is empty")
+    if data.startswith(PNG_SIGNATURE) and not _is_whole_png(data):
+        raise UnreadableImageError("image cannot be decoded")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -84,6 +89,20 @@ def decode_any(data: bytes) -> ImageArray:
     if image is None:  # OpenCV's way to say so
         raise UnreadableImageError("image cannot be decoded")
     return image
+
+
+def _is_whole_png(data: bytes) -> bool:
+    """Whether all chunks are there and fit their checksums; libpng would print a line of its own if not."""
+    view, position = memoryview(data), len(PNG_SIGNATURE)
+    while position + PNG_CHUNK.size + 4 <= len(data):
+        length, kind = PNG_CHUNK.unpack_from(data, position)
+        end = position + PNG_CHUNK.size + length
+        if zlib.crc32(view[position + 4 : end]) != int.from_bytes(view[end : end + 4], "big"):
+            return False
+        if kind == b"IEND":
+            return True
+        position = end + 4
+    return False
 
 
 def encode_png(codes: ImageArray) -> bytes:
