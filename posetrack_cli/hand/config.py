@@ -60,7 +60,7 @@ class MotionSettings(Settings):
     velocity: ComponentSettings = ComponentSettings(
         position_mm=600.0, rotation_rad=1.0, flexion_rad=0.1, abduction_rad=0.05
     )
-    gap_max_s: Positive = 1.0
+    gap_max_s: Positive = 0.5
 
 
 class ObservationSettings(Settings):
