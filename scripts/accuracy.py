@@ -2,9 +2,10 @@
 
 Usage: .venv/bin/python scripts/accuracy.py --motion C --speed 1 --seeds 101-106
 
-Every configuration tracks the same frames. C starts as ``--init center`` does, A and B from the true pose, which
-there is nowhere in particular. A recording's figure is the mean over its frames and 21 joints; the table has the
-mean, smallest and largest over recordings. Lost frames are those that the tracker calls lost; their errors count.
+Every configuration tracks the same frames. C starts as ``--init center`` does, A and B from the true pose,
+which is nowhere in particular. A recording's figure is the mean over its frames and 21 joints; the table has
+the mean, smallest and largest over recordings. Lost frames are those that the tracker calls lost; their
+errors count.
 """
 
 from __future__ import annotations

@@ -79,14 +79,15 @@ def main(json_path: Path, device: int | None, frames: int, memory_frames: int, r
     recorded = [
         frame.depth.astype(np.float32) for frame in synthesise(SynthOptions(frames=frames), context=context)
     ]
-    for part in (
+    parts: tuple[Callable[[], Iterator[Row]], ...] = (
         lambda: scoring(context, repeats),
         lambda: rest_of_a_frame(context, recorded),
         lambda: velocity_ratio(context, recorded),
         lambda: against_particles(context, recorded[:1], repeats),
-        lambda: start_up(),
+        start_up,
         lambda: memory(recorded[:50], memory_frames) if memory_frames else iter(()),
-    ):
+    )
+    for part in parts:
         for row in part():
             print(f"{row.name:58} {row.value:10.3f} {row.unit:6} {_target(row)}", flush=True)
             rows.append(row)
@@ -133,7 +134,7 @@ def rest_of_a_frame(context: Any, recorded: list[Any]) -> Iterator[Row]:
         write_recording(path, recorded, len(recorded))
         run = HandRun(open_recording(path), config, RunOptions(Path(folder, "out.mcap")), context)
         scorer = Stopwatch(run.tracker.scorer.costs)
-        run.tracker.scorer.costs = scorer  # type: ignore[method-assign]
+        setattr(run.tracker.scorer, "costs", scorer)  # noqa: B010 (mypy refuses to replace a method)
         outcome = run.track(lambda estimate: None)
     per_frame = 1e3 * outcome.seconds / outcome.tracked
     scored = 1e3 * scorer.seconds / outcome.tracked
@@ -160,7 +161,8 @@ class Stopwatch:
 def velocity_ratio(context: Any, recorded: list[Any]) -> Iterator[Row]:
     """Frame time of the RBPF over that of the PF: both step through the same frames in turn."""
     walkers = {kind: Walker(context, {"filter.kind": kind}, recorded[0]) for kind in ("rbpf", "pf")}
-    ratios, times = [], {"rbpf": [], "pf": []}
+    ratios: list[float] = []
+    times: dict[str, list[float]] = {"rbpf": [], "pf": []}
     for index, depth in enumerate(recorded):
         order = ("rbpf", "pf") if index % 2 else ("pf", "rbpf")
         took = {kind: walkers[kind].step(index, depth) for kind in order}

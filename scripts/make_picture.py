@@ -48,12 +48,12 @@ def main(recording: Path, result: Path, out: Path) -> None:
     cv2.imwrite(str(out), np.hstack(columns), [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
-def pose_of(arrays: dict[str, Any], row: int) -> np.ndarray:
+def pose_of(arrays: dict[str, Any], row: int) -> Any:
     """One estimate as a pose (22,)."""
     return np.concatenate([arrays[name][row] for name in ("position", "quaternion", "shape")])
 
 
-def column(observed: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+def column(observed: Any, drawn: Any) -> Any:
     """Observed depth in false colour above; below, dimmed, with the shaded estimate in it."""
     above = false_colour(observed)
     below = above // 4
@@ -61,13 +61,13 @@ def column(observed: np.ndarray, drawn: np.ndarray) -> np.ndarray:
     return np.vstack([above[CROP], below[CROP]])
 
 
-def false_colour(depth: np.ndarray) -> np.ndarray:
+def false_colour(depth: Any) -> Any:
     """Near is red, far is blue, no reading is black."""
     value = np.clip(255.0 * (FAR_MM - depth) / (FAR_MM - NEAR_MM), 0.0, 255.0).astype(np.uint8)
     return cv2.applyColorMap(value, cv2.COLORMAP_TURBO) * (depth > 0)[..., None].astype(np.uint8)
 
 
-def shaded(depth: np.ndarray) -> np.ndarray:
+def shaded(depth: Any) -> Any:
     """A depth image lit from the upper left."""
     down, right = np.gradient(np.where(depth > 0, depth, np.nan))
     light = np.nan_to_num(0.75 - 0.25 * np.clip(down + right, -2.0, 2.0), nan=0.5)
