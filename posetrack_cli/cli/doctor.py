@@ -17,6 +17,7 @@ LIBRARIES = (
     "scipy",
     "opencv-python-headless",
     "moderngl",
+    "lz4",
     "mcap",
     "mcap-protobuf-support",
     "mcap-ros1-support",
@@ -26,6 +27,7 @@ LIBRARIES = (
     "pydantic",
     "click",
     "tqdm",
+    "zstandard",
 )
 
 
