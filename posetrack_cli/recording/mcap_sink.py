@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.recording.output import lock
 
 LIBRARY = "posetrack"
 """Fixed: the default would carry a version and change the bytes with every update of mcap."""
@@ -50,6 +51,7 @@ class McapSink:
         self._failed = False
         with self._reported():
             self._stream = path.open("wb")
+            lock(self._stream)
             self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
             self._writer.start(library=LIBRARY)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from posetrack_cli.errors import ResultError, UsageError
 
@@ -54,14 +56,35 @@ def check_free(out: Path) -> None:
         )
 
 
+def lock(stream: IO[bytes]) -> None:
+    """Mark an open file as being written, until it is closed or its process ends, killed or not."""
+    with suppress(OSError):  # there are file systems without locks
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def check_not_written(path: Path) -> None:
+    """Raise UsageError if a file is being written by another process."""
+    try:
+        with path.open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise UsageError(
+            "is being written by another process", where=path, hint="wait for it, or choose another output"
+        ) from error
+    except OSError:
+        return  # no such file, or none that could be locked
+
+
 @contextmanager
 def whole_or_nothing(out: Path) -> Iterator[Path]:
     """Yield NAME.part to write to; renamed to ``out`` at the end, deleted after any failure or Ctrl-C.
 
     Raises:
+        UsageError: another process is writing it.
         ResultError: it cannot be renamed.
     """
     part = part_path(out)
+    check_not_written(part)  # and leave it alone
     try:
         yield part
         part.replace(out)

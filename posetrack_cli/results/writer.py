@@ -14,7 +14,7 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.output import check_free, part_path
+from posetrack_cli.recording.output import check_free, check_not_written, part_path
 from posetrack_cli.recording.output import state_path as state_path  # part of this interface
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.channels import ResultChannels
@@ -50,7 +50,8 @@ class ResultWriter:
         overwrite: whether an existing result or an interrupted run may be replaced.
 
     Raises:
-        UsageError: there is a result, or an interrupted run, that may not be replaced.
+        UsageError: there is a result, or an interrupted run, that may not be replaced, or another process
+            is writing it.
         ResultError: here and in every method, when the file cannot be written. What was flushed before
             stays readable.
     """
@@ -82,6 +83,7 @@ class ResultWriter:
     ) -> None:
         if not overwrite:
             check_free(path)
+        check_not_written(part_path(path))
         with _reported(path):
             state_path(path).unlink(missing_ok=True)  # it belongs to the file that is replaced now
         self._begin(path, part_path(path), subject, camera, run, flush_frames)
@@ -110,6 +112,7 @@ class ResultWriter:
             ResultError: there is no unfinished result or checkpoint, or they are damaged or do not match.
         """
         records = _first_records(run, subject)
+        check_not_written(part_path(path))
         check_same_run(part_path(path), records)
         checkpoint, progress = checkpoints.load(state_path(path))
         _check_checkpoint(path, checkpoint, progress, run, flush_frames)

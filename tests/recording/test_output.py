@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.output import check_output, part_path, state_path, whole_or_nothing
 
 
@@ -56,6 +57,18 @@ def test_results_and_interrupted_runs_are_kept_unless_overwritten(tmp_path: Path
     out.touch()
     assert "exists already" in str(refused(out, overwrite=False))
     check_output(out, overwrite=True)
+
+
+def test_what_another_process_writes_is_left_alone(tmp_path: Path) -> None:
+    out = tmp_path / "a.mcap"
+    with McapSink(part_path(out)) as sink:
+        sink.flush()
+        before = part_path(out).read_bytes()
+        with pytest.raises(UsageError, match="being written"), whole_or_nothing(out):
+            pass
+        assert part_path(out).read_bytes() == before
+    with whole_or_nothing(out) as part:
+        part.write_bytes(b"whole")
 
 
 def test_a_failure_leaves_nothing_and_success_the_whole(tmp_path: Path) -> None:

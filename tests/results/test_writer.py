@@ -127,6 +127,26 @@ def test_overwriting_an_interrupted_run_discards_its_checkpoint(tmp_path: Path) 
     assert not state_path(path).exists()
 
 
+def test_a_result_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    """Neither --overwrite nor --resume of a second run touches it; both may once it has ended."""
+    path = tmp_path / "r.mcap"
+    others = (
+        lambda: ResultWriter(path, SUBJECT, CAMERA, RUN, overwrite=True),
+        lambda: ResultWriter.resume(path, SUBJECT, CAMERA, RUN)[0],
+    )
+    with begin(path) as writer:
+        write_frames(writer, 0, 12)
+        for other in others:
+            with pytest.raises(UsageError, match="being written by another process"):
+                other()
+    with others[1]() as writer:  # resumed, so under a new inode
+        with pytest.raises(UsageError, match="being written by another process"):
+            others[0]()
+        write_frames(writer, writer.frames_written, 15)
+        writer.finish(SUMMARY)
+    assert frame_indices(path) == list(range(15))
+
+
 def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ResultError, match=r"gone/r\.mcap: cannot be written, found no folder .*gone$"):
         begin(tmp_path / "gone" / "r.mcap")
