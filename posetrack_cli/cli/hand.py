@@ -88,7 +88,11 @@ def hand_run(recording: Path, **options: Any) -> None:
     """
     run, total = _prepare(recording, options)
     output = options["output"]
-    with _stop_signals() as stopped, _progress(total) as report, _kept(output):
+    with (
+        _stop_signals() as stopped,
+        _progress(total, options["start"], options["stride"]) as report,
+        _kept(output),
+    ):
         outcome = run.track(report, stopped)
     _close(recording, output, outcome)
 
@@ -137,8 +141,11 @@ def _stop_signals() -> Iterator[Any]:
 
 
 @contextmanager
-def _progress(total: int | None) -> Iterator[Any]:
-    """Yield a function that shows an estimate on the progress bar; a bar only where a person looks."""
+def _progress(total: int | None, start: int, stride: int) -> Iterator[Any]:
+    """Yield a function that shows an estimate on the progress bar; a bar only where a person looks.
+
+    The bar stands at the estimate's frame, so a resumed run begins where the interrupted one ended.
+    """
     from tqdm import tqdm
 
     with tqdm(
@@ -146,8 +153,11 @@ def _progress(total: int | None) -> Iterator[Any]:
     ) as bar:
 
         def report(estimate: Estimate) -> None:
+            done = len(range(start, estimate.frame_index + 1, stride))
+            if bar.n == 0:
+                bar.n = bar.initial = bar.last_print_n = done - 1  # frames before this run took it no time
             bar.set_postfix_str(f"ESS {estimate.effective_sample_size:.0f} {estimate.status}", refresh=False)
-            bar.update()
+            bar.update(done - bar.n)
 
         yield report
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import resource
 import signal
@@ -9,11 +10,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from posetrack_cli.cli.hand import _progress
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.joints import joint_errors
 from posetrack_cli.recording.mcap_calibration import calibration_message
@@ -224,6 +227,25 @@ def test_stopped_run_is_readable_and_resumes_to_the_same_bytes(
     assert run(["hand", "run", str(recording), "-o", str(output), "--particles", "512", "--resume"]) == 0
     assert output.read_bytes() == slow_result.read_bytes()
     assert not part_path(output).exists() and not state_path(output).exists()
+
+
+class Terminal(io.StringIO):
+    """A stream that says that a person looks at it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("index", [5, 15])
+def test_the_progress_bar_stands_at_the_frame(monkeypatch: pytest.MonkeyPatch, index: int) -> None:
+    """Frames 5, 7, ... 23: a resumed run does not start from 0, and its rate is that of its own frames."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    estimate = SimpleNamespace(frame_index=index, effective_sample_size=7.4, status="lost")
+    with _progress(10, 5, 2) as report:
+        report(estimate)
+    shown = terminal.getvalue().splitlines()[-1]
+    assert f" {(index - 5) // 2 + 1}/10 " in shown and "ESS 7 lost" in shown
 
 
 def test_resume_of_nothing_says_so(
