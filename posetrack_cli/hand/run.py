@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from posetrack_cli import __version__
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import UsageError
+from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
 from posetrack_cli.hand.config import HandConfig
@@ -122,11 +123,22 @@ class HandRun:
             stopped: asked after every frame whether to stop; the result then stays unfinished.
 
         Raises:
+            UsageError, RecordingError: there is no frame to track; no file is made.
             PosetrackError: the recording or the result fails; what was flushed stays as NAME.part.
         """
-        began, tracked = time.perf_counter(), 0
+        began = time.perf_counter()
+        with closing(self._frames()) as frames:
+            first = next(frames, None)
+            if first is None:
+                raise self._nothing_to_track()
+            return self._track(chain((first,), frames), began, report, stopped)
+
+    def _track(
+        self, frames: Iterable[Frame], began: float, report: Report, stopped: Callable[[], bool]
+    ) -> RunOutcome:
+        tracked = 0
         writer, state, rng, last = self._open()
-        with writer, closing(self._frames()) as frames, closing(self._truth(writer)) as truth:
+        with writer, closing(self._truth(writer)) as truth:
             for frame in frames:
                 self._note_blank(frame)
                 if frame.index <= last:
@@ -207,12 +219,15 @@ class HandRun:
         )
 
     def _finish(self, writer: ResultWriter) -> None:
-        if writer.frames_written == 0:
-            raise self._nothing_to_track()
         losses = self._losses()
         writer.finish({"losses": loss_line(losses)} if losses else {})
 
-    def _nothing_to_track(self) -> UsageError:
+    def _nothing_to_track(self) -> UsageError | RecordingError:
+        losses = self._recording.losses
+        if losses:
+            return RecordingError(
+                "no frame can be tracked", where=self._recording.path, found=loss_line(losses)
+            )
         count = self._recording.frame_count
         found = "none that can be read" if count is None else f"{count} frames"
         where, hint = self._recording.path, "check --start and --end"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli import __version__
-from posetrack_cli.errors import UsageError
+from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, RunOutcome, frames_ahead, run_record
@@ -252,4 +252,12 @@ def test_no_frame_in_the_range_is_refused(
 ) -> None:
     with pytest.raises(UsageError, match=f"no frame to track, found {found}.*--start"):
         track(Memory(12, known=known), start=12)
-    assert known == (not list(tmp_path.iterdir()))  # what shows only in reading leaves its NAME.part
+    assert not list(tmp_path.iterdir())  # also where it shows only in reading
+
+
+def test_frames_none_of_which_can_be_used_are_told_and_leave_no_file(
+    track: Callable[..., RunOutcome], tmp_path: Path
+) -> None:
+    with pytest.raises(RecordingError, match=r"no frame can be tracked, found stamp gone: 9, first frame 0"):
+        track(Memory(0, known=False, losses=(Loss("stamp gone", 9, "frame 0"),)))
+    assert not list(tmp_path.iterdir())
