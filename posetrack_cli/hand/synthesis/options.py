@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, fields
 
 from posetrack_cli.errors import UsageError
@@ -11,6 +10,8 @@ MOTIONS = ("A", "B", "C")
 SIDES = ("right", "left")
 SCALES = (0.5, 1.5)
 """Smallest and largest hand: within them the hand stays in the image wherever it may go."""
+SPEEDS = (0.01, 100.0)
+MOST_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class SynthOptions:
             ``C`` smooth natural motion.
         frames: number of frame instants at the nominal rate, the dropped ones included.
         seed: of everything random.
-        speed: of A and B a factor on the standard deviations of the noise; of C on the rate of time.
+        speed: of A and B a factor on the standard deviations of the noise; of C on the rate of time. 0.01 to
+            100.
         side: ``right`` or ``left``.
         scale: factor on the hand's lengths, 0.5 to 1.5.
         fps: nominal frame rate, Hz.
@@ -80,10 +82,11 @@ class SynthOptions:
     def __post_init__(self) -> None:
         _check("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
         _check("side", self.side, self.side in SIDES, " or ".join(SIDES))
-        _check("frames", self.frames, self.frames >= 1, "1 or more")
+        _check("frames", self.frames, 1 <= self.frames <= MOST_FRAMES, f"1 to {MOST_FRAMES}")
         _check("seed", self.seed, self.seed >= 0, "0 or more")
-        _check("speed", self.speed, math.isfinite(self.speed) and self.speed > 0.0, "more than 0")
-        _check("fps", self.fps, math.isfinite(self.fps) and 1.0 <= self.fps <= 1000.0, "1 to 1000")
+        _check("fps", self.fps, 1.0 <= self.fps <= 1000.0, "1 to 1000")
+        low, high = SPEEDS
+        _check("speed", self.speed, low <= self.speed <= high, f"{low:g} to {high:g}")
         low, high = SCALES
         _check("scale", self.scale, low <= self.scale <= high, f"{low:g} to {high:g}")
 
