@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import resources
 from typing import Any
 
+import moderngl
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array
@@ -18,6 +19,7 @@ from posetrack_cli.rendering.window import Window
 NEAR_MM = 50.0
 # An atlas of this many pixels (32 MiB) keeps a pass long enough to fill a GPU and small enough for any.
 ATLAS_PIXELS = 512 * 128 * 128
+LESS_HINT = "free memory of the GPU, or choose another with --device; posetrack doctor tells which there are"
 LANES = 64  # work items that share a tile: 32 to 128 are alike on llvmpipe
 _GL_CLIP_DISTANCE0 = 0x3000
 
@@ -33,6 +35,9 @@ class TiledDepthRenderer:
         mesh: the mesh that all poses share.
         tile: (width, height) of a tile, pixels.
         most: how many tiles a call asks for at most; sizes the atlas.
+
+    Raises:
+        RenderingError: the device has too little memory, or cannot make the textures and programs.
     """
 
     def __init__(self, context: Any, mesh: SkinnedMesh, tile: tuple[int, int], most: int = 512) -> None:
@@ -42,8 +47,12 @@ class TiledDepthRenderer:
         self.grid = _grid(context, tile, most)
         self.capacity = self.grid[0] * self.grid[1]
         self._spheres = BoneSpheres(mesh)
-        self._make_targets()
-        self._make_programs(mesh)
+        try:
+            self._make_targets()
+            self._make_programs(mesh)
+        except moderngl.Error as error:
+            found = " ".join(str(error).split())
+            raise RenderingError("OpenGL refuses what is drawn with", found=found, hint=LESS_HINT) from error
 
     def _make_targets(self) -> None:
         (width, height), (columns, rows) = self.tile, self.grid

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import moderngl
 import numpy as np
 import pytest
 from rendering_support import CAMERA, STILL, moved, rigid, sphere
@@ -206,3 +207,14 @@ def test_drawing_twice_gives_the_same_bytes(context: Any, hands: np.ndarray) -> 
 def test_still_is_the_identity() -> None:
     mesh = rigid(np.eye(3), np.array([[0, 1, 2]]))
     np.testing.assert_array_equal(mesh.posed(STILL[None, None])[0], np.eye(3))
+
+
+def test_what_the_device_refuses_is_one_line(context: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GPU without free memory does."""
+
+    def refuse(self: TiledDepthRenderer) -> None:
+        raise moderngl.Error("the framebuffer is not complete\n(UNSUPPORTED)")
+
+    monkeypatch.setattr(TiledDepthRenderer, "_make_targets", refuse)
+    with pytest.raises(RenderingError, match=r"not complete \(UNSUPPORTED\); free memory"):
+        TiledDepthRenderer(context, sphere(10.0, 0), (SIZE, SIZE))
