@@ -175,7 +175,7 @@ def _explained(error: ValidationError, model: type[Settings], where: object) -> 
             return UsageError(f"'{key}' is missing", where=where)
         key, expected = ".".join(location[:-1]), f"{_places(problems)} values"
     else:
-        expected = _expected(problem)
+        expected = expected_words(problem)
     return UsageError(f"'{key}' cannot be used", where=where, found=repr(problem["input"]), expected=expected)
 
 
@@ -186,8 +186,8 @@ def _places(problems: list[ErrorDetails]) -> int:
     return 1 + max(place for place in missing if isinstance(place, int))
 
 
-def _expected(problem: ErrorDetails) -> str:
-    """What should have been there, in plain words."""
+def expected_words(problem: ErrorDetails) -> str:
+    """What should have been there, in plain words, of one of a ValidationError's ``errors()``."""
     if problem["type"] not in _EXPECTED:
         return problem["msg"].removeprefix("Input should be ")
     return _EXPECTED[problem["type"]].format(**problem.get("ctx", {}))

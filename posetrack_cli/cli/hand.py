@@ -164,7 +164,7 @@ def _progress(total: int | None, start: int, stride: int) -> Iterator[Any]:
 
 @contextmanager
 def _kept(output: Path) -> Iterator[None]:
-    """When the run fails, say what of it can still be read; what is refused has tracked nothing."""
+    """When the run fails, its line also says what can still be read; what is refused has tracked nothing."""
     from posetrack_cli.recording.output import part_path
 
     try:
@@ -172,7 +172,7 @@ def _kept(output: Path) -> Iterator[None]:
     except PosetrackError as error:
         part = part_path(output)
         if part.is_file() and not isinstance(error, UsageError):
-            click.echo(f"kept: {part} holds what was tracked before (posetrack info reads it)", err=True)
+            error.args = (f"{error}; kept: {part} holds what was tracked before",)
         raise
 
 

@@ -6,8 +6,9 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from posetrack_cli.configuration import Settings, expected_words
 from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.depth import Window
@@ -20,7 +21,7 @@ Unit = Annotated[float, Field(ge=1e-6, le=1e6)]  # 16-bit codes of it are depths
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class CameraFile(BaseModel):
+class CameraFile(Settings):
     """What camera.toml says; all of it about the images as they are stored, before crop and mirror.
 
     Attributes:
@@ -32,8 +33,6 @@ class CameraFile(BaseModel):
         mirror: flip the images left to right.
         crop: x, y, width, height of the part that is used; cut out before mirroring.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     width: Annotated[int, Field(gt=0)] | None = None
     height: Annotated[int, Field(gt=0)] | None = None
@@ -125,5 +124,5 @@ def _first_problem(error: ValidationError, path: Path) -> RecordingError:
     if first["type"] == "missing":
         return RecordingError(f"key '{key}' is missing", where=path, hint=f"for example {EXAMPLE}")
     return RecordingError(
-        f"key '{key}' cannot be used", where=path, found=first["input"], expected=first["msg"]
+        f"key '{key}' cannot be used", where=path, found=first["input"], expected=expected_words(first)
     )
