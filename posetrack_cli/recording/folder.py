@@ -7,20 +7,18 @@ from pathlib import Path
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Frame, Loss, TruthMessage
+from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, CameraFile, load_camera_file, no_intrinsics
 from posetrack_cli.recording.depth import depth_from_codes
 from posetrack_cli.recording.identity import files_digest, shown_name
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, decode_codes, list_images, read_image
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.ordering import check_range, select_frames
-from posetrack_cli.recording.readahead import read_ahead
+from posetrack_cli.recording.single_camera import SingleCameraRecording
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamps_at_rate
-from posetrack_cli.recording.stored import StoredFrame, UnreadableImageError, decode_frames
+from posetrack_cli.recording.stored import StoredFrame, UnreadableImageError
 
 
-class FolderRecording:
+class FolderRecording(SingleCameraRecording):
     """Depth frames from image files; a ``Recording``.
 
     Args:
@@ -46,38 +44,21 @@ class FolderRecording:
         missing: int | None = None,
         mirror: bool | None = None,
     ) -> None:
-        self._path = path
         self._images = list_images(path)
         self._camera_path = camera_path(path, camera_file)
         given = {"depth_unit_mm": depth_unit_mm, "missing": missing, "mirror": mirror}
         self._settings = override(load_camera_file(self._camera_path), given)
         self._stamps_path = None if fps is not None else path / STAMPS_FILE_NAME
-        self._stamps = self._load_stamps(fps)
+        self._stamps = self._load_stamps(path, fps)
         self._shape = first_readable(self._images).shape
         height, width = self._shape
         stored_camera = self._settings.stored_camera(width, height)
-        self._camera = self._settings.window.camera(stored_camera)
-        self._log = LossLog()
-
-    @property
-    def path(self) -> Path:
-        """The folder."""
-        return self._path
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The one camera, after crop and mirror."""
-        return (self._camera,)
+        super().__init__(path, self._settings.window.camera(stored_camera))
 
     @property
     def frame_count(self) -> int | None:
         """The number of image files."""
         return len(self._images)
-
-    @property
-    def losses(self) -> tuple[Loss, ...]:
-        """What the last pass over the frames had to skip."""
-        return self._log.losses
 
     def identity(self) -> Mapping[str, str]:
         """Name, kind, size and SHA-256 over images, stamps and camera file."""
@@ -94,34 +75,22 @@ class FolderRecording:
             "frames": str(len(self._images)),
         }
 
-    def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
-        """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""
-        check_range(start, end, stride)
-        log = self._log = LossLog()
-        return read_ahead(decode_frames(self.stored_frames(log, start=start, end=end, stride=stride), log))
-
-    def stored_frames(
-        self, losses: LossLog, *, start: int = 0, end: int | None = None, stride: int = 1
-    ) -> Iterator[tuple[int, StoredFrame]]:
-        """Yield index and undecoded frame, selected and ordered as ``frames`` does."""
-        return select_frames(self._stored(), losses, start=start, end=end, stride=stride)
-
     def truth(self) -> Iterator[TruthMessage]:
         """Yield nothing: a folder carries no truth."""
         return iter(())
 
-    def _load_stamps(self, fps: float | None) -> list[int]:
+    def _load_stamps(self, path: Path, fps: float | None) -> list[int]:
         if self._stamps_path is None:
             return stamps_at_rate(len(self._images), fps or 0.0)
         if not self._stamps_path.exists():
             raise RecordingError(
                 "no stamps",
-                where=self._path,
+                where=path,
                 hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column",
             )
         return load_stamps(self._stamps_path, [image.name for image in self._images])
 
-    def _stored(self) -> Iterator[StoredFrame]:
+    def _stored(self, losses: LossLog) -> Iterator[StoredFrame]:
         for image, stamp in zip(self._images, self._stamps, strict=True):
             yield self._stored_frame(image, stamp)
 

@@ -10,7 +10,7 @@ from typing import Any
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Frame, Loss, TruthMessage
+from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.camera_file import CameraFile, load_camera_file
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -26,14 +26,13 @@ from posetrack_cli.recording.mcap_decoding import (
 from posetrack_cli.recording.mcap_images import decode_depth, describe_image, millimetre_png
 from posetrack_cli.recording.mcap_stream import McapItem, check_mcap, read_messages
 from posetrack_cli.recording.mcap_topics import Topic, choose_depth_topic, frame_id_of_topic, scan_topics
-from posetrack_cli.recording.ordering import check_range, select_frames
-from posetrack_cli.recording.readahead import read_ahead
-from posetrack_cli.recording.stored import StoredFrame, decode_frames
+from posetrack_cli.recording.single_camera import SingleCameraRecording
+from posetrack_cli.recording.stored import StoredFrame
 
 TRUTH_PREFIX = "/truth/"
 
 
-class McapRecording:
+class McapRecording(SingleCameraRecording):
     """Depth frames of one topic of an MCAP file, Foxglove or ROS; a ``Recording``.
 
     Stamps are the messages' own, or log times where those are 0. A truncated or damaged file is read as
@@ -62,37 +61,20 @@ class McapRecording:
         mirror: bool | None = None,
     ) -> None:
         check_mcap(path)
-        self._path = path
         topics = scan_topics(path)
         self._topic = choose_depth_topic(path, topics, topic)
         self._truth = [name for name in topics if name.startswith(TRUTH_PREFIX)]
         settings = _intrinsics_only(camera_file) if camera_file is not None else None
         self._camera_topic = "" if settings else _calibration_topic(self._topic, topics, camera_topic)
-        stored_camera = self._stored_camera(settings, topics)
+        stored_camera = self._stored_camera(path, settings, topics)
         flip = mirror if mirror is not None else bool(settings and settings.mirror)
         self._window = Window(settings.crop if settings else None, flip)
-        self._camera = self._window.camera(stored_camera)
-        self._log = LossLog()
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._path
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The one camera, after crop and mirror."""
-        return (self._camera,)
+        super().__init__(path, self._window.camera(stored_camera))
 
     @property
     def frame_count(self) -> int | None:
         """The number of messages on the topic; of a truncated file, those that can be read."""
         return self._topic.count
-
-    @property
-    def losses(self) -> tuple[Loss, ...]:
-        """What the last pass over the frames had to skip."""
-        return self._log.losses
 
     def identity(self) -> Mapping[str, str]:
         """Name, kind, size and SHA-256 of the file, and the topics in use."""
@@ -106,18 +88,6 @@ class McapRecording:
             "camera_topic": self._camera_topic,
             "frames": str(self._topic.count),
         }
-
-    def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
-        """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""
-        check_range(start, end, stride)
-        log = self._log = LossLog()
-        return read_ahead(decode_frames(self.stored_frames(log, start=start, end=end, stride=stride), log))
-
-    def stored_frames(
-        self, losses: LossLog, *, start: int = 0, end: int | None = None, stride: int = 1
-    ) -> Iterator[tuple[int, StoredFrame]]:
-        """Yield index and undecoded frame, selected and ordered as ``frames`` does."""
-        return select_frames(self._stored(losses), losses, start=start, end=end, stride=stride)
 
     def truth(self) -> Iterator[TruthMessage]:
         """Yield the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
@@ -138,7 +108,7 @@ class McapRecording:
                 channel_metadata=dict(channel.metadata),
             )
 
-    def _stored_camera(self, settings: CameraFile | None, topics: Mapping[str, Topic]) -> Camera:
+    def _stored_camera(self, path: Path, settings: CameraFile | None, topics: Mapping[str, Topic]) -> Camera:
         """Return the camera of the images as they are stored, named by their frame id."""
         image = self._topic.image
         width, height = (image.width, image.height) if image is not None else (0, 0)
@@ -150,7 +120,7 @@ class McapRecording:
         if (camera.width, camera.height) != (width, height):
             raise RecordingError(
                 "calibration and images differ in size",
-                where=f"{self._path}, {self._camera_topic}",
+                where=f"{path}, {self._camera_topic}",
                 found=f"{camera.width}x{camera.height}",
                 expected=f"{width}x{height} as on {self._topic.name}",
                 hint="choose another with --camera-topic, or pass --camera",
