@@ -71,6 +71,7 @@ def _cropped(camera: Camera, crop: tuple[int, int, int, int]) -> Camera:
     if not inside or x + width > camera.width or y + height > camera.height:
         raise RecordingError(
             "crop does not lie in the image",
+            where="camera.toml",
             found=f"x {x}, y {y}, {width}x{height}",
             expected=f"a part of {camera.width}x{camera.height}",
         )
