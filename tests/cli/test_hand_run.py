@@ -27,6 +27,7 @@ from posetrack_cli.results import load_arrays, read_result, state_path
 
 FRAMES = 24
 SMALL = ["--particles", "48"]
+MANY = "1024"  # particles of a run that is slow enough to be stopped in the middle
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
 
 
@@ -183,7 +184,7 @@ def test_closing_line(recording: Path, tmp_path: Path, capsys: pytest.CaptureFix
 
 def start_slow(recording: Path, output: Path) -> subprocess.Popen[str]:
     """A run of many particles, so that it can be stopped in the middle."""
-    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(output), "--particles", "512"]
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(output), "--particles", MANY]
     return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -202,7 +203,7 @@ def wait_for_flush(process: subprocess.Popen[str], output: Path) -> None:
 @pytest.fixture(scope="module")
 def slow_result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("slow") / "r.mcap"
-    assert run(["hand", "run", str(recording), "-o", str(path), "--particles", "512"]) == 0
+    assert run(["hand", "run", str(recording), "-o", str(path), "--particles", MANY]) == 0
     return path
 
 
@@ -224,7 +225,7 @@ def test_stopped_run_is_readable_and_resumes_to_the_same_bytes(
         assert "--resume" in errors.splitlines()[-1]
         assert run(["info", str(part_path(output))]) == 0
     assert len(list(read_result(part_path(output)).estimates())) >= 10
-    assert run(["hand", "run", str(recording), "-o", str(output), "--particles", "512", "--resume"]) == 0
+    assert run(["hand", "run", str(recording), "-o", str(output), "--particles", MANY, "--resume"]) == 0
     assert output.read_bytes() == slow_result.read_bytes()
     assert not part_path(output).exists() and not state_path(output).exists()
 
