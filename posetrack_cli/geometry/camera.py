@@ -6,6 +6,7 @@ Pixel coordinates follow OpenCV: the centre of the first pixel is (0, 0).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +77,11 @@ class Camera:
     def matrix(self) -> FloatArray:
         """The (3, 3) intrinsic matrix K, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def values(self) -> dict[str, Any]:
+        """Name, size, intrinsics and distortion as plain values, for records and JSON."""
+        keys = ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion", "distortion_model")
+        return {key: getattr(self, key) for key in keys} | {"distortion": list(self.distortion)}
 
     @property
     def is_distorted(self) -> bool:

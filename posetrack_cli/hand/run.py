@@ -270,10 +270,6 @@ def run_record(
         renderer: the driver's names.
         start_pose: (22,) if it was read from a file; stated as ``init.pose``, for the file may change.
     """
-    camera_record = {
-        name: getattr(camera, name)
-        for name in ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion", "distortion_model")
-    }
     return {
         "tracker": "hand",
         "version": __version__,
@@ -284,7 +280,7 @@ def run_record(
         "end": "" if options.end is None else str(options.end),
         "stride": str(options.stride),
         "timings": str(options.timings).lower(),
-        "camera": json.dumps(camera_record),
+        "camera": json.dumps(camera.values()),
         "renderer": renderer,
         **({} if start_pose is None else {"init.pose": json.dumps(start_pose.tolist())}),
         **{f"input.{key}": value for key, value in recording.identity().items()},

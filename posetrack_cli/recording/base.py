@@ -10,6 +10,11 @@ from typing import Protocol, runtime_checkable
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.geometry.camera import Camera
 
+TRUTH_PREFIX = "/truth/"
+"""Topics of ground truth begin so, in recordings and in results."""
+RUN_RECORD = "posetrack.run"
+"""Name of the metadata that says how a result was made."""
+
 
 @dataclass(frozen=True)
 class Frame:

@@ -105,7 +105,7 @@ def _is_whole_png(data: bytes) -> bool:
     return False
 
 
-def encode_png(codes: ImageArray) -> bytes:
-    """Encode (height, width) uint16 codes as a PNG."""
-    _, data = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+def encode_png(codes: ImageArray, level: int = PNG_LEVEL) -> bytes:
+    """Encode (height, width) uint16 codes as a PNG; level 0 is fast, 9 is small."""
+    _, data = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, level])
     return data.tobytes()

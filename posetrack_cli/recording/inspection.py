@@ -8,7 +8,6 @@ from typing import Any
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError, RecordingError
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.camera_file import load_camera_file
 from posetrack_cli.recording.folder import camera_path
@@ -67,12 +66,6 @@ def describe_folder(path: Path) -> dict[str, Any]:
     }
 
 
-def camera_values(camera: Camera) -> dict[str, Any]:
-    """Return a camera's name, size, intrinsics and distortion as plain values."""
-    keys = ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion_model")
-    return {key: getattr(camera, key) for key in keys} | {"distortion": list(camera.distortion)}
-
-
 def loss_values(losses: tuple[Loss, ...]) -> list[dict[str, Any]]:
     """Return losses as plain values."""
     return [{"what": loss.what, "count": loss.count, "first": loss.first} for loss in losses]
@@ -98,7 +91,7 @@ def _camera(path: Path, width: int, height: int) -> dict[str, Any]:
     settings = load_camera_file(camera_path(path, None))
     camera = settings.window.camera(settings.stored_camera(width, height))
     depth = {"depth_unit_mm": settings.depth_unit_mm, "missing": settings.missing, "mirror": settings.mirror}
-    return camera_values(camera) | depth
+    return camera.values() | depth
 
 
 def _first_image(images: list[Path]) -> ImageArray:

@@ -9,8 +9,9 @@ from typing import Any
 from mcap.records import Attachment, Metadata
 
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.inspection import camera_values, loss_values
+from posetrack_cli.recording.inspection import loss_values
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.recording.mcap_decoding import (
@@ -24,7 +25,6 @@ from posetrack_cli.recording.mcap_stream import McapItem, read_extras, read_mess
 from posetrack_cli.recording.mcap_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 
-RUN_RECORD = "posetrack.run"
 SHOWN_CHARACTERS = 60
 
 
@@ -107,7 +107,7 @@ def _camera(topic: Topic) -> dict[str, Any]:
         camera = camera_from_message(topic.first, frame_id_of(topic.first), topic.name)
     except PosetrackError as error:
         return {"topic": topic.name, "problem": str(error)}
-    return {"topic": topic.name, **camera_values(camera)}
+    return {"topic": topic.name, **camera.values()}
 
 
 def _extras(path: Path) -> Any:

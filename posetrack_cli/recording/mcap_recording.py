@@ -10,7 +10,7 @@ from typing import Any
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.camera_file import CameraFile, load_camera_file
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -28,8 +28,6 @@ from posetrack_cli.recording.mcap_stream import McapItem, check_mcap, read_messa
 from posetrack_cli.recording.mcap_topics import Topic, choose_depth_topic, frame_id_of_topic, scan_topics
 from posetrack_cli.recording.single_camera import SingleCameraRecording
 from posetrack_cli.recording.stored import StoredFrame
-
-TRUTH_PREFIX = "/truth/"
 
 
 class McapRecording(SingleCameraRecording):

@@ -13,7 +13,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
 
-MAGIC_BYTES = 8
+MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, length of the content
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
 LENGTH = struct.Struct("<Q")
@@ -31,7 +31,7 @@ def cut_chunk_records(path: Path) -> Iterator[Schema | Channel | Message]:
 def _cut_chunk(path: Path) -> bytes:
     """Return what there is of the content of the chunk at the end, empty if there is no such chunk."""
     with path.open("rb") as stream:
-        size, position = path.stat().st_size, MAGIC_BYTES
+        size, position = path.stat().st_size, len(MAGIC)
         while position + HEAD.size <= size:
             stream.seek(position)
             opcode, length = HEAD.unpack(stream.read(HEAD.size))

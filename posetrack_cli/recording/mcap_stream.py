@@ -17,9 +17,8 @@ from mcap.summary import Summary
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_salvage import HEAD, cut_chunk_records
+from posetrack_cli.recording.mcap_salvage import HEAD, MAGIC, cut_chunk_records
 
-MAGIC = b"\x89MCAP0\r\n"
 TRUNCATED = "file is truncated, the rest is missing"
 DAMAGED = "file is damaged, the rest is lost"
 DAMAGED_CHUNK = "chunk is damaged, its messages are lost"

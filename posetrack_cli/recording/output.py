@@ -33,8 +33,7 @@ def check_output(out: Path, *, overwrite: bool, source: Path | None = None) -> N
         raise UsageError(
             "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
         )
-    if not out.parent.is_dir():
-        raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}")
+    check_folder(out)
     for written in (out, part_path(out)):
         if source is not None and source.exists() and written.exists() and written.samefile(source):
             raise UsageError("output would replace the recording", where=written, hint="choose another name")
@@ -42,6 +41,12 @@ def check_output(out: Path, *, overwrite: bool, source: Path | None = None) -> N
             raise UsageError("output is a folder", where=written, expected="the name of a file")
     if not overwrite:
         check_free(out)
+
+
+def check_folder(out: Path) -> None:
+    """Raise ResultError unless the folder that a file is to be written to exists."""
+    if not out.parent.is_dir():
+        raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}")
 
 
 def check_free(out: Path) -> None:

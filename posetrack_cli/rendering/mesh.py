@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,8 +28,9 @@ class SkinnedMesh:
         """Vertices under bone transforms camera_T_rest (N, B, 3, 4): (N, V, 3), mm."""
         n, bones = transforms.shape[:2]
         rows = np.moveaxis(transforms, 1, 2).reshape(n * 3, bones * 4)
-        return np.moveaxis((rows @ self.skinning_matrix()).reshape(n, 3, -1), 1, 2)
+        return np.moveaxis((rows @ self.skinning_matrix).reshape(n, 3, -1), 1, 2)
 
+    @cached_property
     def skinning_matrix(self) -> FloatArray:
         """The constant (4 B, V) matrix S of skinning: [T_1 .. T_B] S are the posed vertices.
 

@@ -93,6 +93,7 @@ class TiledDepthRenderer:
         Returns:
             (N, height, width) depth z, mm, 0 where nothing is drawn.
         """
+        self._check(transforms, window)
         parts = []
         for part in self._passes(transforms, camera, window):
             values = np.frombuffer(self._atlas.read(), dtype=np.float32)
@@ -152,7 +153,6 @@ class TiledDepthRenderer:
 
     def _passes(self, transforms: Float32Array, camera: Camera, window: Window) -> Any:
         """Draw the tiles, as many a time as the atlas holds; yield each part once it is drawn."""
-        self._check(transforms, window)
         self._draw["to_tile"] = window.tile_projection(camera)
         for first in range(0, len(transforms), self.capacity):
             part = transforms[first : first + self.capacity]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         estimate_to_json,
     )
     from posetrack_cli.results.reader import Result, load_arrays, read_result
-    from posetrack_cli.results.writer import ResultWriter, state_path
+    from posetrack_cli.results.writer import ResultWriter
 
 __all__ = [
     "ESTIMATE_SCHEMA",
@@ -33,7 +33,6 @@ __all__ = [
     "estimate_to_json",
     "load_arrays",
     "read_result",
-    "state_path",
 ]
 
 _MODULES = {
@@ -41,7 +40,7 @@ _MODULES = {
     "estimate": ("Estimate", "Status", "Subject"),
     "estimate_json": ("ESTIMATE_SCHEMA", "ESTIMATE_SCHEMA_NAME", "estimate_from_json", "estimate_to_json"),
     "reader": ("Result", "load_arrays", "read_result"),
-    "writer": ("ResultWriter", "state_path"),
+    "writer": ("ResultWriter",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
@@ -15,7 +15,6 @@ from posetrack_cli.results.scene import SceneEncoder
 
 CALIBRATION_TOPIC = "/camera/calibration"
 TRANSFORM_TOPIC = "/tf"
-TRUTH_PREFIX = "/truth/"
 
 
 class ResultChannels:

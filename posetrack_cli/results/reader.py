@@ -14,16 +14,16 @@ from mcap.records import Channel, Message, Metadata, Schema
 
 from posetrack_cli.errors import ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.recording.output import part_path
-from posetrack_cli.results.channels import CALIBRATION_TOPIC, TRUTH_PREFIX
+from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.estimate import FIELD_NAMES, Estimate, Subject, array_shapes
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
 from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.records import RecordSpan, chunk_records, read_record, record_spans
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_from_record
-from posetrack_cli.results.writer import RUN_RECORD, SUMMARY_RECORD
+from posetrack_cli.results.writer import SUMMARY_RECORD
 
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -14,9 +13,7 @@ from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metada
 from mcap.stream_reader import breakup_chunk
 
 from posetrack_cli.errors import ResultError
-
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")  # opcode, length of the content
+from posetrack_cli.recording.mcap_salvage import HEAD, MAGIC
 
 
 @dataclass(frozen=True)
@@ -46,9 +43,9 @@ def record_spans(path: Path) -> Iterator[RecordSpan]:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise ResultError("is no MCAP file", where=path, hint="results are .mcap files")
             position = len(MAGIC)
-            while position + _HEAD.size <= size:
-                opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
-                span = RecordSpan(opcode, position + _HEAD.size, position + _HEAD.size + length)
+            while position + HEAD.size <= size:
+                opcode, length = HEAD.unpack(stream.read(HEAD.size))
+                span = RecordSpan(opcode, position + HEAD.size, position + HEAD.size + length)
                 if opcode == 0 or span.end > size:
                     return
                 yield span

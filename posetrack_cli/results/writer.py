@@ -12,10 +12,9 @@ from types import TracebackType
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.output import check_free, check_not_written, part_path
-from posetrack_cli.recording.output import state_path as state_path  # part of this interface
+from posetrack_cli.recording.output import check_folder, check_free, check_not_written, part_path, state_path
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
@@ -23,7 +22,6 @@ from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.replay import check_same_run, replay
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_to_record
 
-RUN_RECORD = "posetrack.run"
 SUMMARY_RECORD = "posetrack.summary"
 
 
@@ -263,8 +261,7 @@ class ResultWriter:
         self._flushed = (-1, 0)
         self._closed = self._calibrated = False
         self._progress = Progress(0, flush_frames, 0, dict(self._statuses))
-        if not path.parent.is_dir():
-            raise ResultError("cannot be written", where=path, found=f"no folder {path.parent}")
+        check_folder(path)
         self._sink = McapSink(written)
         with self._guarded():
             for name, record in _first_records(run, subject).items():

@@ -22,8 +22,8 @@ from posetrack_cli.evaluation.joints import joint_errors
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.output import part_path
-from posetrack_cli.results import load_arrays, read_result, state_path
+from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.results import load_arrays, read_result
 
 FRAMES = 24
 SMALL = ["--particles", "48"]

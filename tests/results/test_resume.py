@@ -21,8 +21,8 @@ from results_support import (
 )
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.recording.output import part_path
-from posetrack_cli.results import ResultWriter, Subject, state_path
+from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.results import ResultWriter, Subject
 
 FRAMES = 26
 ENDS = range(FRAMES)

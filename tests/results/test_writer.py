@@ -24,8 +24,8 @@ from results_support import (
 )
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.recording.output import part_path
-from posetrack_cli.results import Checkpoint, ResultWriter, read_result, state_path
+from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.results import Checkpoint, ResultWriter, read_result
 
 SUPPORT = Path(__file__).with_name("results_support.py")
 FILE_LIMIT = 20_000  # bytes: room for the schemas and a few chunks, not for the whole run

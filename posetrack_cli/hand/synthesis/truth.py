@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.hand.anatomy import (
     ANGLE_NAMES,
     ANGLES,
     JOINT_NAMES,
     JOINT_PARENTS,
-    TANGENT_ANGLES,
     TANGENT_SIZE,
 )
+from posetrack_cli.hand.space import pose_rates
 from posetrack_cli.hand.synthesis.frames import SyntheticFrame
 from posetrack_cli.hand.synthesis.sensor import CAMERA
+from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
-from posetrack_cli.results.channels import TRUTH_PREFIX
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA, ESTIMATE_SCHEMA_NAME, estimate_to_json
 
@@ -40,7 +38,7 @@ def truth_estimate(frame: SyntheticFrame) -> Estimate:
         position=frame.pose[:3],
         quaternion=frame.pose[3:7],
         shape=frame.pose[ANGLES],
-        pose_rate=_pose_rate(frame.pose, twist),
+        pose_rate=pose_rates(frame.pose, twist),
         twist=twist,
         pose_variance=none,
         twist_variance=none,
@@ -76,8 +74,3 @@ class TruthChannels:
 
     def _write(self, channel: int, stamp_ns: int, message: messages.Message) -> None:
         self._sink.write(channel, stamp_ns, message.SerializeToString(deterministic=True))
-
-
-def _pose_rate(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """(22,) time derivative of the pose, the rotation's as that of its quaternion."""
-    return np.concatenate([twist[:3], quaternion_rate(pose[3:7], twist[3:6]), twist[TANGENT_ANGLES]])

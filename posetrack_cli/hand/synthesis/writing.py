@@ -7,18 +7,17 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli import __version__
-from posetrack_cli.arrays import ImageArray
 from posetrack_cli.hand.synthesis.frames import Plan, SyntheticFrame, make_plan, render_plan
 from posetrack_cli.hand.synthesis.options import SWITCH_NAMES, SynthOptions
 from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.hand.synthesis.truth import TruthChannels
 from posetrack_cli.hand.synthesis.walk import WalkNoise
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, CHUNK_BYTES, IMAGE_TOPIC
+from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.output import check_output, whole_or_nothing
@@ -119,14 +118,9 @@ def _write(sink: McapSink, options: SynthOptions, plan: Plan, report: Report) ->
 
 
 def _image_bytes(frame: SyntheticFrame) -> bytes:
-    message = CompressedImage(frame_id=CAMERA.name, format="png", data=_png(frame.depth))
+    message = CompressedImage(frame_id=CAMERA.name, format="png", data=encode_png(frame.depth, PNG_LEVEL))
     message.timestamp.FromNanoseconds(frame.stamp_ns)
     return bytes(message.SerializeToString(deterministic=True))
-
-
-def _png(depth: ImageArray) -> bytes:
-    _, data = cv2.imencode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
-    return data.tobytes()
 
 
 def _numbers(values: Any) -> str:
