@@ -1,0 +1,76 @@
+"""What an evaluation says about one result; every output (table, JSON, CSV, HTML, gates) is made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.recording.base import Loss
+
+Value: TypeAlias = Statistics | float
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The field's curve: share of frames whose largest joint error is below D.
+
+    Attributes:
+        thresholds_mm: (T,) D, increasing.
+        share: (T,) 0 to 1, of all frames that should have been tracked: missed ones count as not below.
+    """
+
+    thresholds_mm: FloatArray
+    share: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Which rows of an estimate and a truth belong together: (M,) row numbers each, increasing."""
+
+    estimate: IntArray
+    truth: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One result, measured.
+
+    Attributes:
+        name: the column's heading; unique among results that are shown beside each other.
+        path: the result's file.
+        subject: ``hand`` or ``head``.
+        run: the result's run record, as written (configuration as JSON text, seed, renderer, ...).
+        coverage: frames tracked, lost, unmatched.
+        metrics: values by address without statistic: ``joint_error_mm``, ``joint_error_mm.index_tip``,
+            ``frames_within_20mm``; in the order of the catalogue (``evaluation.metrics.CATALOGUE``).
+        absent: known metrics of this subject that have no value here, and why ("no truth").
+        series: per-frame values (M,) over the matched frames by metric address, such as ``joint_error_mm``
+            (mean over the joints) and ``largest_joint_error_mm``; what comparisons pair and plots show.
+        series_stamp_ns: (M,) their stamps.
+        curve: None where there is no truth with points.
+        notes: what a reader of the figures must know: an alignment that was removed, an unfinished run.
+        losses: data of the result that could not be read; not empty means exit code 3.
+        track, truth, pairs: what was compared; truth and pairs None without truth.
+    """
+
+    name: str
+    path: Path
+    subject: str
+    run: Mapping[str, str]
+    coverage: Coverage
+    metrics: Mapping[str, Value]
+    absent: Mapping[str, str]
+    series: Mapping[str, FloatArray]
+    series_stamp_ns: IntArray
+    curve: Curve | None
+    notes: tuple[str, ...]
+    losses: tuple[Loss, ...]
+    track: Track
+    truth: Track | None = None
+    pairs: Pairs | None = None
