@@ -19,7 +19,7 @@ FRAME_NS = 33_333_333
 
 
 def hand_track(name: str, frames: int, error_mm: float, seed: int = 0) -> Track:
-    """A hand that goes round in a circle and opens and closes; ``error_mm`` is the sd of noise on its position."""
+    """A hand that goes in a circle, opening and closing; ``error_mm`` is the sd of its position noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(frames) / 30.0
     circle = np.stack([50 * np.sin(t), 30 * np.cos(t), 650 + 40 * np.sin(t / 3)], axis=1)
