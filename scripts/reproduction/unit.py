@@ -1,0 +1,106 @@
+"""One unit of the study: a synthetic recording, tracked by every entrant. Run as a process of its own.
+
+Usage: .venv/bin/python scripts/reproduction/unit.py --motion C --speed 1 --seed 101 --frames 150 --out DIR
+
+A result that is there already is left alone, so a study that was stopped goes on where it was. The recording
+itself is deleted in the end: the same options make the same one again.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from posetrack_cli.configuration import find_configuration, load_settings
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.run import INIT_CENTRE, HandRun, RunOptions
+from posetrack_cli.hand.synthesis.options import Switches, SynthOptions
+from posetrack_cli.hand.synthesis.writing import write_synthetic
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.rendering.context import open_context
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A way to track: a shipped configuration and what differs from it."""
+
+    configuration: str
+    changes: dict[str, Any]
+
+
+ENTRANTS = {
+    f"{kind}-{cost}": Entrant("hand", {"filter.kind": kind, "observation.cost": cost})
+    for kind in ("pf", "rbpf")
+    for cost in ("paper", "union")
+} | {f"{kind}-printed": Entrant("hand-paper", {"filter.kind": kind}) for kind in ("pf", "rbpf")}
+"""Filter and cost with all else as in hand.toml; ``printed``: everything as the paper prints it."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Which recording: motion A, B or C, at a speed, from a seed."""
+
+    motion: str
+    speed: float
+    seed: int
+    frames: int
+
+    @property
+    def name(self) -> str:
+        """What its files are called by, such as ``C-2x-101``."""
+        return f"{self.motion}-{self.speed:g}x-{self.seed:03d}"
+
+    def result(self, folder: Path, entrant: str) -> Path:
+        """Where an entrant's result lies."""
+        return folder / f"{self.name}-{entrant}.mcap"
+
+    def options(self) -> SynthOptions:
+        """How the recording is made: A and B bare, as in the paper; C with all that a Kinect sees."""
+        switches = Switches.usual(self.motion)
+        return SynthOptions(self.motion, self.frames, self.seed, self.speed, switches=switches)
+
+
+@click.command()
+@click.option("--motion", type=click.Choice(["A", "B", "C"]), required=True)
+@click.option("--speed", type=float, required=True)
+@click.option("--seed", type=int, required=True)
+@click.option("--frames", type=int, required=True)
+@click.option("--entrants", required=True, help="Names, comma-separated.")
+@click.option("--out", type=click.Path(path_type=Path), required=True)
+def main(motion: str, speed: float, seed: int, frames: int, entrants: str, out: Path) -> None:
+    """Make the recording, track it by every entrant, delete it."""
+    run_unit(Unit(motion, speed, seed, frames), entrants.split(","), out)
+
+
+def run_unit(unit: Unit, entrants: list[str], out: Path) -> None:
+    """Track a unit by the entrants whose results are not there yet."""
+    missing = [entrant for entrant in entrants if not unit.result(out, entrant).exists()]
+    if not missing:
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / f"{unit.name}.mcap"
+        write_synthetic(unit.options(), recording)
+        context = open_context()
+        for entrant in missing:
+            track(recording, unit, entrant, unit.result(out, entrant), context)
+
+
+def track(recording: Path, unit: Unit, entrant: str, result: Path, context: Any) -> None:
+    """Track a recording; C starts as ``--init center``, A and B from the true pose, which is anywhere.
+
+    The tracker's seed is the unit's: entrants over the same recording are pairs.
+    """
+    chosen = ENTRANTS[entrant]
+    changes = chosen.changes | {"output.mesh": "none"}
+    config = load_settings(HandConfig, find_configuration(chosen.configuration), changes)
+    init = INIT_CENTRE if unit.motion == "C" else str(recording)
+    options = RunOptions(result, seed=unit.seed, init=init, overwrite=True)
+    HandRun(open_recording(recording), config, options, context).track(lambda estimate: None)
+
+
+if __name__ == "__main__":
+    main()
