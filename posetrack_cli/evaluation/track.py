@@ -32,6 +32,7 @@ class Track:
         points: (N, P, 3) mm, camera axes.
         confidence, cost, effective_sample_size, milliseconds: (N,); cost and time NaN where unknown.
         resampled: (N,).
+        frame_index: (N,) positions of the frames in the recording; None for a truth or where unknown.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Track:
     effective_sample_size: FloatArray | None = None
     milliseconds: FloatArray | None = None
     resampled: BoolArray | None = None
+    frame_index: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
