@@ -1,0 +1,194 @@
+"""Gates: conditions on figures that make an evaluation fail, for continuous integration."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.figures import Figure, figure_of
+from posetrack_cli.evaluation.metrics import Address, split_address
+from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
+
+OPERATORS: dict[str, Callable[[float, float], bool]] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    "==": operator.eq,
+    "!=": operator.ne,
+    ">": operator.gt,
+    "<": operator.lt,
+}
+"""Longest first, so that ``>=`` is not read as ``>``."""
+GRAMMAR = "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !=, then a number"
+EXAMPLE = "such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'"
+CONDITION = re.compile(rf"([^<>=!]+)({'|'.join(OPERATORS)})([^<>=!]+)")
+
+
+@dataclass(frozen=True)
+class Gate:
+    """A condition under which an evaluation fails.
+
+    Attributes:
+        text: as it is shown.
+        address: the figure.
+        sign: the comparison, a key of ``OPERATORS``.
+        limit: what the figure is compared with.
+    """
+
+    text: str
+    address: Address
+    sign: str
+    limit: float
+
+
+@dataclass(frozen=True)
+class GateOutcome:
+    """What a gate says about one result.
+
+    Attributes:
+        gate: the condition.
+        result: the result's name.
+        figure: its figure, or None where it cannot be judged.
+        failed: whether the condition is true, or cannot be judged.
+        reason: why it cannot be judged, or empty.
+    """
+
+    gate: str
+    result: str
+    figure: float | None
+    failed: bool
+    reason: str
+
+    @property
+    def line(self) -> str:
+        """One line for a reader of a log."""
+        if self.figure is None:
+            return f"{self.result}: gate '{self.gate}' cannot be judged: {self.reason}"
+        return f"{self.result}: gate '{self.gate}' {'failed' if self.failed else 'passed'}: {self.reason}"
+
+
+def parse_gate(text: str) -> Gate:
+    """Read a condition ``METRIC[.PART][.STATISTIC] OP NUMBER``; where it is true the evaluation fails.
+
+    Raises:
+        UsageError: it is no such condition, or names no figure there is.
+    """
+    match = CONDITION.fullmatch(text.strip())
+    if match is None:
+        raise UsageError(
+            f"'{text.strip()}' is no condition", expected=GRAMMAR, hint=_sign_hint(text) or EXAMPLE
+        )
+    name, sign, number = (part.strip() for part in match.groups())
+    address = split_address(name)
+    if address.statistic is None and not address.metric.scalar:
+        choices = ", ".join(f"{name}.{statistic}" for statistic in STATISTIC_NAMES)
+        raise UsageError(f"condition '{text.strip()}' does not say which statistic", expected=choices)
+    return Gate(f"{name} {sign} {number}", address, sign, _limit(number, text.strip()))
+
+
+def read_gates(path: Path) -> list[Gate]:
+    """Read a file of conditions, one a line; what follows a ``#`` is a comment.
+
+    Raises:
+        UsageError: it cannot be read, holds no condition, or one of them is none; names the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        found = error.strerror if isinstance(error, OSError) else "bytes that are no UTF-8"
+        raise UsageError("gates cannot be read", where=path, found=found) from error
+    stripped = [(number, line.partition("#")[0].strip()) for number, line in enumerate(lines, 1)]
+    gates = [_gate_of_line(path, number, line) for number, line in stripped if line]
+    if not gates:
+        raise UsageError("holds no gate", where=path, expected="one condition a line", hint=EXAMPLE)
+    return gates
+
+
+def check_gates(gates: Sequence[Gate], evaluations: Sequence[Evaluation]) -> list[GateOutcome]:
+    """Apply every gate to every result.
+
+    A gate that cannot be judged has failed: its metric is absent or no finite number, the result is empty,
+    or its coverage is 0, when only figures of coverage itself say anything.
+
+    Raises:
+        UsageError: a gate names a part, such as a feature point, that none of the results has.
+    """
+    for gate in gates:
+        _check_part(gate.address, evaluations)
+    return [check_gate(gate, evaluation) for gate in gates for evaluation in evaluations]
+
+
+def check_gate(gate: Gate, evaluation: Evaluation) -> GateOutcome:
+    """Apply one gate to one result."""
+    figure = _judged(evaluation, gate.address)
+    if figure.value is None:
+        return GateOutcome(gate.text, evaluation.name, None, True, figure.reason)
+    failed = OPERATORS[gate.sign](figure.value, gate.limit)
+    shown = f"{gate.address.base}{_suffix(gate.address)} is {shown_figure(figure.value, gate.limit)}"
+    return GateOutcome(gate.text, evaluation.name, figure.value, failed, shown)
+
+
+def shown_figure(value: float, limit: float) -> str:
+    """Show a figure in as few digits as keep it apart from what it is compared with."""
+    short = f"{value:.4g}"
+    return short if value == limit or float(short) != limit else repr(value)
+
+
+def _judged(evaluation: Evaluation, address: Address) -> Figure:
+    figure = figure_of(evaluation, address)
+    if figure.value is not None and address.metric.group != "coverage" and evaluation.coverage.share == 0:
+        return Figure(None, "coverage is 0")
+    return figure
+
+
+def _gate_of_line(path: Path, number: int, line: str) -> Gate:
+    try:
+        return parse_gate(line)
+    except PosetrackError as error:
+        raise UsageError(str(error), where=f"{path}:{number}") from error
+
+
+def _limit(number: str, text: str) -> float:
+    try:
+        limit = float(number)
+    except ValueError as error:
+        raise UsageError(
+            f"condition '{text}' compares with no number", found=number, hint=_number_hint(number)
+        ) from error
+    if not math.isfinite(limit):
+        raise UsageError(f"condition '{text}' compares with no finite number", found=number, hint=EXAMPLE)
+    return limit
+
+
+def _number_hint(number: str) -> str:
+    if number.endswith("%"):
+        return "shares are numbers from 0 to 1: write 0.99 for 99 %"
+    if re.match(r"[-+.\d]", number):
+        return "write the number alone: the unit is the metric's own, and the decimal sign is a point"
+    return EXAMPLE
+
+
+def _sign_hint(text: str) -> str:
+    if re.search(r"[^<>=!]=[^=]", text):
+        return "equality is =="
+    return "one condition at a time; give --fail-if again for the next" if text.count("<") > 1 else ""
+
+
+def _check_part(address: Address, evaluations: Iterable[Evaluation]) -> None:
+    """Feature points are named by the results: only now a misspelt one shows."""
+    prefix = f"{address.metric.name}."
+    measured = [one for one in evaluations if address.metric.name in one.metrics]
+    bases = {base for one in measured for base in one.metrics}
+    if address.metric.part == "point" and measured and address.base not in bases:
+        known = {base.removeprefix(prefix) for base in bases if base.startswith(prefix)}
+        hint = nearest_name(address.part or "", known) if known else "it has no parts"
+        raise UsageError(f"metric '{address.metric.name}' has no '{address.part}' here", hint=hint)
+
+
+def _suffix(address: Address) -> str:
+    return "" if address.statistic is None else f".{address.statistic}"

@@ -1,0 +1,214 @@
+"""Gates: what is a condition, when it fails, and what its line says."""
+
+from __future__ import annotations
+
+import operator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from evaluation_support import hand_evaluation
+from hypothesis import given
+from hypothesis import strategies as st
+
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.figures import figure_of
+from posetrack_cli.evaluation.gates import OPERATORS, check_gate, check_gates, parse_gate, read_gates
+from posetrack_cli.evaluation.metrics import CATALOGUE
+from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
+
+FIGURES = Statistics(mean=8.0, sd=2.0, median=7.5, p95=12.0, max=30.0, count=600)
+NOT_A_NUMBER = float("nan")
+
+
+def evaluation(name: str = "a", **changes: object):
+    metrics = {"coverage": 0.98, "lost": 6.0, "joint_error_mm": FIGURES, "joint_error_mm.index_tip": FIGURES}
+    return hand_evaluation(name, 300, **{"metrics": metrics, **changes})
+
+
+def outcome(text: str, **changes: object):
+    return check_gate(parse_gate(text), evaluation(**changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "failed"),
+    [
+        ("joint_error_mm.mean > 10", False),
+        ("joint_error_mm.mean > 7.9", True),
+        ("joint_error_mm.mean>8", False),
+        ("joint_error_mm.mean>=8", True),
+        ("joint_error_mm.sd < 2.0", False),
+        ("joint_error_mm.sd <= 2.0", True),
+        ("joint_error_mm.median == 7.5", True),
+        ("joint_error_mm.median != 7.5", False),
+        ("joint_error_mm.index_tip.p95 > 1.1e1", True),
+        ("  joint_error_mm.max   >   30.5  ", False),
+        ("joint_error_mm.count < 1000", True),
+        ("coverage < 0.99", True),
+        ("coverage < .98", False),
+        ("lost > -1", True),
+    ],
+)
+def test_a_true_condition_fails(text: str, failed: bool) -> None:
+    assert outcome(text).failed is failed
+
+
+@given(st.sampled_from(sorted(OPERATORS)), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+def test_every_sign_is_python_s(sign: str, value: float, limit: float) -> None:
+    python = {">": "gt", "<": "lt", ">=": "ge", "<=": "le", "==": "eq", "!=": "ne"}
+    measured = SimpleNamespace(
+        name="a",
+        subject="hand",
+        coverage=Coverage(9, 9, 0, 0, 0, 0, 0, True, 9),
+        metrics={"particles": value},
+    )
+    assert check_gate(parse_gate(f"particles {sign} {limit!r}"), measured).failed is getattr(
+        operator, python[sign]
+    )(value, limit)
+
+
+def test_the_line_names_result_condition_and_figure() -> None:
+    assert outcome("joint_error_mm.mean>7").line == (
+        "a: gate 'joint_error_mm.mean > 7' failed: joint_error_mm.mean is 8"
+    )
+    assert "passed: coverage is 0.98" in outcome("coverage < 0.9").line
+
+
+def test_a_figure_just_beyond_its_limit_does_not_look_equal_to_it() -> None:
+    line = outcome("coverage < 0.99", metrics={"coverage": 0.9899999}).line
+    assert line.endswith("coverage is 0.9899999")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"absent": {"joint_error_mm": "no truth"}, "metrics": {"coverage": 1.0}}, "no truth"),
+        ({"metrics": {"coverage": 1.0}}, "not measured"),
+        (
+            {"metrics": {"joint_error_mm": Statistics(*[NOT_A_NUMBER] * 5, count=0)}},
+            "the figure is nan",
+        ),
+        (
+            {"metrics": {"joint_error_mm": Statistics(float("inf"), 0.0, 0.0, 0.0, float("inf"), 3)}},
+            "the figure is inf",
+        ),
+        ({"coverage": Coverage(0, 0, 0, 0, 0, 5, 0, True, 0)}, "the result holds no estimate"),
+        ({"coverage": Coverage(9, 0, 9, 0, 0, 0, 0, True, 0)}, "coverage is 0"),
+        ({"subject": "head"}, "it is no metric of a head"),
+    ],
+)
+@pytest.mark.parametrize("sign", sorted(OPERATORS))
+def test_what_cannot_be_judged_fails_whatever_the_condition(
+    changes: dict[str, object], reason: str, sign: str
+) -> None:
+    said = outcome(f"joint_error_mm.mean {sign} 10", **changes)
+    assert said.failed and said.figure is None
+    assert said.line == f"a: gate 'joint_error_mm.mean {sign} 10' cannot be judged: {reason}"
+
+
+def test_coverage_0_is_itself_a_figure() -> None:
+    nothing = {"coverage": Coverage(9, 0, 9, 0, 0, 0, 0, True, 0), "metrics": {"coverage": 0.0, "lost": 9.0}}
+    assert outcome("coverage < 0.99", **nothing).line.endswith("failed: coverage is 0")
+    assert outcome("lost > 10", **nothing).failed is False
+
+
+def test_a_part_is_as_absent_as_its_metric() -> None:
+    said = outcome(
+        "joint_error_mm.wrist.mean > 1", metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"}
+    )
+    assert said.reason == "no truth"
+
+
+def test_every_gate_meets_every_result() -> None:
+    gates = [parse_gate("coverage < 0.99"), parse_gate("joint_error_mm.mean > 10")]
+    results = [evaluation(name=name) for name in ("a", "b", "c")]
+    outcomes = check_gates(gates, results)
+    assert [(one.gate, one.result) for one in outcomes] == [
+        (gate.text, result.name) for gate in gates for result in results
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "joint_eror_mm.mean > 10",
+            r"no metric 'joint_eror_mm'; did you mean 'joint_error_mm'\?.*wrist_position",
+        ),
+        (
+            "joint_error_mm > 10",
+            "does not say which statistic, expected joint_error_mm.mean, .*joint_error_mm.max",
+        ),
+        ("joint_error_mm.index_tip > 10", "expected joint_error_mm.index_tip.mean"),
+        ("joint_error_mm.indextip.p95 > 10", "did you mean 'index_tip'"),
+        ("joint_error_mm.p99 > 10", "did you mean 'p95'"),
+        ("coverage.mean < 0.99", "metric 'coverage' has no 'mean'; it is one number"),
+        ("coverage < 99%", "found 99%; shares are numbers from 0 to 1: write 0.99"),
+        ("joint_error_mm.mean > 10mm", "the unit is the metric's own"),
+        ("joint_error_mm.mean > 10,5", "the decimal sign is a point"),
+        ("joint_error_mm.mean > ten", "compares with no number, found ten; such as"),
+        ("joint_error_mm.mean > inf", "no finite number"),
+        ("joint_error_mm.mean > nan", "no finite number"),
+        ("coverage = 1", r"is no condition, expected METRIC.*; equality is =="),
+        ("coverage", r"is no condition, expected METRIC.* > >= < <= == !=.*such as"),
+        ("", "is no condition"),
+        ("> 10", "is no condition"),
+        ("coverage <", "is no condition"),
+        ("0 < coverage < 1", "one condition at a time"),
+        ("coverage => 1", "is no condition"),
+    ],
+)
+def test_what_is_no_condition_is_one_line_that_helps(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said) as error:
+        parse_gate(text)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("metric", CATALOGUE, ids=lambda metric: metric.name)
+def test_every_metric_can_be_gated(metric) -> None:
+    for statistic in ("",) if metric.scalar else STATISTIC_NAMES:
+        text = f"{metric.name}{'.' if statistic else ''}{statistic} > 1"
+        assert parse_gate(text).text == text
+
+
+def test_a_file_of_gates(tmp_path: Path) -> None:
+    path = tmp_path / "gates.txt"
+    path.write_text("\ufeff# accuracy\njoint_error_mm.mean > 10\n\n  coverage < 0.99  # all frames\r\n")
+    assert [gate.text for gate in read_gates(path)] == ["joint_error_mm.mean > 10", "coverage < 0.99"]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"coverage < 0.99\n\njoint_eror_mm.mean > 1\n", r"gates.txt:3: no metric 'joint_eror_mm'"),
+        (b"# nothing\n\n", "gates.txt: holds no gate"),
+        (b"\xff\xfe\x00", "no UTF-8"),
+    ],
+)
+def test_a_bad_file_of_gates_names_file_and_line(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "gates.txt"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=said):
+        read_gates(path)
+
+
+def test_a_missing_file_of_gates(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"none.txt: gates cannot be read, found No such file"):
+        read_gates(tmp_path / "none.txt")
+
+
+def test_a_misspelt_feature_point_shows_when_the_points_are_known() -> None:
+    points = {"point_error_mm": FIGURES, "point_error_mm.nose_tip": FIGURES}
+    head = evaluation(subject="head", metrics={"coverage": 1.0, **points})
+    assert check_gates([parse_gate("point_error_mm.nose_tip.mean > 1")], [head])[0].failed
+    with pytest.raises(UsageError, match="did you mean 'nose_tip'"):
+        check_gates([parse_gate("point_error_mm.nosetip.mean > 1")], [head])
+
+
+def test_figures_are_found_by_address() -> None:
+    assert figure_of(evaluation(), "joint_error_mm.p95").value == 12.0
+    assert figure_of(evaluation(), "coverage").value == 0.98
+    assert figure_of(evaluation(), "nees.mean").reason == "not measured"
+    np.testing.assert_equal(figure_of(evaluation(), "joint_error_mm.index_tip.count").value, 600.0)
