@@ -49,7 +49,7 @@ class Component:
 WRIST_X = Component("wrist x, mm", "position", 0)
 WRIST_Y = Component("wrist y, mm", "position", 1)
 MIDDLE_BEND = Component(
-    "middle finger, joint 2 about x, deg", "shape", ANGLE_NAMES.index("middle_pip_flexion"), 180.0 / np.pi
+    "middle finger, joint 2, deg", "shape", ANGLE_NAMES.index("middle_pip_flexion"), 180.0 / np.pi
 )
 
 

@@ -1,0 +1,90 @@
+"""What the study says: figures per recording, paired over recordings, over all conditions at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
+from study import CONDITIONS, Condition
+from unit import Unit
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.paired import Paired, paired
+from posetrack_cli.evaluation.statistics import Statistics
+
+METRICS = ("joint_error_mm", "velocity_error_mm_s")
+SIGNIFICANCE = 0.05
+Figures = Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two entrants over the recordings of one condition.
+
+    Attributes:
+        condition: kind of recording.
+        first, second: entrants; differences are second minus first.
+        values: (n, 2) their means over each recording.
+        summary: what the pairs say.
+    """
+
+    condition: Condition
+    first: str
+    second: str
+    values: FloatArray
+    summary: Paired
+
+    @property
+    def differences(self) -> FloatArray:
+        """(n,) second minus first."""
+        return np.diff(self.values, axis=1)[:, 0]
+
+
+def measure(units: Sequence[Unit], entrants: Sequence[str], folder: Path) -> dict[tuple[str, str], Figures]:
+    """Return by unit and entrant the mean over the recording of every metric that it has."""
+    measured: dict[tuple[str, str], Figures] = {}
+    for unit in units:
+        for entrant in entrants:
+            if (path := unit.result(folder, entrant)).exists():
+                metrics = evaluate(path, EvalOptions()).metrics
+                values = {name: metrics[name] for name in METRICS if name in metrics}
+                measured[unit.name, entrant] = {
+                    name: value.mean for name, value in values.items() if isinstance(value, Statistics)
+                }
+    return measured
+
+
+def compare(
+    measured: Mapping[tuple[str, str], Figures],
+    units: Mapping[Condition, Sequence[Unit]],
+    pair: tuple[str, str],
+    metric: str,
+) -> list[Comparison]:
+    """Compare two entrants under every condition in which both have the metric."""
+    compared = []
+    for condition in CONDITIONS:
+        figures = [[measured.get((unit.name, name), {}) for name in pair] for unit in units[condition]]
+        rows = [[both[metric] for both in row] for row in figures if all(metric in both for both in row)]
+        if rows:
+            values = np.array(rows)
+            compared.append(Comparison(condition, *pair, values, paired(values[:, 0], values[:, 1])))
+    return compared
+
+
+def adjusted(comparisons: Sequence[Comparison]) -> FloatArray:
+    """P values (n,) adjusted for their number (Benjamini and Hochberg 1995)."""
+    from scipy.stats import false_discovery_control
+
+    p_values = np.array([comparison.summary.p_value for comparison in comparisons])
+    return np.asarray(false_discovery_control(p_values), dtype=np.float64) if len(p_values) else p_values
+
+
+def verdict(comparison: Comparison, p_value: float) -> str:
+    """In words: which entrant has the smaller error, if the pairs tell."""
+    if not p_value < SIGNIFICANCE:
+        return "no difference found"
+    better = comparison.second if comparison.summary.difference < 0 else comparison.first
+    return f"{better} is better"
