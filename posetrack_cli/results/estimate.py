@@ -40,7 +40,8 @@ class Estimate:
         pose_rate: (7 + K,) time derivative of (position, quaternion, shape), per second.
         twist: (6 + K,) velocity in the tangent space: mm/s, rad/s, shape per second.
         pose_variance: (6 + K,) diagonal of the covariance of the pose in the tangent space.
-        twist_variance: (6 + K,) diagonal of the covariance of ``twist``.
+        twist_variance: (6 + K,) diagonal of the covariance of ``twist``. This, ``pose_rate`` and ``twist``
+            are all None where no velocity is known, or the motion has none: the truth of a random walk.
         points: (P, 3) mm, joints or landmarks in camera axes.
         effective_sample_size: of the particle weights before resampling.
         resampled: whether the particles were resampled after this estimate.
@@ -56,10 +57,10 @@ class Estimate:
     position: FloatArray
     quaternion: FloatArray
     shape: FloatArray
-    pose_rate: FloatArray
-    twist: FloatArray
+    pose_rate: FloatArray | None
+    twist: FloatArray | None
     pose_variance: FloatArray
-    twist_variance: FloatArray
+    twist_variance: FloatArray | None
     points: FloatArray
     effective_sample_size: float
     resampled: bool
@@ -135,6 +136,9 @@ def array_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
 FIELD_NAMES = tuple(field.name for field in fields(Estimate))
 """The fields of an Estimate in the order in which every format lists them."""
 
+VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
+"""The fields that are None, all of them, where no velocity is known."""
+
 
 def check_estimate(estimate: Estimate, subject: Subject) -> None:
     """Refuse an estimate whose arrays do not fit the subject or hold NaN or infinity.
@@ -143,8 +147,12 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
         ResultError: names the frame and the field.
     """
     where = f"{subject.name}, frame {estimate.frame_index}"
+    unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
+    if unknown and len(unknown) < len(VELOCITY_FIELDS):
+        raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
     for name, shape in array_shapes(subject).items():
-        check_array(getattr(estimate, name), shape, name, where)
+        if name not in unknown:
+            check_array(getattr(estimate, name), shape, name, where)
     norm = float(np.linalg.norm(estimate.quaternion))
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE or estimate.quaternion[3] < 0.0:
         found = f"norm {norm:.9g}, w {estimate.quaternion[3]:.9g}"

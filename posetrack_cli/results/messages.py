@@ -30,7 +30,7 @@ __all__ = [
 
 
 def odometry(estimate: Estimate, subject: Subject) -> Odometry:
-    """Return pose, velocity and covariances in the convention of Foxglove and ROS.
+    """Return pose, velocity (if one is known) and covariances in the convention of Foxglove and ROS.
 
     Pose: position and orientation of the body in the camera frame, its covariance (x, y, z, rotation
     about the camera's x, y, z). Velocity: linear and angular in the body frame, and its covariance. With
@@ -42,10 +42,11 @@ def odometry(estimate: Estimate, subject: Subject) -> Odometry:
     message.timestamp.FromNanoseconds(estimate.stamp_ns)
     _set_xyz(message.pose.position, estimate.position * METRES_PER_MM)
     _set_quaternion(message.pose.orientation, estimate.quaternion)
-    _set_xyz(message.linear_velocity, rotation.T @ estimate.twist[:3] * METRES_PER_MM)
-    _set_xyz(message.angular_velocity, estimate.twist[3:6])
     message.pose_covariance.extend(_covariance(estimate.pose_variance, np.eye(3), rotation))
-    message.velocity_covariance.extend(_covariance(estimate.twist_variance, rotation.T, np.eye(3)))
+    if estimate.twist is not None and estimate.twist_variance is not None:
+        _set_xyz(message.linear_velocity, rotation.T @ estimate.twist[:3] * METRES_PER_MM)
+        _set_xyz(message.angular_velocity, estimate.twist[3:6])
+        message.velocity_covariance.extend(_covariance(estimate.twist_variance, rotation.T, np.eye(3)))
     return message
 
 
@@ -73,10 +74,11 @@ def frame_transforms(estimate: Estimate, subject: Subject) -> FrameTransforms:
 
 
 def joint_states(estimate: Estimate, subject: Subject) -> JointStates:
-    """Return value and rate of every shape entry (finger angles: rad and rad/s)."""
+    """Return value and rate, if one is known, of every shape entry (finger angles: rad and rad/s)."""
     message = JointStates()
     message.timestamp.FromNanoseconds(estimate.stamp_ns)
-    values, rates = estimate.shape.tolist(), estimate.twist[6:].tolist()
+    values = estimate.shape.tolist()
+    rates = [None] * len(values) if estimate.twist is None else estimate.twist[6:].tolist()
     for name, value, rate in zip(subject.shape_names, values, rates, strict=True):
         message.joints.add(name=name, position=value, velocity=rate)
     return message

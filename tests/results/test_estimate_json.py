@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from results_support import make_estimate, with_fields
 
 from posetrack_cli.errors import ResultError
@@ -35,9 +37,14 @@ def assert_described(value: Any, schema: dict[str, Any]) -> None:
             assert_described(item, schema["properties"][key])
 
 
+NO_VELOCITY: dict[str, object] = {"pose_rate": None, "twist": None, "twist_variance": None}
+
+
 @pytest.mark.parametrize("index", [0, 1, 3])
-def test_every_written_field_is_described(index: int) -> None:
-    assert_described(json.loads(estimate_to_json(make_estimate(index))), dict(ESTIMATE_SCHEMA))
+@pytest.mark.parametrize("changes", [{}, NO_VELOCITY], ids=["velocity", "none"])
+def test_every_written_field_is_described(index: int, changes: dict[str, object]) -> None:
+    written = json.loads(estimate_to_json(with_fields(make_estimate(index), **changes)))
+    assert_described(written, dict(ESTIMATE_SCHEMA))
 
 
 def test_schema_lists_every_field_of_an_estimate_in_order() -> None:
@@ -70,9 +77,27 @@ def test_a_cost_without_value_is_left_out(value: float | None) -> None:
     assert estimate_from_json(data).cost is None
 
 
+def test_a_velocity_that_is_not_known_is_left_out() -> None:
+    data = estimate_to_json(with_fields(make_estimate(1), **NO_VELOCITY))
+    assert not set(NO_VELOCITY) & set(json.loads(data))
+    read = estimate_from_json(data)
+    assert (read.pose_rate, read.twist, read.twist_variance) == (None, None, None)
+    assert read.pose_variance.shape == (9,)
+
+
 def test_nan_is_refused() -> None:
     with pytest.raises(ResultError, match="frame 1: estimate is not finite"):
         estimate_to_json(with_fields(make_estimate(1), position=np.array([0.0, np.nan, 0.0])))
+    data = estimate_to_json(make_estimate(1)).replace(b'"confidence":0', b'"confidence":NaN,"a":0')
+    with pytest.raises(ResultError, match=r"no posetrack\.Estimate"):
+        estimate_from_json(data)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=3))
+def test_any_number_comes_back_to_the_last_bit(numbers: list[float]) -> None:
+    position = np.array(numbers)
+    read = estimate_from_json(estimate_to_json(with_fields(make_estimate(1), position=position)))
+    assert read.position.tobytes() == position.tobytes()
 
 
 def test_numpy_scalars_are_written_as_numbers() -> None:

@@ -94,6 +94,17 @@ def test_joint_states_hold_angles_and_their_rates() -> None:
     assert [joint.velocity for joint in joints] == estimate.twist[6:].tolist()
 
 
+def test_a_velocity_that_is_not_known_is_in_no_message() -> None:
+    estimate = with_fields(make_estimate(5), pose_rate=None, twist=None, twist_variance=None)
+    message = odometry(estimate, SUBJECT)
+    assert not message.HasField("linear_velocity")
+    assert not message.HasField("angular_velocity")
+    assert (len(message.velocity_covariance), len(message.pose_covariance)) == (0, 36)
+    joints = joint_states(estimate, SUBJECT).joints
+    assert [joint.position for joint in joints] == estimate.shape.tolist()
+    assert not any(joint.HasField("velocity") for joint in joints)
+
+
 def plain_scene(stamp_ns: int, vertices: np.ndarray, alpha: float) -> SceneUpdate:
     """The same update, one protobuf object at a time."""
     update = SceneUpdate()

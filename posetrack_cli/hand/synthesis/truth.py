@@ -26,10 +26,9 @@ SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 def truth_estimate(frame: SyntheticFrame) -> Estimate:
     """Return the truth as an estimate without doubt: confidence 1, all variances 0, no particles.
 
-    The message has no way to leave a velocity out, so where the motion has none (A) it is 0.
+    It has no velocity where the motion has none (A).
     """
     none = np.zeros(TANGENT_SIZE)
-    twist = none if frame.twist is None else frame.twist
     return Estimate(
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
@@ -38,10 +37,10 @@ def truth_estimate(frame: SyntheticFrame) -> Estimate:
         position=frame.pose[:3],
         quaternion=frame.pose[3:7],
         shape=frame.pose[ANGLES],
-        pose_rate=pose_rates(frame.pose, twist),
-        twist=twist,
+        pose_rate=None if frame.twist is None else pose_rates(frame.pose, frame.twist),
+        twist=frame.twist,
         pose_variance=none,
-        twist_variance=none,
+        twist_variance=None if frame.twist is None else none,
         points=frame.joints,
         effective_sample_size=0.0,
         resampled=False,
@@ -59,17 +58,10 @@ class TruthChannels:
         self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, ESTIMATE_SCHEMA)
 
     def write(self, frame: SyntheticFrame) -> None:
-        """Write the truth about one frame; a velocity that does not exist is left out where it can be."""
+        """Write the truth about one frame."""
         estimate = truth_estimate(frame)
-        odometry = messages.odometry(estimate, SUBJECT)
-        joints = messages.joint_states(estimate, SUBJECT)
-        if frame.twist is None:
-            for name in ("linear_velocity", "angular_velocity", "velocity_covariance"):
-                odometry.ClearField(name)
-            for joint in joints.joints:
-                joint.ClearField("velocity")
-        self._write(self._odometry, frame.stamp_ns, odometry)
-        self._write(self._joints, frame.stamp_ns, joints)
+        self._write(self._odometry, frame.stamp_ns, messages.odometry(estimate, SUBJECT))
+        self._write(self._joints, frame.stamp_ns, messages.joint_states(estimate, SUBJECT))
         self._sink.write(self._estimate, frame.stamp_ns, estimate_to_json(estimate))
 
     def _write(self, channel: int, stamp_ns: int, message: messages.Message) -> None:

@@ -61,16 +61,20 @@ def test_truth_of_a_random_walk_has_no_velocity(tmp_path: Path) -> None:
         record = {m.name: m.metadata for m in reader.iter_metadata()}[SYNTH_RECORD]
         topics = ["/truth/hand/odometry", "/truth/hand/joint_states"]
         decoded = [message for _, _, _, message in reader.iter_decoded_messages(topics)]
+        estimates = [message.data for _, _, message in reader.iter_messages(["/truth/hand/estimate"])]
     assert record["velocity"] == "none" and record["motion"] == "A" and record["switch.noise"] == "false"
     odometry, joints = decoded[:2]
     assert not odometry.HasField("linear_velocity") and not odometry.velocity_covariance
     assert not joints.joints[0].HasField("velocity")
+    for estimate in map(estimate_from_json, estimates):
+        assert (estimate.pose_rate, estimate.twist, estimate.twist_variance) == (None, None, None)
 
 
 def test_the_pose_rate_is_that_of_the_quaternion() -> None:
     frame = list(synthesise(SynthOptions(motion="B", frames=5, switches=Switches())))[-1]
     estimate = truth_estimate(frame)
     assert frame.twist is not None
+    assert estimate.pose_rate is not None
     assert estimate.pose_rate[3:7] == pytest.approx(quaternion_rate(frame.pose[3:7], frame.twist[3:6]))
     assert estimate.pose_rate[7:] == pytest.approx(frame.twist[6:])
     assert np.dot(estimate.pose_rate[3:7], frame.pose[3:7]) == pytest.approx(0.0, abs=1e-12)
