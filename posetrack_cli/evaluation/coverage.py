@@ -3,6 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, IntArray
+from posetrack_cli.evaluation.track import Track
+
+if TYPE_CHECKING:
+    from posetrack_cli.evaluation.evaluation import Pairs
+
+HOLE_INTERVALS = 1.5
+"""Two estimates that are farther apart than this many usual intervals lack a frame between them."""
 
 
 @dataclass(frozen=True)
@@ -15,7 +27,7 @@ class Coverage:
         lost: of these, lost. Their errors count all the same.
         reinitialised: of these, found anew.
         unmatched: of these, without a truth at their stamp; all of them when there is no truth.
-        missed: truths within the result's span that have no estimate near: frames the run left out.
+        missed: frames within the result's span that the run left out though there is a truth for them.
         outside: truths before its first or after its last estimate: not asked for, not counted.
         has_truth: whether there was a truth to match.
     """
@@ -39,3 +51,71 @@ class Coverage:
         due = self.frames + self.missed
         good = self.tracked_and_matched if self.has_truth else self.tracked
         return good / due if due else 0.0
+
+
+def measure_coverage(
+    track: Track, truth: Track | None, pairs: Pairs | None, *, tolerance_ns: int = 0
+) -> Coverage:
+    """Count the frames of an estimate, and those of the truth that it should have had.
+
+    A truth may come at another rate than the frames, and a run may have taken every second frame on purpose;
+    so a truth without an estimate is no missed frame by itself. Frames are missed where a hole between two
+    estimates holds truths that are farther than half the usual interval (and than the tolerance) from both:
+    as many as there are such truths, but no more than fit in at the usual interval.
+
+    Args:
+        track: the estimate.
+        truth, pairs: None without truth.
+        tolerance_ns: of the association.
+    """
+    frames = len(track)
+    lost = np.zeros(frames, dtype=np.bool_) if track.lost is None else track.lost
+    matched = np.zeros(frames, dtype=np.bool_)
+    if pairs is not None:
+        matched[pairs.estimate] = True
+    true_ns = np.empty(0, dtype=np.int64) if truth is None else truth.stamp_ns
+    return Coverage(
+        frames=frames,
+        tracked=int((~lost).sum()),
+        lost=int(lost.sum()),
+        reinitialised=0 if track.reinitialised is None else int(track.reinitialised.sum()),
+        unmatched=int((~matched).sum()),
+        missed=_missed(track.stamp_ns, true_ns, tolerance_ns),
+        outside=int(_is_outside(track.stamp_ns, true_ns, tolerance_ns).sum()),
+        has_truth=truth is not None,
+        tracked_and_matched=int((matched & ~lost).sum()),
+    )
+
+
+def usual_interval(stamp_ns: IntArray) -> float:
+    """Return the mean interval, ns, between stamps (N,), N >= 2, that have no hole between them.
+
+    The median tells the holes (at least half of the intervals are none); the mean of the rest is the frame
+    rate's, also where jitter makes intervals long and short in turn, between which a median has to choose.
+    """
+    intervals = np.diff(stamp_ns)
+    return float(intervals[intervals <= HOLE_INTERVALS * np.median(intervals)].mean())
+
+
+def _is_outside(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> BoolArray:
+    """Return which truths (M,) are before the first or after the last estimate; all if there is none."""
+    if not stamp_ns.size:
+        return np.ones(len(true_ns), dtype=np.bool_)
+    before, after = true_ns < stamp_ns[0] - tolerance_ns, true_ns > stamp_ns[-1] + tolerance_ns
+    outside: BoolArray = before | after
+    return outside
+
+
+def _missed(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> int:
+    """Return how many frames are missing between the estimates, as ``measure_coverage`` counts them."""
+    if len(stamp_ns) < 2:
+        return 0
+    intervals, usual = np.diff(stamp_ns), usual_interval(stamp_ns)
+    hole = np.searchsorted(stamp_ns, true_ns, side="right") - 1  # between this estimate and the next
+    inside = (hole >= 0) & (hole < len(intervals))
+    hole, true_ns = hole[inside], true_ns[inside]
+    distance = np.minimum(true_ns - stamp_ns[hole], stamp_ns[hole + 1] - true_ns)
+    far = distance > max(0.5 * usual, tolerance_ns)
+    truths = np.bincount(hole[far], minlength=len(intervals))
+    room = np.where(intervals > HOLE_INTERVALS * usual, np.rint(intervals / usual) - 1.0, 0.0)
+    return int(np.minimum(truths, room).sum())
