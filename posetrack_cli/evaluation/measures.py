@@ -1,0 +1,143 @@
+"""What measuring works on and what it collects: matched rows, figures, series, and reasons for gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.evaluation.evaluation import Pairs, Value
+from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.track import Track
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """An estimate and a truth, and which of their rows belong together (M of them)."""
+
+    estimate: Track
+    truth: Track
+    pairs: Pairs
+
+    def __len__(self) -> int:
+        return len(self.pairs.estimate)
+
+    def of_estimate(self, name: str, *columns: int | slice) -> Any:
+        """The matched rows of one of the estimate's arrays, or of some of its columns."""
+        return rows_of(getattr(self.estimate, name)[:, *columns], self.pairs.estimate)
+
+    def of_truth(self, name: str, *columns: int | slice) -> Any:
+        """The same of the truth."""
+        return rows_of(getattr(self.truth, name)[:, *columns], self.pairs.truth)
+
+    def lacks(self, *names: str) -> str:
+        """Why these arrays cannot be compared: which side has none; empty when both have all."""
+        for side, track in (("truth", self.truth), ("result", self.estimate)):
+            for name in names:
+                if getattr(track, name) is None:
+                    return f"the {side} has no {_WORDS.get(name, name)}"
+        return ""
+
+
+_WORDS = {
+    "points": "points",
+    "shape": "finger angles",
+    "quaternion": "rotation",
+    "twist": "velocity",
+    "pose_variance": "covariance",
+    "twist_variance": "velocity covariance",
+}
+
+
+def rows_of(array: Any, rows: IntArray) -> Any:
+    """Return rows of an array; of adjoining ones a view, since copies of long tracks cost most of the memory.
+
+    Args:
+        array: (N, ...).
+        rows: (M,) increasing.
+    """
+    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+        return array[rows[0] : rows[-1] + 1]
+    return array[rows]
+
+
+@dataclass(frozen=True)
+class Common:
+    """Points or shape entries that an estimate and a truth both have.
+
+    Attributes:
+        names: in the estimate's order.
+        estimate: their columns there.
+        truth: their columns in the truth.
+        lacking: the estimate's others.
+    """
+
+    names: tuple[str, ...]
+    estimate: tuple[int, ...]
+    truth: tuple[int, ...]
+    lacking: tuple[str, ...]
+
+
+def common_columns(estimate: Sequence[str], truth: Sequence[str]) -> Common:
+    """Find what two lists of names share."""
+    where = {name: column for column, name in enumerate(truth)}
+    mine = [column for column, name in enumerate(estimate) if name in where]
+    names = tuple(estimate[column] for column in mine)
+    lacking = tuple(name for name in estimate if name not in where)
+    return Common(names, tuple(mine), tuple(where[name] for name in names), lacking)
+
+
+@dataclass
+class Measures:
+    """Collects what is measured.
+
+    Attributes:
+        nothing: why there is no figure where nothing is there to be summarised.
+        metrics: values by address without statistic.
+        series: per-frame values by address.
+        absent: reasons by metric or address.
+        notes: what a reader must know about the figures.
+    """
+
+    nothing: str
+    metrics: dict[str, Value] = field(default_factory=dict)
+    series: dict[str, FloatArray] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, address: str, values: FloatArray) -> None:
+        """Summarise the values of frames (M,), or of frames and parts (M, K), whose mean is the series.
+
+        A frame that is NaN has no value: it stays NaN in the series and is left out of the summary.
+        """
+        series = values if values.ndim == 1 else values.mean(axis=1) if values.size else values[:, 0:0]
+        if self.summarise(address, values[~np.isnan(series)] if series.size else series):
+            self.series[address] = series
+
+    def add_parts(self, address: str, values: FloatArray, names: Sequence[str]) -> None:
+        """Summarise the values (M, K) together and each part's (M,) by its name."""
+        self.add(address, values)
+        for column, name in enumerate(names):
+            self.add(f"{address}.{name}", values[:, column])
+
+    def summarise(self, address: str, values: FloatArray, nothing: str = "") -> bool:
+        """Summarise values; of none the reason is kept. Returns whether there were any."""
+        if values.size:
+            self.metrics[address] = statistics(values)
+        else:
+            self.absent[address] = nothing or self.nothing
+        return bool(values.size)
+
+    def share(self, address: str, inside: np.ndarray[Any, Any]) -> None:
+        """Keep which share of truth values is true; of none the reason is kept."""
+        if inside.size:
+            self.metrics[address] = float(inside.mean())
+        else:
+            self.absent[address] = self.nothing
+
+    def lack(self, reason: str, *addresses: str) -> None:
+        """Keep why these have no value."""
+        self.absent.update(dict.fromkeys(addresses, reason))
