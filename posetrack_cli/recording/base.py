@@ -67,7 +67,7 @@ class Recording(Protocol):
         """What the last pass over the frames had to skip; empty when nothing was lost."""
 
     def identity(self) -> Mapping[str, str]:
-        """Name, kind, size and SHA-256 of the input, topics used: what a result's record states."""
+        """Name, kind, size and SHA-256 of the input, topics used, how it was read: for a result's record."""
 
     def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
         """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""

@@ -48,6 +48,7 @@ class FolderRecording(SingleCameraRecording):
         self._camera_path = camera_path(path, camera_file)
         given = {"depth_unit_mm": depth_unit_mm, "missing": missing, "mirror": mirror}
         self._settings = override(load_camera_file(self._camera_path), given)
+        self._fps = fps
         self._stamps_path = None if fps is not None else path / STAMPS_FILE_NAME
         self._stamps = self._load_stamps(path, fps)
         self._shape = first_readable(self._images).shape
@@ -61,7 +62,7 @@ class FolderRecording(SingleCameraRecording):
         return len(self._images)
 
     def identity(self) -> Mapping[str, str]:
-        """Name, kind, size and SHA-256 over images, stamps and camera file."""
+        """Name, kind, size and SHA-256 over images, stamps and camera file, and what options replaced."""
         files = [(image.name, image) for image in self._images]
         if self._stamps_path is not None:
             files.append((STAMPS_FILE_NAME, self._stamps_path))
@@ -73,6 +74,10 @@ class FolderRecording(SingleCameraRecording):
             "bytes": str(size),
             "sha256": digest,
             "frames": str(len(self._images)),
+            "depth_unit_mm": str(self._settings.depth_unit_mm),
+            "missing": str(self._settings.missing),
+            "mirror": str(self._settings.mirror).lower(),
+            **({} if self._fps is None else {"fps": str(self._fps)}),
         }
 
     def truth(self) -> Iterator[TruthMessage]:

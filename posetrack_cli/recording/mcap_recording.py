@@ -75,7 +75,7 @@ class McapRecording(SingleCameraRecording):
         return self._topic.count
 
     def identity(self) -> Mapping[str, str]:
-        """Name, kind, size and SHA-256 of the file, and the topics in use."""
+        """Name, kind, size and SHA-256 of the file, the topics in use, and whether it is mirrored."""
         size, digest = file_digest(self._path)
         return {
             "name": shown_name(self._path.resolve()),
@@ -85,6 +85,7 @@ class McapRecording(SingleCameraRecording):
             "topic": self._topic.name,
             "camera_topic": self._camera_topic,
             "frames": str(self._topic.count),
+            "mirror": str(self._window.mirror).lower(),
         }
 
     def truth(self) -> Iterator[TruthMessage]:

@@ -1,0 +1,202 @@
+"""The recording that a result was made from: found by its name, known by its SHA-256."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.results.reader import Result
+
+SHOWN_DIGITS = 12
+ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
+
+
+@dataclass(frozen=True)
+class Search:
+    """What came of looking for a recording.
+
+    Attributes:
+        recording: None where there is none.
+        reason: why there is none: where it was looked for, and what was wrong with what was there.
+    """
+
+    recording: StoredRecording | None
+    reason: str = ""
+
+
+def find_recording(result: Result, given: Path | None = None, **opening: Any) -> StoredRecording | None:
+    """The recording that a result was made from, None where it is not found; see ``search_recording``."""
+    return search_recording(result, given, **opening).recording
+
+
+def search_recording(
+    result: Result, given: Path | None = None, *, any_recording: bool = False, **opening: Any
+) -> Search:
+    """Look for the recording that a result was made from.
+
+    A result states its input's name, size and SHA-256, no path. Without ``given`` the name is looked for
+    beside the result, in the folder above and in the working folder; one that differs is not taken.
+
+    Args:
+        result: its run record says what to look for, and how it was opened.
+        given: the file or folder to take.
+        any_recording: take ``given`` whatever it is, opened with ``opening`` alone.
+        opening: options of ``open_recording`` that replace those of the run.
+
+    Raises:
+        RecordingError: ``given`` cannot be read, or is another recording.
+        UsageError: an option that does not apply to ``given``, or is not that of the run.
+    """
+    if given is not None:
+        recording = open_recording(given, **opening) if any_recording else _same(given, result, opening)
+        return Search(recording)
+    name = Path(result.run.get("input.name", "")).name
+    if not name:
+        return Search(None, f"{result.path} does not say which recording it was made from")
+    reasons = []
+    for place in _places(result, name):
+        try:
+            return Search(_same(place, result, opening))
+        except RecordingError as error:
+            reasons.append(str(error))
+    looked = ", ".join(dict.fromkeys(str(folder) for folder in _folders(result)))
+    return Search(None, "; ".join([f"no recording '{name}' in {looked}", *reasons]))
+
+
+def required_recording(result: Result, given: Path | None = None, **options: Any) -> StoredRecording:
+    """As ``search_recording``, but not to find one is an error.
+
+    Raises:
+        RecordingError: there is none; says where it was looked for.
+    """
+    search = search_recording(result, given, **options)
+    if search.recording is None:
+        raise RecordingError(search.reason, hint="pass it with --recording")
+    return search.recording
+
+
+def _folders(result: Result) -> Iterator[Path]:
+    beside = result.path.parent
+    yield from (beside, beside.resolve().parent, Path())
+
+
+def _places(result: Result, name: str) -> Iterator[Path]:
+    """What bears the name, each once."""
+    places = (folder / name for folder in _folders(result))
+    yield from {place.resolve(): place for place in places if place.exists()}.values()
+
+
+def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecording:
+    """Open a recording as the run did; raise RecordingError if it is not the one of the run."""
+    run = result.run
+    _check_size(path, run)
+    given = {key: value for key, value in opening.items() if value is not None}
+    options = _options_of(run) if path.is_dir() == (run.get("input.kind") == "folder") else {}
+    _check_rate(options, given)
+    if "camera_file" in given:
+        options.pop("camera_topic", None)
+    options |= given
+    with _camera_of(path, run, options) as camera:
+        recording = open_recording(path, **options, **camera)
+    _check_identity(recording, run)
+    return recording
+
+
+def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
+    """How the run opened its input, as far as it says."""
+    read: dict[str, Callable[[str], Any]]
+    if run.get("input.kind") == "folder":
+        read = {"fps": float, "depth_unit_mm": float, "missing": int, "mirror": _truth}
+    else:
+        read = {"topic": str, "camera_topic": str, "mirror": _truth}
+    try:
+        found = {key: convert(run[f"input.{key}"]) for key, convert in read.items() if f"input.{key}" in run}
+    except ValueError as error:
+        raise ResultError("run record cannot be read", found=error) from error
+    return {key: value for key, value in found.items() if value != ""}
+
+
+def _truth(text: str) -> bool:
+    return text == "true"
+
+
+def _check_rate(options: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    """Frames are matched by their stamps, which a rate makes."""
+    rate, given_rate = options.get("fps"), given.get("fps")
+    if rate is not None and given_rate is not None and rate != given_rate:
+        raise UsageError(
+            "--fps is not that of the run", found=f"{given_rate:g}", expected=f"{rate:g}", hint="leave it out"
+        )
+
+
+@contextmanager
+def _camera_of(path: Path, run: Mapping[str, str], options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The run's camera, for an MCAP file that was tracked with a camera file and none is given now."""
+    with_file = run.get("input.kind") == "mcap" and run.get("input.camera_topic") == ""
+    if not with_file or path.is_dir() or {"camera_file", "camera_topic"} & options.keys():
+        yield {}
+        return
+    camera = camera_of(run)
+    stored = camera.mirrored() if options.get("mirror") else camera
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / CAMERA_FILE_NAME
+        values = {key: value for key, value in stored.values().items() if key != "name"}
+        file.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items()))
+        yield {"camera_file": file}
+
+
+def camera_of(run: Mapping[str, str]) -> Camera:
+    """The camera that a run's estimates are relative to.
+
+    Raises:
+        ResultError: the run record does not tell it.
+    """
+    try:
+        values = json.loads(run["camera"])
+        return Camera(**{**values, "distortion": tuple(values["distortion"])})
+    except (KeyError, TypeError, ValueError, PosetrackError) as error:
+        raise ResultError("run record tells no camera", found=error) from error
+
+
+def _check_size(path: Path, run: Mapping[str, str]) -> None:
+    """Tell another file by its size, before all of it is read."""
+    stated = run.get("input.bytes", "")
+    if not stated or not path.is_file():
+        return
+    size = path.stat().st_size
+    if str(size) != stated:
+        raise _another(path, run, f"{size} bytes", f"{stated} bytes")
+
+
+def _check_identity(recording: StoredRecording, run: Mapping[str, str]) -> None:
+    stated = run.get("input.sha256", "")
+    if not stated:
+        return  # made from something that has no identity
+    found = recording.identity()
+    if found["sha256"] != stated:
+        size = f" ({found['bytes']} bytes)", f" ({run.get('input.bytes', 'unknown')} bytes)"
+        digests = f"{found['sha256'][:SHOWN_DIGITS]}{size[0]}", f"{stated[:SHOWN_DIGITS]}{size[1]}"
+        raise _another(recording.path, run, f"SHA-256 {digests[0]}", digests[1])
+    if found.get("topic") != run.get("input.topic"):
+        raise _another(recording.path, run, f"topic {found['topic']}", run.get("input.topic", ""))
+
+
+def _another(path: Path, run: Mapping[str, str], found: str, expected: str) -> RecordingError:
+    name = run.get("input.name", "the run's input")
+    return RecordingError(
+        "is not the recording that the result was made from",
+        where=path,
+        found=found,
+        expected=f"{expected} as of {name}",
+        hint=ANY_HINT,
+    )
