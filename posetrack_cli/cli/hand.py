@@ -12,6 +12,7 @@ import click
 
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def hand_run(recording: Path, **options: Any) -> None:
     run, total = _prepare(recording, options)
     output = options["output"]
     with (
-        _stop_signals() as stopped,
+        stop_signals() as stopped,
         _progress(total, options["start"], options["stride"]) as report,
         _kept(output),
     ):
@@ -118,26 +119,6 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
     path = find_configuration(options["config"]) if options["config"] else None
     own = {key: options[name] for name, key in CONFIGURED.items() if options[name] is not None}
     return load_settings(HandConfig, path, parse_assignments(options["settings"]) | own)
-
-
-@contextmanager
-def _stop_signals() -> Iterator[Any]:
-    """Yield a function that tells whether Ctrl-C or SIGTERM came; a second Ctrl-C stops at once."""
-    import signal
-    import threading
-
-    asked = threading.Event()
-
-    def stop(number: int, frame: object) -> None:
-        asked.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
