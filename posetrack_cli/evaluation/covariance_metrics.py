@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation import pose_errors
 from posetrack_cli.evaluation.measures import Common, Matched, Measures, common_columns
 from posetrack_cli.evaluation.metrics import STATE_PARTS
@@ -58,7 +58,8 @@ def _pose(measures: Measures, matched: Matched, shapes: Common, reason: str) -> 
         matched.of_truth("quaternion"),
     )
     errors = np.hstack([errors, _difference(matched, "shape", shapes, 0)])
-    _add(measures, matched, POSE, errors, _variances(matched, "pose_variance", shapes))
+    normalised = pose_errors.normalised_squares(errors, _variances(matched, "pose_variance", shapes))
+    _add(measures, matched, POSE, normalised, np.ones(len(matched), dtype=np.bool_))
 
 
 def _velocity(measures: Measures, matched: Matched, shapes: Common, reason: str) -> None:
@@ -74,8 +75,8 @@ def _velocity(measures: Measures, matched: Matched, shapes: Common, reason: str)
         matched.of_truth("quaternion"),
     )
     errors = np.hstack([errors, _difference(matched, "twist", shapes, 6)])
-    errors[~frames_with_velocity(matched)] = np.nan
-    _add(measures, matched, VELOCITY, errors, _variances(matched, "twist_variance", shapes))
+    normalised = pose_errors.normalised_squares(errors, _variances(matched, "twist_variance", shapes))
+    _add(measures, matched, VELOCITY, normalised, frames_with_velocity(matched))
 
 
 def _difference(matched: Matched, name: str, shapes: Common, first: int) -> FloatArray:
@@ -94,14 +95,12 @@ def _variances(matched: Matched, name: str, shapes: Common) -> FloatArray:
 
 
 def _add(
-    measures: Measures, matched: Matched, names: tuple[str, str], errors: FloatArray, variances: FloatArray
+    measures: Measures, matched: Matched, names: tuple[str, str], normalised: FloatArray, known: BoolArray
 ) -> None:
-    """Add NEES and the shares inside, of frames whose errors are known."""
+    """Add NEES and the shares inside, of the frames (M,) whose normalised squares (M, D) are known."""
     nees, inside_90 = names
-    normalised = pose_errors.normalised_squares(errors, variances)
-    measures.add(nees, normalised.sum(axis=1))
-    known = normalised[~np.isnan(normalised).any(axis=1)]
-    inside = pose_errors.inside_interval(known)
+    measures.add(nees, normalised.sum(axis=1), known)
+    inside = pose_errors.inside_interval(normalised[known])
     measures.share(inside_90, inside)
     for part in STATE_PARTS[matched.estimate.subject]:
         measures.share(f"{inside_90}.{part}", inside[:, PART_COLUMNS[part]])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Pairs, Value
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
@@ -97,7 +97,7 @@ class Measures:
     Attributes:
         nothing: why there is no figure where nothing is there to be summarised.
         metrics: values by address without statistic.
-        series: per-frame values by address.
+        series: per-frame values by address; of wholes only, parts would be many.
         absent: reasons by metric or address.
         notes: what a reader must know about the figures.
     """
@@ -108,20 +108,26 @@ class Measures:
     absent: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def add(self, address: str, values: FloatArray) -> None:
+    def add(self, address: str, values: FloatArray, known: BoolArray | None = None) -> None:
         """Summarise the values of frames (M,), or of frames and parts (M, K), whose mean is the series.
 
-        A frame that is NaN has no value: it stays NaN in the series and is left out of the summary.
+        Args:
+            address: of the whole.
+            values: of every matched frame.
+            known: (M,) the frames that have a value; the others are NaN in the series, and not summarised.
         """
-        series = values if values.ndim == 1 else values.mean(axis=1) if values.size else values[:, 0:0]
-        if self.summarise(address, values[~np.isnan(series)] if series.size else series):
-            self.series[address] = series
+        if self.summarise(address, values if known is None else values[known]):
+            per_frame = values if values.ndim == 1 else values.mean(axis=1)
+            self.series[address] = per_frame if known is None else np.where(known, per_frame, np.nan)
 
-    def add_parts(self, address: str, values: FloatArray, names: Sequence[str]) -> None:
-        """Summarise the values (M, K) together and each part's (M,) by its name."""
-        self.add(address, values)
+    def add_parts(
+        self, address: str, values: FloatArray, names: Sequence[str], known: BoolArray | None = None
+    ) -> None:
+        """Summarise the values (M, K) together, and each part's (M,) by its name, without a series."""
+        self.add(address, values, known)
         for column, name in enumerate(names):
-            self.add(f"{address}.{name}", values[:, column])
+            part = values[:, column]
+            self.summarise(f"{address}.{name}", part if known is None else part[known])
 
     def summarise(self, address: str, values: FloatArray, nothing: str = "") -> bool:
         """Summarise values; of none the reason is kept. Returns whether there were any."""

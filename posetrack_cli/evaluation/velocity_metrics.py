@@ -26,11 +26,11 @@ def velocity_metrics(measures: Measures, matched: Matched) -> None:
         measures.notes.append(
             f"velocity errors over the {int(known.sum())} of {len(known)} frames with a velocity"
         )
-    measures.add(LINEAR, _where(known, _linear(matched)))
+    measures.add(LINEAR, _linear(matched), known)
     if reason := matched.lacks("quaternion"):
         measures.lack(reason, ANGULAR)
     else:
-        measures.add(ANGULAR, _where(known, _angular(matched)))
+        measures.add(ANGULAR, _angular(matched), known)
     _add_angles(measures, matched, known)
 
 
@@ -58,12 +58,6 @@ def frames_with_velocity(matched: Matched) -> BoolArray:
     return known
 
 
-def _where(known: BoolArray, values: FloatArray) -> FloatArray:
-    """The values of frames that are known, NaN for the others."""
-    values[~known] = np.nan
-    return values
-
-
 def _linear(matched: Matched) -> FloatArray:
     linear = slice(0, 3)
     return pose_errors.distances(matched.of_estimate("twist", linear), matched.of_truth("twist", linear))
@@ -88,4 +82,4 @@ def _add_angles(measures: Measures, matched: Matched, known: BoolArray) -> None:
     mine = matched.of_estimate("twist", slice(6, None))[:, common.estimate]
     theirs = matched.of_truth("twist", slice(6, None))[:, common.truth]
     errors = np.degrees(np.abs(mine - theirs))
-    measures.add_parts(ANGLES, _where(known, errors), common.names)
+    measures.add_parts(ANGLES, errors, common.names, known)

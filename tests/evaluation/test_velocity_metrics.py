@@ -1,0 +1,97 @@
+"""Velocity errors: examples by hand, scipy, and velocities that are not there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from metrics_support import figures, measure, random_hand, random_head
+from scipy.spatial.transform import Rotation
+
+VELOCITIES = ("velocity_error_mm_s", "angular_velocity_error_deg_s", "angle_velocity_error_deg_s")
+
+
+def test_velocities_by_hand() -> None:
+    truth = random_hand(2)
+    assert truth.twist is not None
+    twist = truth.twist.copy()
+    twist[0, :3] += [3.0, 4.0, 0.0]
+    twist[1, 3:6] += [0.0, np.radians(30.0), 0.0]
+    twist[1, 6] -= np.radians(15.0)
+    measures, _ = measure(replace(truth, twist=twist), truth)
+    np.testing.assert_allclose(measures.series["velocity_error_mm_s"], [5.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(measures.series["angular_velocity_error_deg_s"], [0.0, 30.0], atol=1e-9)
+    np.testing.assert_allclose(measures.series["angle_velocity_error_deg_s"], [0.0, 1.0], atol=1e-9)
+    assert figures(measures, "angle_velocity_error_deg_s.thumb_cmc_flexion").max == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize("random", [random_hand, random_head])
+def test_velocities_are_those_of_a_loop(random: object) -> None:
+    make = random_hand if random is random_hand else random_head
+    estimate, truth = make(12, 1), make(12, 2)
+    measures, _ = measure(estimate, truth)
+    assert estimate.twist is not None
+    assert truth.twist is not None
+    assert estimate.quaternion is not None
+    assert truth.quaternion is not None
+    for frame in range(12):
+        mine, theirs = estimate.twist[frame], truth.twist[frame]
+        linear = np.linalg.norm(mine[:3] - theirs[:3])
+        spin = Rotation.from_quat(estimate.quaternion[frame]).apply(mine[3:6])
+        true_spin = Rotation.from_quat(truth.quaternion[frame]).apply(theirs[3:6])
+        assert measures.series[VELOCITIES[0]][frame] == pytest.approx(linear)
+        assert measures.series[VELOCITIES[1]][frame] == pytest.approx(
+            np.degrees(np.linalg.norm(spin - true_spin))
+        )
+        if estimate.subject == "hand":
+            angles = np.degrees(np.abs(mine[6:] - theirs[6:]))
+            assert measures.series[VELOCITIES[2]][frame] == pytest.approx(angles.mean())
+    assert (VELOCITIES[2] in measures.metrics) == (estimate.subject == "hand")
+
+
+def test_a_filter_without_velocity_is_not_judged_by_it() -> None:
+    truth = random_hand(3)
+    nothing = np.zeros((3, 21))
+    measures, _ = measure(replace(truth, twist=nothing, twist_variance=nothing), truth)
+    for address in (*VELOCITIES, "velocity_nees", "velocity_inside_90"):
+        assert measures.absent[address] == "the run estimates no velocity"
+    assert "nees" in measures.metrics
+
+
+def test_a_hand_that_is_held_still_has_a_velocity() -> None:
+    truth = random_hand(3)
+    measures, _ = measure(replace(truth, twist=np.zeros((3, 21))), truth)
+    assert figures(measures, "velocity_error_mm_s").count == 3
+
+
+@pytest.mark.parametrize("twist", [None, np.full((3, 21), np.nan)])
+def test_a_truth_without_velocity_says_so(twist: np.ndarray | None) -> None:
+    truth = random_hand(3)
+    measures, _ = measure(truth, replace(truth, twist=twist))
+    for address in (*VELOCITIES, "velocity_nees", "velocity_inside_90"):
+        assert measures.absent[address] == "the truth has no velocity"
+
+
+def test_frames_without_a_velocity_are_left_out_and_told() -> None:
+    estimate, truth = random_hand(4, 1), random_hand(4, 2)
+    assert truth.twist is not None
+    twist = truth.twist.copy()
+    twist[1] = np.nan
+    whole, _ = measure(estimate, truth)
+    measures, _ = measure(estimate, replace(truth, twist=twist))
+    assert measures.notes == ["velocity errors over the 3 of 4 frames with a velocity"]
+    for address in (*VELOCITIES, "velocity_nees"):
+        kept = whole.series[address][[0, 2, 3]]
+        got = measures.series[address]
+        assert np.isnan(got).tolist() == [False, True, False, False]
+        np.testing.assert_allclose(got[[0, 2, 3]], kept)
+        assert figures(measures, address).mean * kept.size == pytest.approx(kept.sum())
+    assert figures(measures, "angle_velocity_error_deg_s.index_pip_flexion").count == 3
+
+
+def test_angular_velocities_need_a_rotation() -> None:
+    truth = random_hand(3)
+    measures, _ = measure(truth, replace(truth, quaternion=None))
+    assert measures.absent["angular_velocity_error_deg_s"] == "the truth has no rotation"
+    assert figures(measures, "velocity_error_mm_s").max == 0.0
