@@ -1,0 +1,148 @@
+"""Regression against an earlier report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from evaluation_support import hand_evaluation
+from hypothesis import given
+from hypothesis import strategies as st
+
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.baseline import FLOOR, check_baseline, read_baseline
+from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.json_report import json_report
+from posetrack_cli.evaluation.statistics import Statistics
+
+OPTIONS = {"tolerance_ms": 5.0, "time_offset_s": 0.0, "align": "none"}
+
+
+def measured(name: str = "a", error: float = 10.0, share: float = 0.9, **changes: object):
+    metrics = {
+        "coverage": share,
+        "joint_error_mm": Statistics(error, 1.0, error, error, error, 9),
+        "ms_per_frame": Statistics(50.0, 1.0, 50.0, 50.0, 50.0, 9),
+    }
+    return hand_evaluation(name, 30, **{"metrics": metrics, "absent": {}, **changes})
+
+
+def stored(folder: Path, *evaluations, **options: object) -> Path:
+    path = folder / "baseline.json"
+    path.write_text(json_report(evaluations, {**OPTIONS, **options}))
+    return path
+
+
+def failed(path: Path, *evaluations, tolerance: float = 0.05) -> list[str]:
+    check = check_baseline(read_baseline(path), evaluations, tolerance, OPTIONS)
+    return [outcome.line for outcome in check.outcomes if outcome.failed]
+
+
+def test_the_same_figures_pass(tmp_path: Path) -> None:
+    check = check_baseline(read_baseline(stored(tmp_path, measured())), [measured()], 0.0, OPTIONS)
+    assert not any(outcome.failed for outcome in check.outcomes)
+    assert len(check.outcomes) == 3 and check.notes == ()  # coverage, mean and 95th percentile; never speed
+
+
+def test_the_limit_of_an_error_is_relative(tmp_path: Path) -> None:
+    path = stored(tmp_path, measured(error=10.0))
+    assert failed(path, measured(error=10.5 + 0.9 * FLOOR)) == []
+    lines = failed(path, measured(error=10.6))
+    assert len(lines) == 2  # mean and 95th percentile are the same here
+    gate = "joint_error_mm.mean > 10.51 (baseline 10, tolerance 0.05)"
+    assert lines[0] == f"a: gate '{gate}' failed: joint_error_mm.mean is 10.6"
+
+
+def test_the_limit_of_a_share_is_absolute(tmp_path: Path) -> None:
+    path = stored(tmp_path, measured(share=0.9))
+    assert failed(path, measured(share=0.851)) == []
+    assert "coverage < 0.85 (baseline 0.9" in failed(path, measured(share=0.849))[0]
+
+
+def test_better_is_no_regression(tmp_path: Path) -> None:
+    assert failed(stored(tmp_path, measured()), measured(error=1.0, share=1.0)) == []
+
+
+def test_rounding_is_no_regression(tmp_path: Path) -> None:
+    assert failed(stored(tmp_path, measured(error=0.0)), measured(error=0.001)) == []
+    assert failed(stored(tmp_path, measured(error=0.0)), measured(error=0.02)) != []
+
+
+@given(st.floats(0.1, 500), st.floats(0, 1), st.floats(0, 2))
+def test_a_figure_fails_exactly_beyond_its_limit(error: float, tolerance: float, factor: float) -> None:
+    report = read_baseline_of(measured(error=error))
+    now = measured(error=error * factor)
+    check = check_baseline(report, [now], tolerance)
+    mean = next(o for o in check.outcomes if o.gate.startswith("joint_error_mm.mean"))
+    assert mean.failed is (error * factor > error * (1 + tolerance) + FLOOR)
+
+
+def read_baseline_of(*evaluations):
+    from posetrack_cli.evaluation.baseline import StoredReport
+
+    return StoredReport.model_validate_json(json_report(evaluations, OPTIONS))
+
+
+def test_results_are_found_by_name(tmp_path: Path) -> None:
+    path = stored(tmp_path, measured("a", 10.0), measured("b", 20.0))
+    assert failed(path, measured("b", 20.0), measured("a", 10.0)) == []
+    assert all(line.startswith("a: ") for line in failed(path, measured("b", 20.0), measured("a", 20.0)))
+    assert len(failed(path, measured("a", 20.0))) == 2
+
+
+def test_the_only_one_is_compared_with_the_only_one(tmp_path: Path) -> None:
+    assert len(failed(stored(tmp_path, measured("old name", 10.0)), measured("new name", 20.0))) == 2
+
+
+def test_a_result_that_the_baseline_has_not_cannot_be_judged(tmp_path: Path) -> None:
+    assert failed(stored(tmp_path, measured("a"), measured("b")), measured("c")) == [
+        "c: gate 'baseline' cannot be judged: the baseline holds no result of this name; it holds: a, b"
+    ]
+
+
+def test_a_figure_that_is_gone_cannot_be_judged(tmp_path: Path) -> None:
+    blind = measured(metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"})
+    lines = failed(stored(tmp_path, measured()), blind)
+    assert len(lines) == 2 and all(line.endswith("cannot be judged: no truth") for line in lines)
+
+
+def test_what_makes_the_two_less_comparable_is_noted(tmp_path: Path) -> None:
+    before = measured(
+        metrics={"coverage": 1.0}, coverage=Coverage(20, 20, 0, 0, 20, 0, 0, False, 0), absent={}
+    )
+    path = stored(tmp_path, before, align="rigid")
+    check = check_baseline(read_baseline(path), [measured(share=1.0)], 0.05, OPTIONS)
+    assert list(check.notes) == [
+        "align is none, in the baseline rigid",
+        "a: 30 frames, the baseline has 20",
+        "a: the baseline was evaluated without truth",
+        "a: not in the baseline and not compared: joint_error_mm.mean, joint_error_mm.p95",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"{", "is no report of an evaluation"),
+        (b"", "is no report of an evaluation"),
+        (b"[]", "is no report of an evaluation"),
+        (b"\xff\xfe", "is no report of an evaluation"),
+        (
+            b'{"format": "posetrack.eval/2", "results": 7}',
+            "has another format, found posetrack.eval/2, expected",
+        ),
+        (b'{"format": "posetrack.eval/1"}', "found results: Field required"),
+        (b'{"results": []}', "found format: Field required"),
+    ],
+)
+def test_what_is_no_baseline_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "baseline.json"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=said) as error:
+        read_baseline(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_missing_baseline(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="baseline cannot be read, found No such file"):
+        read_baseline(tmp_path / "none.json")
