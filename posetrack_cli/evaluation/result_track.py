@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.results.estimate import Status, Subject
-from posetrack_cli.results.reader import Result, load_arrays
+from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.estimate import FIELD_NAMES, Status, Subject
+from posetrack_cli.results.reader import Result
 
-Columns = Mapping[str, "np.ndarray[Any, Any]"]
+MOTION_FIELDS = ("stamp_ns", "status", "position", "quaternion", "shape", "twist", "points")
+"""What a truth is made from, of the fields of an Estimate."""
+_TRACK_FIELDS = tuple(name for name in FIELD_NAMES if name != "pose_rate")  # twist says the same
 
 
 def track_of_result(result: Result, name: str) -> Track:
@@ -25,7 +27,7 @@ def track_of_result(result: Result, name: str) -> Track:
     Raises:
         ResultError: nothing can be read, or the stamps do not increase strictly.
     """
-    columns = load_arrays(result.path)
+    columns = result.columns(fields=_TRACK_FIELDS)
     status = columns["status"]
     return Track(
         **_motion(columns, name, result.subject),
@@ -49,7 +51,7 @@ def truth_of_columns(columns: Columns, name: str, subject: Subject) -> Track:
     out: frames without a truth count as unmatched.
 
     Args:
-        columns: as ``Result.columns`` gives them.
+        columns: of ``MOTION_FIELDS``.
         name: what tables and errors call it.
         subject: whose shape entries and points they are.
 

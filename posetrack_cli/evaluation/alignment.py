@@ -1,0 +1,152 @@
+"""Remove what is constant in the difference between an estimate and a truth: where a model's frame sits.
+
+A tracker and a truth may put the origin and the axes of the same head differently, and mark its points
+differently. That is a convention, no error, and it is the same in every frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.evaluation import Pairs
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.geometry import rotations
+
+IDENTITY_NOTE = "no constant offset removed: no frame has a truth"
+
+
+def remove_constant_offset(
+    track: Track, truth: Track, pairs: Pairs, points: bool = False
+) -> tuple[Track, str]:
+    """Return the estimate with one constant rigid offset of its model frame removed.
+
+    The offset X = (R_X, x) stands right of every pose: camera_T_object' = camera_T_object X. Over the pairs
+
+    - R_X minimises sum |R_i R_X - R_true,i|_F^2 = sum |R_X - R_i^T R_true,i|_F^2: the mean of the rotations
+      R_i^T R_true,i (Markley et al. 2007, ``rotations.mean_quaternion``);
+    - x minimises sum |t_i + R_i x - t_true,i|^2 = sum |x - R_i^T (t_true,i - t_i)|^2, as rotations keep
+      lengths: the mean of R_i^T (t_true,i - t_i).
+
+    Neither depends on the other, and the two sums never grow. Lost frames say nothing about a convention and
+    do not count, unless all are lost.
+
+    The new origin is another point of the same body, so the velocity becomes v' = v + R (w x x) in camera
+    axes, w' = R_X^T w in the new body axes. Variances follow as if position and rotation were uncorrelated,
+    since only diagonals are stated: with A = -R [x]_x, var(t') = var t + (A o A) var r and
+    var r' = (R_X^T o R_X^T) var r, where o multiplies entry by entry; of velocities likewise.
+
+    The points in camera axes stay where they are: in the object's frame they become X^-1 m. With ``points``
+    each point's constant offset in that frame, mean over the pairs of m_true - m', is then removed, too.
+
+    Args:
+        track: the estimate, with poses.
+        truth: with poses, and with ``points`` the same points.
+        pairs: which rows belong together; with none nothing is removed.
+        points: whether each point's offset is removed, too.
+
+    Returns:
+        The aligned estimate, and a note that says what was removed.
+
+    Raises:
+        UsageError: a side has no poses, or with ``points`` no points, or other ones.
+    """
+    _check(track, truth, points)
+    if not len(pairs.estimate):
+        return track, IDENTITY_NOTE
+    mine, theirs = _tracked(track, pairs)
+    turn, shift = _offset(track, truth, mine, theirs)
+    aligned = _moved(track, turn, shift)
+    angle = float(np.degrees(rotations.angle_between(np.array(rotations.IDENTITY), turn)))
+    note = f"one constant rigid offset removed: {' '.join(f'{x:.1f}' for x in shift)} mm, {angle:.1f} deg"
+    if not points:
+        return aligned, note
+    offsets = _point_offsets(aligned, truth, mine, theirs)
+    largest = float(np.linalg.norm(offsets, axis=1).max())
+    return _with_points_moved(
+        aligned, offsets
+    ), f"{note}; each point's constant offset, up to {largest:.1f} mm"
+
+
+def _check(track: Track, truth: Track, points: bool) -> None:
+    fields = ("position", "quaternion", *(("points",) if points else ()))
+    for side, one in (("truth", truth), ("result", track)):
+        missing = [name for name in fields if getattr(one, name) is None]
+        if missing:
+            what = f"the {side} has no {' and no '.join(missing)} to align by"
+            raise UsageError(what, where=one.name, hint="leave --align out")
+    if points and track.point_names != truth.point_names:
+        raise UsageError("truth and result have other points and cannot be aligned", where=truth.name)
+
+
+def _tracked(track: Track, pairs: Pairs) -> tuple[IntArray, IntArray]:
+    """Return the pairs' rows that are not lost, or all if all are."""
+    if track.lost is None or track.lost[pairs.estimate].all():
+        return pairs.estimate, pairs.truth
+    kept = ~track.lost[pairs.estimate]
+    return pairs.estimate[kept], pairs.truth[kept]
+
+
+def _offset(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the offset X: quaternion (4,) and translation (3,), mm."""
+    inverse = rotations.conjugate(_known(track.quaternion)[mine])
+    turns = rotations.multiply(inverse, _known(truth.quaternion)[theirs])
+    shifts = rotations.rotate(inverse, _known(truth.position)[theirs] - _known(track.position)[mine])
+    return rotations.mean_quaternion(turns, np.ones(len(turns))), shifts.mean(axis=0)
+
+
+def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
+    """Return the track with every pose, and its velocity, taken at another place of the same body."""
+    quaternion = _known(track.quaternion)
+    back = rotations.matrices_from_quaternions(turn).T
+    levers = -rotations.matrices_from_quaternions(quaternion) @ _cross_matrix(shift)  # (N, 3, 3)
+    return replace(
+        track,
+        position=_known(track.position) + rotations.rotate(quaternion, shift),
+        quaternion=rotations.canonical(rotations.multiply(quaternion, turn)),
+        twist=_carried(track.twist, levers, back),
+        pose_variance=_carried(track.pose_variance, levers**2, back**2),
+        twist_variance=_carried(track.twist_variance, levers**2, back**2),
+    )
+
+
+def _carried(vectors: FloatArray | None, levers: FloatArray, turn: FloatArray) -> FloatArray | None:
+    """Return tangent vectors (N, 6 + K): the linear part plus lever times angular part, the latter turned."""
+    if vectors is None:
+        return None
+    carried = vectors.copy()
+    carried[:, :3] += np.einsum("nij,nj->ni", levers, vectors[:, 3:6])
+    carried[:, 3:6] = vectors[:, 3:6] @ turn.T
+    return carried
+
+
+def _cross_matrix(v: FloatArray) -> FloatArray:
+    """Return [v]_x, (3, 3): [v]_x u = v x u."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> FloatArray:
+    """Return each point's mean difference m_true - m, (P, 3) mm, in the object's frame of either side."""
+    return (_in_object(truth, theirs) - _in_object(track, mine)).mean(axis=0)  # type: ignore[no-any-return]
+
+
+def _in_object(track: Track, rows: IntArray) -> FloatArray:
+    """Return points in the object's frame, (M, P, 3): R^T (p - t)."""
+    rotation = rotations.matrices_from_quaternions(_known(track.quaternion)[rows])
+    own: FloatArray = (_known(track.points)[rows] - _known(track.position)[rows, None]) @ rotation
+    return own
+
+
+def _with_points_moved(track: Track, offsets: FloatArray) -> Track:
+    """Return the track with its points moved by offsets (P, 3) in the object's frame."""
+    rotation = rotations.matrices_from_quaternions(_known(track.quaternion))
+    return replace(track, points=_known(track.points) + offsets @ np.swapaxes(rotation, 1, 2))
+
+
+def _known(array: FloatArray | None) -> Any:
+    """Return an array that ``_check`` found to be there."""
+    return array

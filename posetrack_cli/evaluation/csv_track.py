@@ -1,0 +1,200 @@
+"""A trajectory from a CSV file: poses, points, shape and velocities, whichever it has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import nearest_name
+from posetrack_cli.evaluation.csv_table import NS_PER_UNIT, CsvHeader, CsvTable, read_header, read_table
+from posetrack_cli.evaluation.errors import TruthError
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth_checks import check_point_names, unit_quaternions
+from posetrack_cli.geometry.rotations import matrices_from_quaternions
+from posetrack_cli.results.estimate import Subject
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qx", "qy", "qz", "qw")
+LINEAR = ("vx_mm_s", "vy_mm_s", "vz_mm_s")
+ANGULAR = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+CAMERA_POINTS = "points: camera axes"
+"""A comment above the header row that says so: the points of a head are not in the model frame."""
+
+
+def load_csv_track(path: Path, subject: Subject) -> Track:
+    """Read a trajectory from a CSV file with a header row; lines that begin with ``#`` are comments.
+
+    Columns, in any order, all but the stamps optional, unknown ones ignored:
+
+    - ``stamp_ns`` (integer), or ``t_s`` or ``time_s`` (seconds, rounded to ns);
+    - ``x_mm y_mm z_mm``: the object's origin in camera axes; ``qx qy qz qw``: ``camera_T_object``'s rotation;
+    - ``<point>_x_mm <point>_y_mm <point>_z_mm``: all of the subject's points or none; of a hand its joints in
+      camera axes, of a head its points **in the model frame**, which the pose takes to camera axes, unless a
+      comment above the header row reads ``points: camera axes``;
+    - ``<shape entry>_rad``: all of the subject's or none;
+    - ``vx_mm_s vy_mm_s vz_mm_s`` in camera axes, ``wx_rad_s wy_rad_s wz_rad_s`` in the body's,
+      ``<shape entry>_rad_s``: velocities; a cell that is empty or nan is unknown.
+
+    Args:
+        path: the file.
+        subject: of the result, whose names the columns have.
+
+    Returns:
+        A track without status; quaternions normalised; ``shape_names`` is empty if the file has no shape, and
+        an entry of ``twist`` that the file does not have is NaN.
+
+    Raises:
+        TruthError: names file, line and column of what cannot be used.
+    """
+    header = read_header(path)
+    layout = _Layout.of(header, subject)
+    table = read_table(header, layout.columns, layout.velocities)
+    position = table.of(POSITION) if layout.position else None
+    quaternion = _quaternions(table) if layout.quaternion else None
+    return Track(
+        path.name,
+        subject.name,
+        shape_names=layout.shape,
+        point_names=layout.points,
+        point_parents=subject.point_parents if layout.points else (),
+        stamp_ns=table.stamp_ns,
+        position=position,
+        quaternion=quaternion,
+        shape=table.of(_suffixed(layout.shape, "_rad")) if layout.shape else None,
+        twist=_twist(table, layout),
+        points=_points(table, layout, position, quaternion) if layout.points else None,
+    )
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What a file has."""
+
+    position: bool
+    quaternion: bool
+    points: tuple[str, ...]
+    points_in_model: bool
+    shape: tuple[str, ...]
+    velocities: tuple[str, ...]
+
+    @classmethod
+    def of(cls, header: CsvHeader, subject: Subject) -> _Layout:
+        """Find the subject's columns in a header row."""
+        rates = _suffixed(subject.shape_names, "_rad_s")
+        points = _point_names(header, subject)
+        layout = cls(
+            position=_has_all(header, POSITION),
+            quaternion=_has_all(header, QUATERNION),
+            points=points,
+            points_in_model=bool(points) and subject.name == "head" and CAMERA_POINTS not in header.comments,
+            shape=subject.shape_names if _has_all(header, _suffixed(subject.shape_names, "_rad")) else (),
+            velocities=tuple(
+                n for group in (LINEAR, ANGULAR, rates) if _has_all(header, group) for n in group
+            ),
+        )
+        _check(header, subject, layout)
+        return layout
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns to read."""
+        pose = (POSITION if self.position else ()) + (QUATERNION if self.quaternion else ())
+        return pose + _point_columns(self.points) + _suffixed(self.shape, "_rad") + self.velocities
+
+
+def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
+    """Raise unless there are stamps and something to compare."""
+    if not layout.columns:
+        raise TruthError(
+            "no column is known",
+            where=header.path,
+            found=", ".join(header.columns) or "an empty header row",
+            expected=_known(subject),
+        )
+    if header.stamp_column is None:
+        expected = " or ".join(NS_PER_UNIT)
+        raise TruthError("has no column of stamps", where=header.path, expected=expected)
+    if layout.points_in_model and not (layout.position and layout.quaternion):
+        raise TruthError(
+            "points of a head are in its model frame and need the pose",
+            where=header.path,
+            expected=", ".join((*POSITION, *QUATERNION)),
+            hint=f"or say '# {CAMERA_POINTS}' above the header row",
+        )
+
+
+def _has_all(header: CsvHeader, group: Sequence[str]) -> bool:
+    """Whether the file has the columns of a group.
+
+    Raises:
+        TruthError: it has only some of them.
+    """
+    missing = [name for name in group if name not in header.columns]
+    if missing and len(missing) < len(group):
+        raise TruthError(
+            f"column {', '.join(missing)} is missing",
+            where=header.path,
+            expected=f"all or none of {', '.join(group)}",
+            hint="" if len(missing) > 1 else nearest_name(missing[0], header.columns),
+        )
+    return bool(group) and not missing
+
+
+def _point_names(header: CsvHeader, subject: Subject) -> tuple[str, ...]:
+    """Return the subject's point names if the file has its points, none if it has no points at all."""
+    begun = [name for name in subject.point_names if set(_point_columns([name])) & set(header.columns)]
+    found = {name.removesuffix("_x_mm") for name in header.columns if name.endswith("_x_mm")}
+    if not (begun or found) or not subject.point_names:
+        return ()
+    check_point_names(subject.point_names, sorted({*begun, *found}), header.path)
+    for name in subject.point_names:
+        _has_all(header, _point_columns([name]))
+    return subject.point_names
+
+
+def _known(subject: Subject) -> str:
+    """Return every column that a file of this subject may have."""
+    names = (*NS_PER_UNIT, *POSITION, *QUATERNION, *LINEAR, *ANGULAR)
+    shape = (*_suffixed(subject.shape_names, "_rad"), *_suffixed(subject.shape_names, "_rad_s"))
+    return ", ".join((*names, *_point_columns(subject.point_names), *shape))
+
+
+def _suffixed(names: Sequence[str], suffix: str) -> tuple[str, ...]:
+    return tuple(name + suffix for name in names)
+
+
+def _point_columns(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}_mm" for name in names for axis in "xyz")
+
+
+def _quaternions(table: CsvTable) -> FloatArray:
+    quaternions = table.of(QUATERNION)
+    return unit_quaternions(quaternions, lambda row: f"{table.where(row)}, columns {' '.join(QUATERNION)}")
+
+
+def _points(
+    table: CsvTable, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
+) -> FloatArray:
+    """Return the points (N, P, 3) in camera axes."""
+    points = table.of(_point_columns(layout.points)).reshape(len(table.values), -1, 3)
+    if not layout.points_in_model or position is None or quaternion is None:
+        return points
+    rotation = matrices_from_quaternions(quaternion)
+    in_camera: FloatArray = points @ np.swapaxes(rotation, 1, 2) + position[:, None]
+    return in_camera
+
+
+def _twist(table: CsvTable, layout: _Layout) -> FloatArray | None:
+    """Return the velocities (N, 6 + K), NaN where the file has none; None if it has none at all."""
+    if not layout.velocities:
+        return None
+    names = (*LINEAR, *ANGULAR, *_suffixed(layout.shape, "_rad_s"))
+    twist = np.full((len(table.values), len(names)), np.nan)
+    for column, name in enumerate(names):
+        if name in table.columns:
+            twist[:, column] = table.values[:, table.columns.index(name)]
+    return None if np.isnan(twist).all() else twist
