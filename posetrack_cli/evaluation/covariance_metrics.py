@@ -17,9 +17,9 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation import pose_errors
-from posetrack_cli.evaluation.measures import Common, Matched, Measures, common_columns
+from posetrack_cli.evaluation.measures import Common, Matched, Measures, common_columns, shape_columns
 from posetrack_cli.evaluation.metrics import STATE_PARTS
-from posetrack_cli.evaluation.velocity_metrics import frames_with_velocity, velocity_lacks
+from posetrack_cli.evaluation.velocity_metrics import NO_VELOCITY, SHAPE, known_frames, velocity_lacks
 
 PART_COLUMNS = {"position": slice(0, 3), "rotation": slice(3, 6), "angles": slice(6, None)}
 POSE = ("nees", "inside_90")
@@ -67,25 +67,24 @@ def _velocity(measures: Measures, matched: Matched, shapes: Common, reason: str)
         reason = "the result has no covariance of velocities"
     if reason:
         return measures.lack(reason, *VELOCITY)
-    rigid = slice(0, 6)
-    errors = pose_errors.twist_difference(
-        matched.of_estimate("twist", rigid),
-        matched.of_truth("twist", rigid),
-        matched.of_estimate("quaternion"),
-        matched.of_truth("quaternion"),
-    )
-    errors = np.hstack([errors, _difference(matched, "twist", shapes, 6)])
+    rigid = slice(0, SHAPE)
+    mine, theirs = matched.of_estimate("twist", rigid), matched.of_truth("twist", rigid)
+    turns = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
+    errors = pose_errors.twist_difference(mine, theirs, *turns)
+    errors = np.hstack([errors, _difference(matched, "twist", shapes, SHAPE)])
+    known = known_frames(errors)
+    if len(known) and not known.any():
+        return measures.lack(NO_VELOCITY, *VELOCITY)
     normalised = pose_errors.normalised_squares(errors, _variances(matched, "twist_variance", shapes))
-    _add(measures, matched, VELOCITY, normalised, frames_with_velocity(matched))
+    _add(measures, matched, VELOCITY, normalised, known)
 
 
 def _difference(matched: Matched, name: str, shapes: Common, first: int) -> FloatArray:
     """True minus estimated shape entries (M, K), which begin at column ``first`` of the array."""
     if not shapes.names:
         return np.empty((len(matched), 0))
-    true = matched.of_truth(name)[:, first + np.array(shapes.truth)]
-    difference: FloatArray = true - matched.of_estimate(name)[:, first + np.array(shapes.estimate)]
-    return difference
+    mine, theirs = shape_columns(matched, name, shapes, first)
+    return theirs - mine
 
 
 def _variances(matched: Matched, name: str, shapes: Common) -> FloatArray:

@@ -8,7 +8,14 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation import pose_errors
 from posetrack_cli.evaluation.covariance_metrics import covariance_metrics
 from posetrack_cli.evaluation.evaluation import Curve
-from posetrack_cli.evaluation.measures import Common, Matched, Measures, common_columns, rows_of
+from posetrack_cli.evaluation.measures import (
+    Common,
+    Matched,
+    Measures,
+    common_columns,
+    rows_of,
+    shape_columns,
+)
 from posetrack_cli.evaluation.metrics import WITHIN_MM
 from posetrack_cli.evaluation.velocity_metrics import velocity_metrics
 from posetrack_cli.hand.anatomy import FINGERS, JOINT_NAMES
@@ -148,6 +155,5 @@ def _angles(measures: Measures, matched: Matched) -> None:
     common = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
     if reason := matched.lacks("shape") or ("" if common.names else "the truth has other finger angles"):
         return measures.lack(reason, "angle_error_deg")
-    mine = matched.of_estimate("shape")[:, common.estimate]
-    theirs = matched.of_truth("shape")[:, common.truth]
+    mine, theirs = shape_columns(matched, "shape", common)
     measures.add_parts("angle_error_deg", np.degrees(np.abs(mine - theirs)), common.names)

@@ -90,6 +90,15 @@ def common_columns(estimate: Sequence[str], truth: Sequence[str]) -> Common:
     return Common(names, tuple(mine), tuple(where[name] for name in names), lacking)
 
 
+def shape_columns(
+    matched: Matched, name: str, common: Common, first: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shape entries (M, K) that both sides have; they begin at column ``first`` of the array."""
+    mine = matched.of_estimate(name, slice(first, None))[:, common.estimate]
+    theirs = matched.of_truth(name, slice(first, None))[:, common.truth]
+    return mine, theirs
+
+
 @dataclass
 class Measures:
     """Collects what is measured.
@@ -120,14 +129,15 @@ class Measures:
             per_frame = values if values.ndim == 1 else values.mean(axis=1)
             self.series[address] = per_frame if known is None else np.where(known, per_frame, np.nan)
 
-    def add_parts(
-        self, address: str, values: FloatArray, names: Sequence[str], known: BoolArray | None = None
-    ) -> None:
-        """Summarise the values (M, K) together, and each part's (M,) by its name, without a series."""
-        self.add(address, values, known)
+    def add_parts(self, address: str, values: FloatArray, names: Sequence[str]) -> None:
+        """Summarise the values (M, K) together, and each part's (M,) by its name."""
+        self.add(address, values)
+        self.summarise_parts(address, values, names)
+
+    def summarise_parts(self, address: str, values: FloatArray, names: Sequence[str]) -> None:
+        """Summarise each part's values, a column of (M, K), by its name; without a series."""
         for column, name in enumerate(names):
-            part = values[:, column]
-            self.summarise(f"{address}.{name}", part if known is None else part[known])
+            self.summarise(f"{address}.{name}", values[:, column])
 
     def summarise(self, address: str, values: FloatArray, nothing: str = "") -> bool:
         """Summarise values; of none the reason is kept. Returns whether there were any."""

@@ -80,7 +80,7 @@ def test_frames_without_a_velocity_are_left_out_and_told() -> None:
     twist[1] = np.nan
     whole, _ = measure(estimate, truth)
     measures, _ = measure(estimate, replace(truth, twist=twist))
-    assert measures.notes == ["velocity errors over the 3 of 4 frames with a velocity"]
+    assert measures.notes == [f"{address} is over the 3 of 4 frames that have it" for address in VELOCITIES]
     for address in (*VELOCITIES, "velocity_nees"):
         kept = whole.series[address][[0, 2, 3]]
         got = measures.series[address]
@@ -88,6 +88,23 @@ def test_frames_without_a_velocity_are_left_out_and_told() -> None:
         np.testing.assert_allclose(got[[0, 2, 3]], kept)
         assert figures(measures, address).mean * kept.size == pytest.approx(kept.sum())
     assert figures(measures, "angle_velocity_error_deg_s.index_pip_flexion").count == 3
+
+
+def test_a_truth_may_know_some_velocities_only() -> None:
+    estimate, truth = random_hand(4, 1), random_hand(4, 2)
+    assert truth.twist is not None
+    twist = np.full_like(truth.twist, np.nan)
+    twist[:, :3] = truth.twist[:, :3]
+    whole, _ = measure(estimate, truth)
+    measures, _ = measure(estimate, replace(truth, twist=twist))
+    assert figures(measures, VELOCITIES[0]) == figures(whole, VELOCITIES[0])
+    for address in (*VELOCITIES[1:], "velocity_nees", "velocity_inside_90"):
+        assert measures.absent[address] == "the truth has no velocity"
+        assert address not in measures.metrics
+    # a CSV without finger angles has six velocities
+    measures, _ = measure(estimate, replace(truth, shape=None, shape_names=(), twist=truth.twist[:, :6]))
+    assert figures(measures, VELOCITIES[1]) == figures(whole, VELOCITIES[1])
+    assert measures.absent[VELOCITIES[2]] == "the truth has no finger angles"
 
 
 def test_angular_velocities_need_a_rotation() -> None:
