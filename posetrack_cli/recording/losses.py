@@ -18,6 +18,13 @@ class LossLog:
             Loss(what, 1, where) if known is None else Loss(what, known.count + 1, known.first)
         )
 
+    def include(self, losses: tuple[Loss, ...]) -> None:
+        """Take over what another pass over the same data lost: the same things are not counted twice."""
+        for loss in losses:
+            known = self._losses.get(loss.what)
+            if known is None or known.count < loss.count:
+                self._losses[loss.what] = loss
+
     @property
     def losses(self) -> tuple[Loss, ...]:
         """The losses, in the order in which each kind happened first."""

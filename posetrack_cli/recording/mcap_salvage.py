@@ -4,41 +4,32 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from io import BytesIO
-from pathlib import Path
+from typing import IO
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Schema
 
-MAGIC = b"\x89MCAP0\r\n"
-HEAD = struct.Struct("<BQ")  # opcode, length of the content
+from posetrack_cli.recording.mcap_records import HEAD, ChunkRecord, content_records
+
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
 LENGTH = struct.Struct("<Q")
 
 
-def cut_chunk_records(path: Path) -> Iterator[Schema | Channel | Message]:
-    """Yield the whole schemas, channels and messages in the chunk that a file breaks off in, if it does.
+def cut_chunk_records(stream: IO[bytes], position: int) -> Iterator[ChunkRecord]:
+    """Yield the whole schemas, channels and messages in the chunk that an open file breaks off in, if any.
 
     Compressed chunks give what their whole blocks hold. The checksum of the chunk covers what is missing,
-    so that none is verified.
+    so that none is verified; bytes that are no records raise whatever they lead to.
+
+    Args:
+        stream: the file.
+        position: offset of the record that is cut.
     """
-    yield from _whole_records(_decompressed(_cut_chunk(path)))
-
-
-def _cut_chunk(path: Path) -> bytes:
-    """Return what there is of the content of the chunk at the end, empty if there is no such chunk."""
-    with path.open("rb") as stream:
-        size, position = path.stat().st_size, len(MAGIC)
-        while position + HEAD.size <= size:
-            stream.seek(position)
-            opcode, length = HEAD.unpack(stream.read(HEAD.size))
-            position += HEAD.size + length
-            if position > size and opcode == Opcode.CHUNK:
-                return stream.read()
-    return b""
+    stream.seek(position)
+    head = stream.read(HEAD.size)
+    if len(head) == HEAD.size and HEAD.unpack(head)[0] == Opcode.CHUNK:
+        yield from content_records(_decompressed(stream.read()), cut=True)
 
 
 def _decompressed(content: bytes) -> bytes:
@@ -55,19 +46,3 @@ def _decompressed(content: bytes) -> bytes:
     except (zstandard.ZstdError, RuntimeError, EOFError):  # RuntimeError: lz4 has no error of its own
         return b""
     return data if name == b"" else b""
-
-
-def _whole_records(data: bytes) -> Iterator[Schema | Channel | Message]:
-    position = 0
-    while position + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, position)
-        start, position = position + HEAD.size, position + HEAD.size + length
-        if position > len(data):
-            return
-        stream = ReadDataStream(BytesIO(data[start:position]))
-        if opcode == Opcode.SCHEMA:
-            yield Schema.read(stream)
-        elif opcode == Opcode.CHANNEL:
-            yield Channel.read(stream)
-        elif opcode == Opcode.MESSAGE:
-            yield Message.read(stream, length)

@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+import zlib
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from heapq import heappop, heappush
-from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, TypeAlias
 
-from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Message, Metadata, Schema
 from mcap.summary import Summary
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_salvage import HEAD, MAGIC, cut_chunk_records
+from posetrack_cli.recording.mcap_records import (
+    HEAD,
+    MAGIC,
+    ChunkRecord,
+    Record,
+    RecordSpan,
+    chunk_records,
+    read_record,
+    record_spans,
+)
+from posetrack_cli.recording.mcap_salvage import cut_chunk_records
 
 TRUNCATED = "file is truncated, the rest is missing"
 DAMAGED = "file is damaged, the rest is lost"
 DAMAGED_CHUNK = "chunk is damaged, its messages are lost"
+DAMAGED_RECORD = "record is damaged and left out"
+DAMAGED_DATA = "data is damaged, its checksum differs"
+UNKNOWN_CHANNEL = "message of a topic that was lost with damaged data"
 SMALLEST_LIMIT = 1 << 30
-McapItem = tuple[Schema | None, Channel, Message]
-T = TypeVar("T")
+BLOCK_BYTES = 1 << 20
+McapItem: TypeAlias = tuple[Schema | None, Channel, Message]
+Topics: TypeAlias = Collection[str] | Callable[[str], bool] | None
+"""Names of topics, or what tells of a name whether it is wanted; None for all topics."""
 
 
 def check_mcap(path: Path) -> None:
@@ -51,133 +65,231 @@ def read_summary(path: Path) -> Summary | None:
             return None
         stream.seek(0)
         try:
-            summary = _seeking(stream, path).get_summary()
+            summary = SeekingReader(stream, validate_crcs=True, record_size_limit=_limit(path)).get_summary()
         except Exception:  # the library raises whatever the damaged bytes lead to
             return None
     return summary if summary is not None and _is_usable(summary) else None
 
 
-def read_messages(path: Path, losses: LossLog, topics: Collection[str] | None = None) -> Iterator[McapItem]:
+def read_messages(
+    path: Path, losses: LossLog, topics: Topics = None, *, in_file_order: bool = False
+) -> Iterator[McapItem]:
     """Yield schema, channel and message of all messages, or of those on some topics.
 
-    With a usable index they come in order of log time, else as they lie in the file. At most the
-    chunks that overlap in time are in memory. A damaged chunk is left out. Where the file is cut the
-    messages end with the last whole one; where it is damaged between chunks they end, too, if there is no
-    index. ``losses`` gets each of these.
+    With a usable index they come in order of log time, or if asked for as they lie in the file; without one
+    always so. At most the chunks that overlap in time are in memory. A damaged chunk is left out. Where the
+    file is cut the messages end with the last whole one; where it is damaged between chunks they end, too, if
+    there is no index. ``losses`` gets each of these.
     """
-    summary = read_summary(path)
-    wanted = _Wanted(topics)
-    if summary is not None:
-        yield from _in_log_time_order(path, losses, summary, wanted)
+    summary, wanted = read_summary(path), _Wanted(topics, losses)
+    if summary is None:
+        yield from _without_index(path, losses, wanted)
+    elif in_file_order:
+        yield from _indexed_in_file_order(path, losses, summary, wanted)
     else:
-        yield from _in_file_order(path, losses, wanted)
+        yield from _in_log_time_order(path, losses, summary, wanted)
+
+
+def read_channels(path: Path, losses: LossLog) -> list[tuple[Schema | None, Channel]]:
+    """Return every channel with its schema: from the index, or by reading all of a file that has none."""
+    summary, found = read_summary(path), _Wanted((), losses)
+    if summary is not None:
+        found.learn_all(summary)
+    else:
+        for _ in _without_index(path, losses, found):
+            pass  # no topic is wanted
+    return found.channels()
+
+
+def read_extras(path: Path, losses: LossLog | None = None) -> Iterator[Metadata | Attachment]:
+    """Yield the metadata and attachments of a file: by its index, or else up to where it is cut or damaged.
+
+    ``losses`` gets what cannot be read.
+    """
+    losses = LossLog() if losses is None else losses
+    indexed = _indexed_extras(read_summary(path))
+    with path.open("rb") as stream:
+        for span in _spans(stream, path, losses) if indexed is None else indexed:
+            if span.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+                record = _parsed(stream, span, path, losses)
+                if isinstance(record, Metadata | Attachment):
+                    yield record
 
 
 class _Wanted:
     """Puts messages together with their channels and schemas, and picks those on some topics."""
 
-    def __init__(self, topics: Collection[str] | None) -> None:
-        self._topics = topics
+    def __init__(self, topics: Topics, losses: LossLog) -> None:
+        self._wants = topics if callable(topics) else (lambda topic: topics is None or topic in topics)
+        self._losses = losses
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        self._unwanted: set[int] = set()
 
-    def learn(self, record: object) -> None:
+    def learn(self, record: Schema | Channel) -> None:
         """Remember a schema or channel."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
-        elif isinstance(record, Channel):
+        else:
             self._channels[record.id] = record
+            if not self._wants(record.topic):
+                self._unwanted.add(record.id)
 
-    def has(self, channel_id: int) -> bool:
-        """Whether a channel is known and on one of the topics."""
-        channel = self._channels.get(channel_id)
-        return channel is not None and (self._topics is None or channel.topic in self._topics)
+    def learn_all(self, summary: Summary) -> None:
+        """Remember the schemas and channels of an index."""
+        for schema in summary.schemas.values():
+            self.learn(schema)
+        for channel in summary.channels.values():
+            self.learn(channel)
 
-    def items(self, records: Iterable[object]) -> Iterator[McapItem]:
+    def channels(self) -> list[tuple[Schema | None, Channel]]:
+        """Every channel met, with its schema."""
+        return [(self._schemas.get(channel.schema_id), channel) for channel in self._channels.values()]
+
+    def is_in(self, index: ChunkIndex) -> bool:
+        """Whether a chunk may hold messages that are wanted."""
+        return not index.message_index_offsets or not set(index.message_index_offsets) <= self._unwanted
+
+    def of_chunk(self, chunk: Record) -> list[McapItem]:
+        """Return the messages of a chunk that are wanted; a damaged one raises whatever its bytes lead to."""
+        return list(self.items(chunk_records(chunk, self._unwanted)))
+
+    def items(self, records: Iterable[ChunkRecord]) -> Iterator[McapItem]:
         """Yield the messages among some records that are wanted; learns from the others."""
         for record in records:
-            self.learn(record)
-            if isinstance(record, Message) and self.has(record.channel_id):
+            if not isinstance(record, Message):
+                self.learn(record)
+            elif record.channel_id not in self._channels:
+                self._losses.add(UNKNOWN_CHANNEL, f"at {record.log_time} ns")
+            elif record.channel_id not in self._unwanted:
                 channel = self._channels[record.channel_id]
                 yield self._schemas.get(channel.schema_id), channel, record
 
 
 def _in_log_time_order(path: Path, losses: LossLog, summary: Summary, wanted: _Wanted) -> Iterator[McapItem]:
     """Yield messages by log time, those of equal times as they lie in the file; chunk after chunk is read."""
-    for record in (*summary.schemas.values(), *summary.channels.values()):
-        wanted.learn(record)
+    wanted.learn_all(summary)
     pending: list[tuple[int, int, int, McapItem]] = []
     with path.open("rb") as stream:
         for index in sorted(
             summary.chunk_indexes, key=lambda i: (i.message_start_time, i.chunk_start_offset)
         ):
-            offsets = index.message_index_offsets
-            if offsets and not any(wanted.has(channel_id) for channel_id in offsets):
+            if not wanted.is_in(index):
                 continue
             while pending and pending[0][0] < index.message_start_time:
                 yield heappop(pending)[-1]
-            stream.seek(index.chunk_start_offset + HEAD.size)
-            records: list[McapRecord] = []
-            with _chunk_damage(stream, path, losses):
-                chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(index.chunk_length - HEAD.size))))
-                records = breakup_chunk(chunk, validate_crc=True)
-            for number, item in enumerate(wanted.items(records)):
+            for number, item in enumerate(_chunk_at(stream, _span_of(index), path, losses, wanted)):
                 heappush(pending, (item[2].log_time, index.chunk_start_offset, number, item))
     while pending:
         yield heappop(pending)[-1]
 
 
-def _in_file_order(path: Path, losses: LossLog, wanted: _Wanted) -> Iterator[McapItem]:
+def _indexed_in_file_order(
+    path: Path, losses: LossLog, summary: Summary, wanted: _Wanted
+) -> Iterator[McapItem]:
+    wanted.learn_all(summary)
     with path.open("rb") as stream:
-        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=_limit(path))
-        for record in _until_damage(reader.records, stream, path, losses):
-            records = [record]
-            if isinstance(record, Chunk):
-                with _chunk_damage(stream, path, losses):
-                    records = breakup_chunk(record, validate_crc=True)
-            yield from wanted.items(records)
-    if any(loss.what == TRUNCATED for loss in losses.losses):
-        yield from wanted.items(cut_chunk_records(path))
+        for index in sorted(summary.chunk_indexes, key=lambda i: i.chunk_start_offset):
+            if wanted.is_in(index):
+                yield from _chunk_at(stream, _span_of(index), path, losses, wanted)
+
+
+def _indexed_extras(summary: Summary | None) -> list[RecordSpan] | None:
+    """Where the index says that metadata and attachments are, in order; None if it does not list them all."""
+    if summary is None or summary.statistics is None:
+        return None
+    counts = (summary.statistics.metadata_count, summary.statistics.attachment_count)
+    if counts != (len(summary.metadata_indexes), len(summary.attachment_indexes)):
+        return None
+    places = [(i.offset, i.length, Opcode.METADATA) for i in summary.metadata_indexes]
+    places += [(i.offset, i.length, Opcode.ATTACHMENT) for i in summary.attachment_indexes]
+    return [RecordSpan(kind, offset + HEAD.size, offset + length) for offset, length, kind in sorted(places)]
+
+
+def _span_of(index: ChunkIndex) -> RecordSpan:
+    """Where the index says that a chunk is."""
+    end = index.chunk_start_offset + index.chunk_length
+    return RecordSpan(Opcode.CHUNK, index.chunk_start_offset + HEAD.size, end)
+
+
+def _without_index(path: Path, losses: LossLog, wanted: _Wanted) -> Iterator[McapItem]:
+    end = len(MAGIC)
+    with path.open("rb") as stream:
+        for span in _spans(stream, path, losses):
+            end = span.end
+            if span.opcode == Opcode.CHUNK:
+                yield from _chunk_at(stream, span, path, losses, wanted)
+            elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                record = _parsed(stream, span, path, losses)
+                if isinstance(record, Schema | Channel | Message):
+                    yield from wanted.items([record])
+            elif span.opcode == Opcode.DATA_END:
+                _check_data(stream, span, path, losses)
+        with _chunk_damage(path.stat().st_size, path, losses):
+            yield from wanted.items(cut_chunk_records(stream, end))
+
+
+def _chunk_at(
+    stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog, wanted: _Wanted
+) -> list[McapItem]:
+    """Return the wanted messages of a chunk."""
+    with _chunk_damage(span.end, path, losses):
+        return wanted.of_chunk(read_record(stream, span))
+    return []
+
+
+def _spans(stream: IO[bytes], path: Path, losses: LossLog) -> Iterator[RecordSpan]:
+    """Yield the whole records of a file; that they end before its footer is a loss."""
+    opcode, end = 0, len(MAGIC)
+    for span in record_spans(stream):
+        opcode, end = span.opcode, span.end
+        yield span
+    stream.seek(end)
+    rest, size = stream.read(HEAD.size), path.stat().st_size
+    if opcode == Opcode.FOOTER and rest == MAGIC:
+        return
+    if len(rest) < HEAD.size or _is_cut(rest, path):
+        losses.add(TRUNCATED, f"byte {size} of {size}")
+    else:
+        losses.add(DAMAGED, f"byte {end} of {size}")
+
+
+def _is_cut(head: bytes, path: Path) -> bool:
+    """Whether a record that reaches beyond the end may well be as long as its head says."""
+    opcode, length = HEAD.unpack(head)
+    return bool(opcode != 0 and length <= _limit(path))
+
+
+def _parsed(stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog) -> Record | None:
+    """Return a record, or None if it cannot be read, which is a loss and no error."""
+    try:
+        return read_record(stream, span)
+    except Exception:  # the library raises whatever the damaged bytes lead to
+        losses.add(DAMAGED_RECORD, f"the one before byte {span.end} of {path.stat().st_size}")
+        return None
 
 
 @contextmanager
-def _chunk_damage(stream: Any, path: Path, losses: LossLog) -> Iterator[None]:
+def _chunk_damage(end: int, path: Path, losses: LossLog) -> Iterator[None]:
     """A chunk that cannot be read is a loss and no error."""
     try:
         yield
     except Exception:  # the library raises whatever the damaged bytes lead to
-        losses.add(DAMAGED_CHUNK, f"the one before byte {stream.tell()} of {path.stat().st_size}")
+        losses.add(DAMAGED_CHUNK, f"the one before byte {end} of {path.stat().st_size}")
 
 
-def read_extras(path: Path) -> Iterator[Metadata | Attachment]:
-    """Yield the metadata and attachments of a file, up to where it is cut or damaged."""
-    with path.open("rb") as stream:
-        reader = StreamReader(stream, emit_chunks=True, record_size_limit=_limit(path))
-        for record in _until_damage(reader.records, stream, path, LossLog()):
-            if isinstance(record, Metadata | Attachment):
-                yield record
-
-
-def _until_damage(items: Iterator[T], stream: Any, path: Path, losses: LossLog) -> Iterator[T]:
-    """Yield items until reading fails, which is a loss and no error."""
-    while True:
-        try:
-            item = next(items)
-        except StopIteration:
-            return
-        except CRCValidationError:  # of all data: nothing of it is missing
-            if not losses.losses:
-                losses.add(DAMAGED, f"byte {stream.tell()} of {path.stat().st_size}")
-            return
-        except Exception:  # the library raises whatever the damaged bytes lead to
-            size, position = path.stat().st_size, stream.tell()
-            losses.add(TRUNCATED if position >= size else DAMAGED, f"byte {position} of {size}")
-            return
-        yield item
-
-
-def _seeking(stream: Any, path: Path) -> SeekingReader:
-    return SeekingReader(stream, validate_crcs=True, record_size_limit=_limit(path))
+def _check_data(stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog) -> None:
+    """Check the checksum of all data, if there is one; a difference that nothing else showed is a loss."""
+    record = _parsed(stream, span, path, losses)
+    if not isinstance(record, DataEnd) or record.data_section_crc == 0 or losses.losses:
+        return
+    stream.seek(0)
+    crc, left = 0, span.start - HEAD.size
+    while left > 0:
+        block = stream.read(min(left, BLOCK_BYTES))
+        crc, left = zlib.crc32(block, crc), left - len(block)
+    if crc != record.data_section_crc:
+        losses.add(DAMAGED_DATA, f"within {span.start} bytes")
 
 
 def _limit(path: Path) -> int:

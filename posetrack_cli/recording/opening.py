@@ -6,7 +6,7 @@ from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.folder import FolderRecording
-from posetrack_cli.recording.mcap_salvage import MAGIC
+from posetrack_cli.recording.mcap_records import MAGIC
 from posetrack_cli.recording.stored import StoredRecording
 
 

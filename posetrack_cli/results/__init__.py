@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         estimate_from_json,
         estimate_to_json,
     )
-    from posetrack_cli.results.reader import Result, load_arrays, read_result
+    from posetrack_cli.results.reader import Result, ResultWarning, load_arrays, read_result
     from posetrack_cli.results.writer import ResultWriter
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "Checkpoint",
     "Estimate",
     "Result",
+    "ResultWarning",
     "ResultWriter",
     "Status",
     "Subject",
@@ -39,7 +40,7 @@ _MODULES = {
     "checkpoint": ("Checkpoint",),
     "estimate": ("Estimate", "Status", "Subject"),
     "estimate_json": ("ESTIMATE_SCHEMA", "ESTIMATE_SCHEMA_NAME", "estimate_from_json", "estimate_to_json"),
-    "reader": ("Result", "load_arrays", "read_result"),
+    "reader": ("Result", "ResultWarning", "load_arrays", "read_result"),
     "writer": ("ResultWriter",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

@@ -118,9 +118,8 @@ class Subject:
             )
 
 
-def array_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
-    """Return the shape that each array field of an Estimate of this subject has."""
-    k = len(subject.shape_names)
+def array_shapes(k: int, p: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array field of an Estimate with K shape entries and P points."""
     return {
         "position": (3,),
         "quaternion": (4,),
@@ -129,7 +128,7 @@ def array_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
         "twist": (6 + k,),
         "pose_variance": (6 + k,),
         "twist_variance": (6 + k,),
-        "points": (len(subject.point_names), 3),
+        "points": (p, 3),
     }
 
 
@@ -150,7 +149,8 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
     unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
     if unknown and len(unknown) < len(VELOCITY_FIELDS):
         raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
-    for name, shape in array_shapes(subject).items():
+    shapes = array_shapes(len(subject.shape_names), len(subject.point_names))
+    for name, shape in shapes.items():
         if name not in unknown:
             check_array(getattr(estimate, name), shape, name, where)
     norm = float(np.linalg.norm(estimate.quaternion))

@@ -1,36 +1,52 @@
-"""Read a result, also one that is unfinished or whose writer was killed."""
+"""Read a result, also one that is unfinished, damaged, or whose writer was killed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+import warnings
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Channel, Metadata, Schema
 
 from posetrack_cli.errors import ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage
+from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, Loss, TruthMessage
+from posetrack_cli.recording.losses import LossLog, loss_line
 from posetrack_cli.recording.mcap_calibration import camera_from_message
+from posetrack_cli.recording.mcap_stream import (
+    DAMAGED,
+    TRUNCATED,
+    McapItem,
+    Topics,
+    read_channels,
+    read_extras,
+    read_messages,
+)
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
-from posetrack_cli.results.estimate import FIELD_NAMES, Estimate, Subject, array_shapes
+from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
+from posetrack_cli.results.estimate import FIELD_NAMES, Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
 from posetrack_cli.results.messages import CameraCalibration
-from posetrack_cli.results.records import RecordSpan, chunk_records, read_record, record_spans
+from posetrack_cli.results.opening import opened
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_from_record
 from posetrack_cli.results.writer import SUMMARY_RECORD
 
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
 
+class ResultWarning(UserWarning):
+    """A result was read that is truncated or damaged: some of it is missing."""
+
+
 @dataclass(frozen=True)
 class Result:
     """A result file; its messages are read when they are asked for, one chunk in memory at a time.
+
+    A truncated or damaged file is read as far as it goes: ``losses`` tells what was missing.
 
     Attributes:
         path: the file, NAME or NAME.part.
@@ -46,6 +62,7 @@ class Result:
     run: Mapping[str, str]
     summary: Mapping[str, str]
     truncated: bool
+    _losses: LossLog = field(default_factory=LossLog, repr=False, compare=False)
 
     @property
     def finished(self) -> bool:
@@ -60,8 +77,9 @@ class Result:
     @cached_property
     def channels(self) -> tuple[tuple[Schema, Channel], ...]:
         """Every channel with its schema, ordered by topic."""
-        found = {channel.id: (schema, channel) for schema, channel in self._channels()}
-        return tuple(sorted(found.values(), key=lambda pair: (pair[1].topic, pair[1].id)))
+        with self._reading() as losses:
+            found = [(schema or NO_SCHEMA, channel) for schema, channel in read_channels(self.path, losses)]
+        return tuple(sorted(found, key=lambda pair: (pair[1].topic, pair[1].id)))
 
     @property
     def truth_topics(self) -> tuple[str, ...]:
@@ -69,28 +87,54 @@ class Result:
         topics = (channel.topic for _, channel in self.channels)
         return tuple(topic for topic in topics if topic.startswith(TRUTH_PREFIX))
 
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """What could not be read so far: the rest of a truncated file, damaged chunks. Empty if all is well.
+
+        Filled by reading: a pass that goes through the whole file tells all of it.
+        """
+        return self._losses.losses
+
     def estimates(self, topic: str | None = None) -> Iterator[Estimate]:
-        """Yield the estimates in file order.
+        """Yield the estimates in file order; what cannot be read is left out and told in ``losses``.
 
         Args:
             topic: any topic of ``posetrack.Estimate``, such as a truth topic; by default the result's own.
 
         Raises:
-            ResultError: there is no such topic, or a chunk is damaged.
+            ResultError: there is no such topic, or a message on it is no estimate.
         """
-        if topic is not None:
-            known = {c.topic for s, c in self.channels if s.name == ESTIMATE_SCHEMA_NAME}
-            if topic not in known:
-                raise ResultError(
-                    f"no estimates on topic '{topic}'", where=self.path, hint=nearest_name(topic, known)
-                )
-        wanted = topic or self.estimate_topic
-        for _, _, message in self._messages(lambda channel: channel.topic == wanted):
+        for _, _, message in self._messages([self._checked_topic(topic)]):
             yield estimate_from_json(message.data)
+
+    def column_blocks(
+        self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES
+    ) -> Iterator[Columns]:
+        """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
+        messages = self._messages([self._checked_topic(topic)])
+        yield from column_blocks((message.data for _, _, message in messages), fields)
+
+    def columns(self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES) -> Columns:
+        """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.
+
+        Args:
+            topic: as of ``estimates``.
+            fields: of ``Estimate``, those that are wanted.
+
+        Returns:
+            One array per field, under its name, with the frames (N) along the first axis; ``status`` as text;
+            a cost, time or velocity that a message does not have as NaN.
+
+        Raises:
+            ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points.
+        """
+        names = self.subject.shape_names, self.subject.point_names
+        return joined(self.column_blocks(topic, fields)) or empty_columns(fields, *map(len, names))
 
     def truth(self) -> Iterator[TruthMessage]:
         """Yield the messages of ground truth undecoded, in file order."""
-        for schema, channel, message in self._messages(lambda c: c.topic.startswith(TRUTH_PREFIX)):
+        for known, channel, message in self._messages(lambda topic: topic.startswith(TRUTH_PREFIX)):
+            schema = known or NO_SCHEMA
             yield TruthMessage(
                 topic=channel.topic,
                 schema_name=schema.name,
@@ -108,49 +152,40 @@ class Result:
         Raises:
             ResultError: the file ends before its first flush.
         """
-        for _, _, message in self._messages(lambda channel: channel.topic == CALIBRATION_TOPIC):
+        for _, _, message in self._messages([CALIBRATION_TOPIC]):
             calibration = CameraCalibration.FromString(message.data)
             return camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
         raise ResultError("holds no camera calibration", where=self.path)
 
-    def _messages(self, wanted: Callable[[Channel], bool]) -> Iterator[tuple[Schema, Channel, Message]]:
-        """Yield the messages of the channels that are wanted, in file order."""
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        for span in record_spans(self.path):
-            if span.opcode != Opcode.CHUNK:
-                continue
-            for record in chunk_records(self.path, span):
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    channels[record.id] = record
-                elif wanted(channels[record.channel_id]):
-                    channel = channels[record.channel_id]
-                    yield schemas.get(channel.schema_id, NO_SCHEMA), channel, record
+    def _checked_topic(self, topic: str | None) -> str:
+        """Return a topic of estimates, the result's own by default."""
+        if topic is None:
+            return self.estimate_topic
+        known = {c.topic for s, c in self.channels if s.name == ESTIMATE_SCHEMA_NAME}
+        if topic not in known:
+            raise ResultError(
+                f"no estimates on topic '{topic}'", where=self.path, hint=nearest_name(topic, known)
+            )
+        return topic
 
-    def _channels(self) -> Iterator[tuple[Schema, Channel]]:
-        """Yield the channels from the index, or from the chunks of a file without one."""
-        schemas: dict[int, Schema] = {}
-        for span in record_spans(self.path):
-            for record in self._definitions(span):
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                else:
-                    yield schemas.get(record.schema_id, NO_SCHEMA), record
+    def _messages(self, topics: Topics) -> Iterator[McapItem]:
+        """Yield the messages on some topics in file order."""
+        with self._reading() as losses:
+            yield from read_messages(self.path, losses, topics, in_file_order=True)
 
-    def _definitions(self, span: RecordSpan) -> Iterator[Schema | Channel]:
-        if span.opcode == Opcode.CHUNK and self.truncated:
-            records: list[Any] = list(chunk_records(self.path, span))
-        elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            records = [read_record(self.path, span)]
-        else:
-            return
-        yield from (record for record in records if isinstance(record, Schema | Channel))
+    @contextmanager
+    def _reading(self) -> Iterator[LossLog]:
+        """Whatever a pass loses is told in ``losses``, also by a pass that ends early."""
+        log = LossLog()
+        try:
+            with opened(self.path):
+                yield log
+        finally:
+            self._losses.include(log.losses)
 
 
 def read_result(path: Path | str) -> Result:
-    """Open a result file, finished or not.
+    """Open a result file, finished or not, also one that is truncated or damaged.
 
     Raises:
         ResultError: it is missing, no MCAP file, or not written by posetrack.
@@ -158,53 +193,37 @@ def read_result(path: Path | str) -> Result:
     path = Path(path)
     if not path.exists() and part_path(path).exists():
         raise ResultError("does not exist", where=path, hint=f"an unfinished run left {part_path(path)}")
-    metadata: dict[str, Mapping[str, str]] = {}
-    truncated = True
-    for span in record_spans(path):
-        truncated = span.opcode != Opcode.FOOTER
-        if span.opcode == Opcode.METADATA:
-            record = read_record(path, span)
-            if isinstance(record, Metadata):
-                metadata[record.name] = record.metadata
+    losses = LossLog()
+    with opened(path):
+        metadata = {r.name: r.metadata for r in read_extras(path, losses) if isinstance(r, Metadata)}
     if RUN_RECORD not in metadata or SUBJECT_RECORD not in metadata:
         raise ResultError("is no result of posetrack", where=path, expected=f"metadata {RUN_RECORD}")
     subject = subject_from_record(metadata[SUBJECT_RECORD])
-    return Result(path, subject, metadata[RUN_RECORD], metadata.get(SUMMARY_RECORD, {}), truncated)
+    truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
+    return Result(path, subject, metadata[RUN_RECORD], metadata.get(SUMMARY_RECORD, {}), truncated, losses)
 
 
-def load_arrays(path: Path | str, topic: str | None = None) -> dict[str, np.ndarray[Any, Any]]:
+def load_arrays(path: Path | str, topic: str | None = None) -> Columns:
     """Load all estimates of a result as arrays, in three lines of Python::
 
         from posetrack_cli.results import load_arrays
         result = load_arrays("result.mcap")
         print(result["position"])
 
+    A file that is truncated or damaged gives what can be read, with a ``ResultWarning``.
+
     Args:
         path: the result.
         topic: as of ``Result.estimates``.
 
     Returns:
-        One array per field of ``Estimate``, under its name, with the frames (N) along the first axis;
-        ``status`` as text, a missing cost or time as NaN.
+        As ``Result.columns``.
 
     Raises:
-        ResultError: as of ``read_result`` and ``Result.estimates``.
+        ResultError: as of ``read_result`` and ``Result.columns``.
     """
     result = read_result(path)
-    estimates = list(result.estimates(topic))
-    return {name: _column(name, estimates, result.subject) for name in FIELD_NAMES}
-
-
-def _column(name: str, estimates: list[Estimate], subject: Subject) -> np.ndarray[Any, Any]:
-    """Return one field of all estimates, with the right shape and type also when there are none."""
-    values = [getattr(estimate, name) for estimate in estimates]
-    shapes = array_shapes(subject)
-    if name in shapes:
-        return np.array(values, dtype=np.float64) if values else np.empty((0, *shapes[name]))
-    kinds: dict[str, Any] = {
-        "frame_index": np.int64,
-        "stamp_ns": np.int64,
-        "status": np.str_,
-        "resampled": np.bool_,
-    }
-    return np.array(values, dtype=kinds.get(name, np.float64))
+    columns = result.columns(topic)
+    if result.losses:
+        warnings.warn(f"{path}: {loss_line(result.losses)}", ResultWarning, stacklevel=2)
+    return columns

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.mcap_records import (
+    ChunkRecord,
+    RecordSpan,
+    chunk_records,
+    read_record,
+    record_spans,
+)
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import RESTART_HINT
-from posetrack_cli.results.records import chunk_records, read_record, record_spans
+from posetrack_cli.results.opening import opened
 
 
 def replay(part: Path, file_bytes: int, sink: McapSink, channels: ResultChannels) -> set[str]:
@@ -32,17 +41,15 @@ def replay(part: Path, file_bytes: int, sink: McapSink, channels: ResultChannels
     attached: set[str] = set()
     schemas: dict[int, Schema] = {}
     position = 0
-    for span in record_spans(part):
-        if span.end > file_bytes:
-            break
-        position = span.end
-        if span.opcode == Opcode.ATTACHMENT:
-            attachment = read_record(part, span)
-            if isinstance(attachment, Attachment):
-                sink.attachment(attachment.name, attachment.media_type, attachment.data, attachment.log_time)
-                attached.add(attachment.name)
-        elif span.opcode == Opcode.CHUNK:
-            _replay_chunk(chunk_records(part, span), schemas, sink, channels)
+    with opened(part) as stream:
+        for span in record_spans(stream):
+            if span.end > file_bytes:
+                break
+            position = span.end
+            if span.opcode == Opcode.ATTACHMENT:
+                attached.add(_replay_attachment(part, stream, span, sink))
+            elif span.opcode == Opcode.CHUNK:
+                _replay_chunk(_chunk(part, stream, span), schemas, sink, channels)
     if position != file_bytes:
         raise ResultError(
             "checkpoint does not fit the unfinished result",
@@ -83,8 +90,23 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
             )
 
 
+def _replay_attachment(part: Path, stream: IO[bytes], span: RecordSpan, sink: McapSink) -> str:
+    with _damage(part, span):
+        record = read_record(stream, span)
+    assert isinstance(record, Attachment)
+    sink.attachment(record.name, record.media_type, record.data, record.log_time)
+    return record.name
+
+
+def _chunk(part: Path, stream: IO[bytes], span: RecordSpan) -> list[ChunkRecord]:
+    records: list[ChunkRecord] = []
+    with _damage(part, span):
+        records.extend(chunk_records(read_record(stream, span)))
+    return records
+
+
 def _replay_chunk(
-    records: list[Schema | Channel | Message],
+    records: list[ChunkRecord],
     schemas: dict[int, Schema],
     sink: McapSink,
     channels: ResultChannels,
@@ -123,14 +145,30 @@ def _adopt(channel: Channel, schemas: Mapping[int, Schema], channels: ResultChan
 def _first_metadata(part: Path) -> dict[str, Mapping[str, str]]:
     """Return the metadata before the first chunk."""
     found: dict[str, Mapping[str, str]] = {}
-    for span in record_spans(part):
-        if span.opcode == Opcode.CHUNK:
-            break
-        if span.opcode == Opcode.METADATA:
-            record = read_record(part, span)
-            if isinstance(record, Metadata):
+    with opened(part) as stream:
+        for span in record_spans(stream):
+            if span.opcode == Opcode.CHUNK:
+                break
+            if span.opcode == Opcode.METADATA:
+                with _damage(part, span):
+                    record = read_record(stream, span)
+                assert isinstance(record, Metadata)
                 found[record.name] = record.metadata
     return found
+
+
+@contextmanager
+def _damage(part: Path, span: RecordSpan) -> Iterator[None]:
+    """Nothing is resumed that is damaged: whatever reading a record raises becomes one line."""
+    try:
+        yield
+    except Exception as error:  # parser and decompressors raise whatever the damaged bytes lead to
+        raise ResultError(
+            f"record at byte {span.start} is damaged",
+            where=part,
+            found=error or type(error).__name__,
+            hint=RESTART_HINT,
+        ) from error
 
 
 def _listed(record: Mapping[str, str], keys: list[str]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import Writer
 from results_support import (
     CAMERA,
@@ -19,12 +20,13 @@ from results_support import (
     write_result,
 )
 
-from posetrack_cli.errors import ResultError
+from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
+    ResultWarning,
     ResultWriter,
     estimate_to_json,
     load_arrays,
@@ -91,9 +93,9 @@ def test_a_file_cut_anywhere_gives_its_whole_chunks(path: Path, tmp_path: Path, 
     result = read_result(tmp_path / "cut.mcap")
     count = len(list(result.estimates()))
     assert count in {10, 20, 26}
-    if cut > 50:
-        assert result.truncated
-        assert result.truth_topics == ("/truth/hand/pose",)
+    assert result.truncated
+    assert [loss.what for loss in result.losses] == ["file is truncated, the rest is missing"]
+    assert result.truth_topics == ("/truth/hand/pose",)
 
 
 def test_any_cut_reads_or_says_why(path: Path, tmp_path: Path) -> None:
@@ -110,12 +112,83 @@ def test_any_cut_reads_or_says_why(path: Path, tmp_path: Path) -> None:
     assert {-1, 0, 10, 20, 26} == set(counts)
 
 
-def test_damage_is_told(path: Path, tmp_path: Path) -> None:
+def chunk_middles(path: Path) -> list[int]:
+    """A byte within each chunk; each holds ten frames, the first the channels, too."""
+    with path.open("rb") as stream:
+        indexes = make_reader(stream).get_summary().chunk_indexes
+    return [index.chunk_start_offset + index.chunk_length // 2 for index in indexes]
+
+
+def with_damage(path: Path, copy: Path, position: int, keep: int | None = None) -> Path:
     data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    (tmp_path / "damaged.mcap").write_bytes(data)
-    with pytest.raises(ResultError, match=r"damaged\.mcap: record at byte \d+ is damaged"):
-        list(read_result(tmp_path / "damaged.mcap").estimates())
+    data[position] ^= 0xFF
+    copy.write_bytes(data[:keep])
+    return copy
+
+
+def test_a_damaged_chunk_is_left_out_and_told(path: Path, tmp_path: Path) -> None:
+    middle = chunk_middles(path)[1]
+    result = read_result(with_damage(path, tmp_path / "damaged.mcap", middle))
+    assert [estimate.frame_index for estimate in result.estimates()] == [*range(10), *range(20, 26)]
+    (loss,) = result.losses
+    assert (loss.what, loss.count) == ("chunk is damaged, its messages are lost", 1)
+    assert result.columns()["frame_index"].tolist() == [*range(10), *range(20, 26)]
+    assert len(list(result.truth())) == 8
+    assert result.losses == (loss,), "the same chunk is counted once"
+    assert (result.truncated, result.finished) == (False, True)
+
+
+def test_damage_and_a_cut_are_both_told(path: Path, tmp_path: Path) -> None:
+    middles = chunk_middles(path)
+    result = read_result(with_damage(path, tmp_path / "r.mcap", middles[1], keep=middles[2]))
+    assert result.truncated
+    assert result.columns()["frame_index"].tolist() == list(range(10))
+    assert [loss.what for loss in result.losses] == [
+        "file is truncated, the rest is missing",
+        "chunk is damaged, its messages are lost",
+    ]
+
+
+def test_messages_whose_channels_were_damaged_are_told(path: Path, tmp_path: Path) -> None:
+    middles = chunk_middles(path)
+    result = read_result(with_damage(path, tmp_path / "r.mcap", middles[0], keep=middles[2]))
+    assert list(result.estimates()) == []
+    told = {loss.what: loss.count for loss in result.losses}
+    assert told["message of a topic that was lost with damaged data"] == 10 * 4 + 7 + 5  # meshes, truths
+
+
+def test_arrays_of_a_damaged_file_come_with_a_warning(path: Path, tmp_path: Path) -> None:
+    damaged = with_damage(path, tmp_path / "damaged.mcap", chunk_middles(path)[0])
+    with pytest.warns(ResultWarning, match=r"damaged\.mcap: chunk is damaged, its messages are lost: 1"):
+        arrays = load_arrays(damaged)
+    assert arrays["frame_index"].tolist() == list(range(10, 26))
+
+
+def test_a_chunk_that_is_cut_gives_its_whole_messages(path: Path, tmp_path: Path) -> None:
+    """One chunk of everything, larger than a block of the compression: what lies before the cut is read."""
+    frames = 300
+    data = write_result(tmp_path / "r.mcap", frames, flush_frames=1000).read_bytes()
+    counts = []
+    for share in (0.3, 0.6, 0.9):
+        (tmp_path / "cut.mcap").write_bytes(data[: int(share * len(data))])
+        result = read_result(tmp_path / "cut.mcap")
+        indices = result.columns()["frame_index"].tolist()
+        assert indices == list(range(len(indices)))
+        assert [loss.what for loss in result.losses] == ["file is truncated, the rest is missing"]
+        counts.append(len(indices))
+    assert 0 < counts[0] < counts[1] < counts[2] < frames
+
+
+def test_any_flipped_byte_ends_in_frames_and_losses_or_one_line(path: Path, tmp_path: Path) -> None:
+    for position in range(8, path.stat().st_size, 211):
+        damaged = with_damage(path, tmp_path / "damaged.mcap", position)
+        try:
+            result = read_result(damaged)
+            count = len(result.columns()["stamp_ns"])
+        except PosetrackError as error:
+            assert "\n" not in str(error)
+        else:
+            assert count == 26 or result.losses
 
 
 def test_truth_of_our_own_schema_reads_as_estimates(tmp_path: Path) -> None:

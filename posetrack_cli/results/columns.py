@@ -1,0 +1,151 @@
+"""Estimates as columns of numbers, decoded without an object per frame: for long results, block by block."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import chain
+from operator import itemgetter
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.errors import ResultError
+from posetrack_cli.results.estimate import FIELD_NAMES, VELOCITY_FIELDS, Status, array_shapes
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, parse_fields
+
+Columns: TypeAlias = dict[str, np.ndarray[Any, Any]]
+
+BLOCK_FRAMES = 1000
+_GROWTH_FRAMES = 4096
+
+_STATUSES = np.array([status.value for status in Status])
+_STATUS_CODES = {status.value: code for code, status in enumerate(Status)}
+_TYPES: Mapping[str, Any] = {
+    "frame_index": np.int64,
+    "stamp_ns": np.int64,
+    "status": _STATUSES.dtype,
+    "resampled": np.bool_,
+}
+_CODES = {"frame_index": "q", "stamp_ns": "q", "status": "b", "resampled": "b"}
+_OPTIONAL_NUMBERS = ("cost", "milliseconds")
+_XYZ = itemgetter("x", "y", "z")
+
+
+def column_blocks(
+    messages: Iterable[bytes], fields: Collection[str] = FIELD_NAMES, frames: int = BLOCK_FRAMES
+) -> Iterator[Columns]:
+    """Yield the columns of consecutive messages ``posetrack.Estimate``, at most ``frames`` rows at a time.
+
+    The arrays are those of ``empty_columns``, with as many shape entries K and points P as the first message.
+
+    Raises:
+        ResultError: a message is no estimate, or has other numbers of shape entries or points.
+    """
+    rows: _Rows | None = None
+    for data in messages:
+        try:
+            values = parse_fields(data)
+            rows = rows or _Rows(fields, len(values["shape"]), len(values["points"]))
+            rows.add(values)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", found=error) from error
+        if rows.count == frames:
+            yield rows.take()
+    if rows is not None and rows.count:
+        yield rows.take()
+
+
+def empty_columns(fields: Collection[str], k: int, p: int) -> Columns:
+    """Return columns of no rows: what each field's array looks like for K shape entries and P points.
+
+    Frame indices and stamps are integers, ``status`` is text, ``resampled`` boolean, everything else float64.
+    A cost, a time and a velocity that a message does not have are NaN.
+    """
+    shapes = array_shapes(k, p)
+    types = {name: _TYPES.get(name, np.float64) for name in fields}
+    return {name: np.empty((0, *shapes.get(name, ())), dtype=kind) for name, kind in types.items()}
+
+
+def joined(blocks: Iterable[Columns]) -> Columns:
+    """Put blocks one below the other, each dropped when it is copied; {} if there are none.
+
+    Arrays grow in place, so the peak is little above the size of the columns.
+    """
+    grown: Columns = {}
+    count = 0
+    for block in blocks:
+        rows = len(next(iter(block.values()), ()))
+        for name, part in block.items():
+            column = grown.setdefault(name, np.empty_like(part[:0]))
+            if count + rows > len(column):
+                _resize(column, count + max(rows, _GROWTH_FRAMES, count // 8))
+            column[count : count + rows] = part
+        count += rows
+    for column in grown.values():
+        _resize(column, count)
+    return grown
+
+
+def _resize(column: np.ndarray[Any, Any], rows: int) -> None:
+    """Change the length in place; nothing else refers to the array yet."""
+    column.resize((rows, *column.shape[1:]), refcheck=False)
+
+
+class _Rows:
+    """Collects frames, field by field.
+
+    Args:
+        fields: the fields to keep.
+        k, p: numbers of shape entries and points.
+    """
+
+    def __init__(self, fields: Collection[str], k: int, p: int) -> None:
+        self.count = 0
+        self._empty = empty_columns(fields, k, p)
+        sizes = {name: math.prod(shape) for name, shape in array_shapes(k, p).items()}
+        self._points = p if "points" in self._empty else None
+        self._sizes = {name: sizes[name] for name in self._empty if name in sizes and name != "points"}
+        self._numbers = [name for name in self._empty if name not in sizes and name != "status"]
+        self._clear()
+
+    def add(self, values: Mapping[str, Any]) -> None:
+        """Append a message's values; what they raise says what is wrong with them."""
+        buffers = self._buffers
+        for name in self._numbers:
+            buffers[name].append(values.get(name, math.nan) if name in _OPTIONAL_NUMBERS else values[name])
+        if "status" in buffers:
+            buffers["status"].append(_STATUS_CODES[values["status"]])
+        for name, size in self._sizes.items():
+            numbers = values.get(name) if name in VELOCITY_FIELDS else values[name]
+            if numbers is None:
+                numbers = [math.nan] * size
+            _check_count(name, numbers, size)
+            buffers[name].extend(numbers)
+        if self._points is not None:
+            _check_count("points", values["points"], self._points)
+            buffers["points"].extend(chain.from_iterable(map(_XYZ, values["points"])))
+        self.count += 1
+
+    def take(self) -> Columns:
+        """Return what was collected, and begin anew."""
+        taken = {name: self._column(name, empty) for name, empty in self._empty.items()}
+        self._clear()
+        return taken
+
+    def _clear(self) -> None:
+        self.count = 0
+        self._buffers = {name: array(_CODES.get(name, "d")) for name in self._empty}
+
+    def _column(self, name: str, empty: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        flat = np.array(self._buffers[name])
+        if name == "status":
+            return np.take(_STATUSES, flat)
+        column: np.ndarray[Any, Any] = flat.astype(empty.dtype, copy=False)
+        return column.reshape(self.count, *empty.shape[1:])
+
+
+def _check_count(name: str, values: Any, expected: int) -> None:
+    if len(values) != expected:
+        raise ValueError(f"{name} of {len(values)} entries among others of {expected}")
