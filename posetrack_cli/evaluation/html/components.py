@@ -1,0 +1,229 @@
+"""The components of a trajectory that the page can show: estimate, truth and 90 % band."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
+
+BAND = 1.645
+"""Half width of the interval that holds 90 % of a Gaussian, standard deviations."""
+
+DIFFERENCE_RAD = 1e-6
+"""Step of the differences that take variances of rotation vectors to variances of Euler angles."""
+
+DEG = 180.0 / np.pi
+AXES = ("x", "y", "z")
+EULER = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One number over time.
+
+    Attributes:
+        group: components of one group are shown beside each other.
+        label, unit: of its axis.
+        estimate: (N,).
+        truth: (N,) at the estimate's frames, NaN where there is none; None if it is not known at all.
+        half_width: (N,) of the 90 % band; None if no variance is stated.
+    """
+
+    group: str
+    label: str
+    unit: str
+    estimate: FloatArray
+    truth: FloatArray | None
+    half_width: FloatArray | None
+
+
+def components(evaluation: Evaluation) -> Iterator[Component]:
+    """Yield the components that the track has, in the order in which the page lists them."""
+    body = "Wrist" if evaluation.subject == "hand" else "Head"
+    yield from _positions(evaluation, f"{body} position")
+    yield from _rotations(evaluation, f"{body} rotation")
+    yield from _shapes(evaluation)
+    yield from _velocities(evaluation, body)
+
+
+def matched_truth(evaluation: Evaluation, field: Callable[[Track], FloatArray | None]) -> FloatArray | None:
+    """Return a field of the truth, (N, ...), at the estimate's frames: NaN where no truth belongs to one."""
+    truth, pairs = evaluation.truth, evaluation.pairs
+    values = None if truth is None else field(truth)
+    if values is None or pairs is None:
+        return None
+    placed = np.full((len(evaluation.track), *values.shape[1:]), np.nan)
+    placed[pairs.estimate] = values[pairs.truth]
+    return placed
+
+
+def _columns(
+    group: str,
+    names: tuple[str, ...],
+    unit: str,
+    estimate: FloatArray,
+    truth: FloatArray | None,
+    variance: FloatArray | None,
+) -> Iterator[Component]:
+    """One component per column; a truth with other columns is none."""
+    if truth is not None and truth.shape != estimate.shape:
+        truth = None
+    for i, name in enumerate(names):
+        half = None if variance is None else BAND * np.sqrt(np.maximum(variance[:, i], 0.0))
+        yield Component(group, name, unit, estimate[:, i], None if truth is None else truth[:, i], half)
+
+
+def _positions(evaluation: Evaluation, group: str) -> Iterator[Component]:
+    track = evaluation.track
+    if track.position is not None:
+        truth = matched_truth(evaluation, lambda other: other.position)
+        variance = None if track.pose_variance is None else track.pose_variance[:, :3]
+        yield from _columns(group, AXES, "mm", track.position, truth, variance)
+
+
+def _rotations(evaluation: Evaluation, group: str) -> Iterator[Component]:
+    track = evaluation.track
+    if track.quaternion is None:
+        return
+    angles_of = roll_pitch_yaw if evaluation.subject == "hand" else head_roll_pitch_yaw
+    truth = matched_truth(evaluation, lambda other: other.quaternion)
+    angles = _unwrapped(angles_of(track.quaternion)) * DEG
+    true_angles = None
+    if truth is not None:
+        known = np.isfinite(truth).all(axis=1)
+        true_angles = np.full_like(angles, np.nan)
+        true_angles[known] = _nearest_turn(angles_of(truth[known]) * DEG, angles[known])
+    spread = None if track.pose_variance is None else track.pose_variance[:, 3:6]
+    variance = None if spread is None else euler_variance(track.quaternion, spread, angles_of) * DEG**2
+    yield from _columns(group, EULER, "deg", angles, true_angles, variance)
+    q = _continuous(track.quaternion)
+    variance = None if spread is None else quaternion_variance(q, spread)
+    yield from _columns(f"{group}, quaternion", (*AXES, "w"), "", q, _same_sign(truth, q), variance)
+
+
+def _shapes(evaluation: Evaluation) -> Iterator[Component]:
+    track = evaluation.track
+    if track.shape is None:
+        return
+    truth = matched_truth(evaluation, lambda other: other.shape)
+    variance = None if track.pose_variance is None else track.pose_variance[:, 6:]
+    yield from _grouped(evaluation, track.shape, truth, variance, "")
+
+
+def _velocities(evaluation: Evaluation, body: str) -> Iterator[Component]:
+    track = evaluation.track
+    if track.twist is None:
+        return
+    twist, variance = track.twist, track.twist_variance
+    truth = matched_truth(evaluation, lambda other: other.twist)
+    if truth is not None and truth.shape != twist.shape:
+        truth = None
+
+    def part(columns: slice, scale: float = 1.0) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+        return (
+            scale * twist[:, columns],
+            None if truth is None else scale * truth[:, columns],
+            None if variance is None else scale**2 * variance[:, columns],
+        )
+
+    yield from _columns(f"{body} velocity", AXES, "mm/s", *part(slice(0, 3)))
+    yield from _columns(f"{body} angular velocity, body axes", AXES, "deg/s", *part(slice(3, 6), DEG))
+    yield from _grouped(evaluation, *part(slice(6, None)), " velocities")
+
+
+def _grouped(
+    evaluation: Evaluation,
+    values: FloatArray,
+    truth: FloatArray | None,
+    variance: FloatArray | None,
+    suffix: str,
+) -> Iterator[Component]:
+    """Shape entries: of a hand angles in degrees by finger, otherwise coefficients without unit."""
+    names = evaluation.track.shape_names
+    hand = evaluation.subject == "hand"
+    scale, unit = (DEG, "deg") if hand else (1.0, "")
+    if suffix:
+        unit = f"{unit or '1'}/s"
+    if truth is not None and truth.shape != values.shape:
+        truth = None
+    for i, name in enumerate(names):
+        finger, _, angle = name.partition("_")
+        group = f"{finger.capitalize()} angle" if hand and angle else "Shape"
+        half = None if variance is None else scale * BAND * np.sqrt(np.maximum(variance[:, i], 0.0))
+        yield Component(
+            f"{group}{suffix or ('s' if hand and angle else '')}",
+            (angle if hand and angle else name).replace("_", " "),
+            unit,
+            scale * values[:, i],
+            None if truth is None else scale * truth[:, i],
+            half,
+        )
+
+
+def euler_variance(
+    q: FloatArray, variance: FloatArray, angles_of: Callable[[FloatArray], FloatArray] = roll_pitch_yaw
+) -> FloatArray:
+    """Return the variances (N, 3), rad^2, of roll, pitch, yaw, to first order.
+
+    var(angle_i) = sum_j (d angle_i / d r_j)^2 var(r_j), r the rotation vector in the body frame, by central
+    differences of q exp(r). Near gimbal lock they grow without bound, as the angles' meaning is lost.
+
+    Args:
+        q: (N, 4) unit quaternions.
+        variance: (N, 3) of the rotation vector, rad^2.
+        angles_of: which angles.
+    """
+    total = np.zeros((len(q), 3))
+    for j in range(3):
+        turn = rotations.exponential(DIFFERENCE_RAD * np.eye(3)[j])
+        ahead = angles_of(rotations.multiply(q, turn))
+        behind = angles_of(rotations.multiply(q, rotations.conjugate(turn)))
+        difference = np.mod(ahead - behind + np.pi, 2.0 * np.pi) - np.pi
+        total += (difference / (2.0 * DIFFERENCE_RAD)) ** 2 * variance[:, j, None]
+    return total
+
+
+def quaternion_variance(q: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return the variances (N, 4) of x, y, z, w, to first order: q (1 + r / 2), r the rotation vector."""
+    total = np.zeros((len(q), 4))
+    for j in range(3):
+        total += (0.5 * rotations.multiply(q, np.eye(4)[j])) ** 2 * variance[:, j, None]
+    return total
+
+
+def _unwrapped(angles: FloatArray) -> FloatArray:
+    """Return angles (N, 3), rad, by whole turns such that neighbours do not jump; rows without value stay."""
+    known = np.isfinite(angles).all(axis=1)
+    unwrapped = angles.copy()
+    unwrapped[known] = np.unwrap(angles[known], axis=0)
+    return unwrapped
+
+
+def _nearest_turn(angles: FloatArray, near: FloatArray) -> FloatArray:
+    """Return the same angles, deg, by whole turns as near as possible to others."""
+    nearest: FloatArray = angles + 360.0 * np.rint((near - angles) / 360.0)
+    return nearest
+
+
+def _continuous(q: FloatArray) -> FloatArray:
+    """Return the same rotations with signs such that neighbours do not jump from q to -q."""
+    if not len(q):
+        return q
+    turns = np.where(np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0, -1.0, 1.0)
+    continuous: FloatArray = q * np.concatenate([[1.0], np.cumprod(turns)])[:, None]
+    return continuous
+
+
+def _same_sign(truth: FloatArray | None, q: FloatArray) -> FloatArray | None:
+    """Return true quaternions with the signs of the estimated ones."""
+    if truth is None:
+        return None
+    signed: FloatArray = truth * np.where(np.einsum("ni,ni->n", truth, q) < 0.0, -1.0, 1.0)[:, None]
+    return signed

@@ -1,0 +1,167 @@
+"""An evaluation reduced to what the page's plots show: small enough to embed, with every peak kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.html.components import components
+from posetrack_cli.evaluation.html.downsample import envelope_rows
+from posetrack_cli.evaluation.html.labels import quantity_label, readable
+from posetrack_cli.evaluation.html.packing import packed
+from posetrack_cli.evaluation.html.rows import RowTable
+from posetrack_cli.evaluation.html.scene import scene
+from posetrack_cli.evaluation.html.timebase import Timebase, gap_spans, state_spans, timebases
+from posetrack_cli.evaluation.metrics import CATALOGUE
+from posetrack_cli.evaluation.pictures import Picture
+from posetrack_cli.evaluation.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much of each result a page holds, so that several results make no page too large to open.
+
+    Attributes:
+        quantity_points: points of each line of the plot over time.
+        component_points: points of each component of the trajectories.
+        scene_frames: frames of the 3-D view.
+    """
+
+    quantity_points: int
+    component_points: int
+    scene_frames: int
+
+
+def budget_for(results: int) -> Budget:
+    """Return the budget of each of so many results."""
+    share = max(1, results)
+    return Budget(max(300, 4000 // share), max(100, 1500 // share), max(100, 2500 // share))
+
+
+def page_data(evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence[Picture]]) -> dict[str, Any]:
+    """Return everything that the page's scripts need, ready for JSON (see ``packing.json_text``).
+
+    Arrays are packed; a line or scene names its frames by places in its result's table of kept frames.
+    """
+    bases, shared = timebases([evaluation.track for evaluation in evaluations])
+    budget = budget_for(len(evaluations))
+    return {
+        "sharedTime": shared,
+        "tickSeconds": (bases[0].tick_ns if bases else 1) * 1e-9,
+        "results": [
+            _result(evaluation, base, budget, pictures.get(evaluation.name, ()))
+            for evaluation, base in zip(evaluations, bases, strict=True)
+        ],
+    }
+
+
+def _result(
+    evaluation: Evaluation, base: Timebase, budget: Budget, pictures: Sequence[Picture]
+) -> dict[str, Any]:
+    track = evaluation.track
+    table = RowTable(track, base)
+    lost = np.zeros(len(track), dtype=np.bool_) if track.lost is None else track.lost
+    data: dict[str, Any] = {
+        "name": evaluation.name,
+        "subject": evaluation.subject,
+        "frames": len(track),
+        "quantities": _quantities(evaluation, table, budget.quantity_points),
+        "curve": _curve(evaluation),
+        "components": _components(evaluation, table, budget.component_points),
+        "parts": _parts(evaluation),
+        "scene": scene(evaluation, table, budget.scene_frames, [one.stamp_ns for one in pictures]),
+        "lost": base.seconds(state_spans(track.stamp_ns, lost)).tolist(),
+        "gaps": base.seconds(gap_spans(track.stamp_ns)).tolist(),
+        "pictures": base.seconds(np.array([one.stamp_ns for one in pictures], dtype=np.int64)).tolist(),
+    }
+    return data | {"kept": table.finish()}
+
+
+def _quantities(evaluation: Evaluation, table: RowTable, limit: int) -> dict[str, Any]:
+    """Per-frame values by metric, those of the series and those that the track itself tells."""
+    lines = _series_lines(evaluation) | _run_lines(evaluation)
+    order = {metric.name: place for place, metric in enumerate(CATALOGUE)}
+    found: dict[str, Any] = {}
+    for name in sorted(lines, key=lambda name: order.get(name.split(".")[0], len(order))):
+        values = lines[name]
+        if np.isfinite(values).any():
+            rows = envelope_rows(values[None], limit)
+            label, unit = quantity_label(name)
+            found[name] = {
+                "label": label,
+                "unit": unit,
+                "points": len(rows),
+                "at": table.add(rows),
+                "value": packed(values[rows], "f4"),
+            }
+    return found
+
+
+def _series_lines(evaluation: Evaluation) -> dict[str, FloatArray]:
+    """The evaluation's series placed at the track's frames, NaN at frames without truth."""
+    count = len(evaluation.track)
+    rows = np.searchsorted(evaluation.track.stamp_ns, evaluation.series_stamp_ns)
+    lines: dict[str, FloatArray] = {}
+    for name, values in evaluation.series.items():
+        lines[name] = np.full(count, np.nan)
+        lines[name][rows] = values
+    return lines
+
+
+def _run_lines(evaluation: Evaluation) -> dict[str, FloatArray]:
+    track = evaluation.track
+    known = {
+        "cost_mm": track.cost,
+        "confidence": track.confidence,
+        "ms_per_frame": track.milliseconds,
+        "ess": track.effective_sample_size,
+    }
+    return {name: values for name, values in known.items() if values is not None}
+
+
+def _components(evaluation: Evaluation, table: RowTable, limit: int) -> list[dict[str, Any]]:
+    found = []
+    for one in components(evaluation):
+        lines = [one.estimate] if one.truth is None else [one.estimate, one.truth]
+        if not any(np.isfinite(line).any() for line in lines):
+            continue
+        rows = envelope_rows(np.stack(lines), limit)
+        found.append(
+            {
+                "group": one.group,
+                "label": one.label,
+                "unit": one.unit,
+                "points": len(rows),
+                "at": table.add(rows),
+                "estimate": packed(one.estimate[rows], "f4"),
+                "truth": None if one.truth is None else packed(one.truth[rows], "f4"),
+                "halfWidth": None if one.half_width is None else packed(one.half_width[rows], "f4"),
+            }
+        )
+    return found
+
+
+def _curve(evaluation: Evaluation) -> dict[str, Any] | None:
+    curve = evaluation.curve
+    if curve is None:
+        return None
+    return {
+        "thresholds": np.round(curve.thresholds_mm, 6).tolist(),
+        "share": np.round(curve.share, 6).tolist(),
+    }
+
+
+def _parts(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """The error of each joint or point."""
+    metric = "joint_error_mm" if evaluation.subject == "hand" else "point_error_mm"
+    found = []
+    for name in evaluation.track.point_names:
+        value = evaluation.metrics.get(f"{metric}.{name}")
+        if isinstance(value, Statistics) and value.count:
+            found.append({"label": readable(name), "mean": value.mean, "p95": value.p95})
+    return found

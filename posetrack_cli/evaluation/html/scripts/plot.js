@@ -1,0 +1,286 @@
+/* A plot of lines over one axis: axes, bands, spans, a cursor with its read-out, and the choice of a shorter time. */
+
+const PLOT_MARGIN = { top: 24, right: 14, bottom: 36 };
+const DRAG_PIXELS = 5;
+let plotCount = 0;
+
+/**
+ * Options: label (for screen readers), xTitle, yTitle, height, fromZero, xDomain (a function), yDomain, yText,
+ * lines [{x, y, half, kind, index, name, unit, gaps, frameOf}], spans [{kind, from, to}],
+ * rasters [{index, name, spans}], title(x) of the read-out, onPick(x), store (for a time axis).
+ */
+class Plot {
+  constructor(parent, options) {
+    this.options = { height: 240, spans: [], rasters: [], fromZero: false, ...options };
+    this.clip = `plot-clip-${plotCount++}`;
+    this.box = makeElement("div", {
+      class: "plot", tabindex: "0", role: "group", "aria-label": `${this.options.label}. Arrow keys move the cursor.`,
+    });
+    this.svg = makeSvg("svg", { role: "img", "aria-label": this.options.label, height: this.options.height });
+    this.tip = makeElement("div", { class: "tip", role: "status", hidden: true });
+    this.reset = makeElement("button", { type: "button", class: "reset", hidden: true }, "Whole time");
+    this.box.append(this.svg, this.reset, this.tip);
+    parent.append(this.box);
+    this.listen();
+    this.draw();
+  }
+
+  /** Shows other lines. */
+  update(options) {
+    Object.assign(this.options, options);
+    this.hideTip();
+    this.draw();
+  }
+
+  listen() {
+    const { store } = this.options;
+    this.observer = new ResizeObserver(() => this.box.clientWidth !== this.width && this.draw());
+    this.observer.observe(this.box);
+    this.endings = store
+      ? [store.on("window", () => this.draw()), store.on("now", () => this.placeNow())]
+      : [];
+    this.reset.addEventListener("click", () => store?.set("window", null));
+    this.svg.addEventListener("pointerdown", (event) => this.press(event));
+    this.svg.addEventListener("pointermove", (event) => this.move(event));
+    this.svg.addEventListener("pointerup", (event) => this.release(event));
+    this.svg.addEventListener("pointerleave", () => this.pressed === undefined && this.hideTip());
+    this.svg.addEventListener("pointercancel", () => this.endSelection());
+    this.svg.addEventListener("dblclick", () => store?.set("window", null));
+    this.box.addEventListener("keydown", (event) => this.key(event));
+    this.box.addEventListener("blur", () => this.hideTip());
+  }
+
+  dispose() {
+    this.observer.disconnect();
+    this.endings.forEach((end) => end());
+    this.box.remove();
+  }
+
+  get xDomain() {
+    const { store, xDomain } = this.options;
+    return store?.window ?? xDomain();
+  }
+
+  /* drawing */
+
+  draw() {
+    const width = this.box.clientWidth;
+    if (!width) return;
+    this.width = width;
+    const { height } = this.options;
+    const [yTicks, yTexts] = this.prepareY(height);
+    const left = 16 + 7 * Math.max(...yTexts.map((text) => text.length));
+    this.xs = new Scale(this.xDomain, [left, width - PLOT_MARGIN.right]);
+    this.svg.replaceChildren(
+      this.clipPath(left, width, height),
+      ...this.axes(left, width, height, yTicks, yTexts),
+      makeSvg("g", { "clip-path": `url(#${this.clip})` }, ...this.spanShapes(), ...this.lineShapes()),
+    );
+    this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    this.nowLine = this.verticalLine("now");
+    this.cursor = makeSvg("g", { visibility: "hidden" });
+    this.selection = makeSvg("rect", { class: "selection", y: PLOT_MARGIN.top, visibility: "hidden" });
+    this.selection.setAttribute("height", height - PLOT_MARGIN.top - PLOT_MARGIN.bottom);
+    this.svg.append(this.nowLine, this.cursor, this.selection);
+    this.reset.hidden = !this.options.store?.window;
+    this.placeNow();
+  }
+
+  prepareY(height) {
+    const { lines, fromZero, yDomain, yText } = this.options;
+    const [low, high] = valueExtent(lines, this.xDomain);
+    const room = Math.min(typicalHalfWidth(lines), 3 * (high - low) || Infinity);
+    const domain = yDomain ?? paddedDomain(low - (room || 0), high + (room || 0), fromZero);
+    this.ys = new Scale(domain, [height - PLOT_MARGIN.bottom, PLOT_MARGIN.top]);
+    const ticks = niceTicks(domain[0], domain[1], height / 48);
+    return [ticks, yText ? ticks.map(yText) : tickTexts(ticks)];
+  }
+
+  clipPath(left, width, height) {
+    const rect = makeSvg("rect", {
+      x: left, y: PLOT_MARGIN.top - 1, width: Math.max(0, width - left - PLOT_MARGIN.right + 1),
+      height: height - PLOT_MARGIN.top - PLOT_MARGIN.bottom + 2,
+    });
+    return makeSvg("clipPath", { id: this.clip }, rect);
+  }
+
+  axes(left, width, height, yTicks, yTexts) {
+    const bottom = height - PLOT_MARGIN.bottom, right = width - PLOT_MARGIN.right;
+    const shapes = [];
+    yTicks.forEach((tick, i) => {
+      const y = this.ys.at(tick);
+      shapes.push(makeSvg("line", { class: "grid", x1: left, x2: right, y1: y, y2: y }));
+      shapes.push(makeSvg("text", { x: left - 7, y: y + 4, "text-anchor": "end" }, yTexts[i]));
+    });
+    const xTicks = niceTicks(...this.xs.domain, (right - left) / 75);
+    tickTexts(xTicks).forEach((text, i) => {
+      const x = this.xs.at(xTicks[i]);
+      shapes.push(makeSvg("line", { class: "axis", x1: x, x2: x, y1: bottom, y2: bottom + 4 }));
+      shapes.push(makeSvg("text", { x, y: bottom + 16, "text-anchor": "middle" }, text));
+    });
+    shapes.push(makeSvg("line", { class: "axis", x1: left, x2: right, y1: bottom, y2: bottom }));
+    shapes.push(makeSvg("text", { class: "axis-title", x: 0, y: 12 }, this.options.yTitle));
+    shapes.push(
+      makeSvg("text", { class: "axis-title", x: right, y: height - 4, "text-anchor": "end" }, this.options.xTitle),
+    );
+    return shapes;
+  }
+
+  spanShapes() {
+    const { spans, rasters, height } = this.options;
+    const full = height - PLOT_MARGIN.top - PLOT_MARGIN.bottom;
+    const strip = Math.min(6, full / 3 / Math.max(1, rasters.length));
+    const shape = (kind, from, to, top, tall) => {
+      const x = this.xs.at(from);
+      return makeSvg("rect", { class: kind, x, y: top, width: Math.max(1.5, this.xs.at(to) - x), height: tall });
+    };
+    const shown = spans.map((one) => shape(one.kind, one.from, one.to, PLOT_MARGIN.top, full));
+    rasters.forEach(({ index, spans: lost }, place) => {
+      const top = PLOT_MARGIN.top + place * strip;
+      lost.forEach(([from, to]) => shown.push(shape(`lost raster ${colourClass(index)}`, from, to, top, strip - 1)));
+    });
+    return shown;
+  }
+
+  lineShapes() {
+    const bands = [], paths = [];
+    for (const line of this.options.lines) {  // the first line ends up on top
+      const wide = (line.gaps ?? []).filter(([from, to]) => this.xs.at(to) - this.xs.at(from) >= 2);
+      const runs = unbrokenRuns(line.x, line.y, visibleRange(line.x, this.xs.domain), wide);
+      const colour = colourClass(line.index ?? 0);
+      if (line.half) {
+        const d = bandPath(this.xs, this.ys, line.x, line.y, line.half, runs);
+        bands.push(makeSvg("path", { class: `band ${colour}`, d }));
+      }
+      const d = linePath(this.xs, this.ys, line.x, line.y, runs);
+      paths.unshift(makeSvg("path", { class: `line ${line.kind ?? ""} ${colour}`, d, "stroke-dasharray": line.kind === "truth" ? null : dashes(line.index ?? 0) }));
+    }
+    return [...bands, ...paths];
+  }
+
+  verticalLine(kind) {
+    return makeSvg("line", {
+      class: kind, y1: PLOT_MARGIN.top, y2: this.options.height - PLOT_MARGIN.bottom, visibility: "hidden",
+    });
+  }
+
+  /** Marks the time that the 3-D view shows. */
+  placeNow() {
+    const now = this.options.store?.now;
+    if (!this.nowLine) return;
+    const shown = now !== null && now !== undefined && now >= this.xs.domain[0] && now <= this.xs.domain[1];
+    this.nowLine.setAttribute("visibility", shown ? "visible" : "hidden");
+    if (shown) this.nowLine.setAttribute("transform", `translate(${this.xs.at(now).toFixed(1)} 0)`);
+  }
+
+  /* pointer and keys */
+
+  valueAt(event) {
+    const box = this.svg.getBoundingClientRect();
+    const [left, right] = this.xs.range;
+    return this.xs.inverse(Math.min(right, Math.max(left, event.clientX - box.left)));
+  }
+
+  press(event) {
+    this.pressed = event.pointerType === "touch" ? undefined : { x: this.valueAt(event), at: event.clientX };
+    if (this.pressed && this.options.store) this.svg.setPointerCapture(event.pointerId);
+    this.showTip(this.valueAt(event));
+  }
+
+  move(event) {
+    const value = this.valueAt(event);
+    const dragged = this.pressed && Math.abs(event.clientX - this.pressed.at) > DRAG_PIXELS;
+    if (!dragged || !this.options.store) return this.showTip(value);
+    const [from, to] = [this.pressed.x, value].sort((a, b) => a - b).map((x) => this.xs.at(x));
+    this.selection.setAttribute("x", from);
+    this.selection.setAttribute("width", to - from);
+    this.selection.setAttribute("visibility", "visible");
+    this.hideTip();
+  }
+
+  release(event) {
+    const value = this.valueAt(event);
+    const dragged = this.pressed && Math.abs(event.clientX - this.pressed.at) > DRAG_PIXELS;
+    const from = this.pressed?.x;
+    this.endSelection();
+    if (dragged && this.options.store) {
+      this.options.store.set("window", [Math.min(from, value), Math.max(from, value)]);
+    } else {
+      this.options.onPick?.(this.nearest(value) ?? value);
+    }
+  }
+
+  endSelection() {
+    this.pressed = undefined;
+    this.selection?.setAttribute("visibility", "hidden");
+  }
+
+  key(event) {
+    if (event.target !== this.box) return;
+    const points = this.options.lines[0]?.x ?? [];
+    const last = points.length - 1;
+    const place = this.cursorAt === undefined ? -1 : nearestIndex(points, this.cursorAt);
+    const step = event.shiftKey ? Math.max(1, Math.round(points.length / 50)) : 1;
+    const next = { ArrowLeft: place < 0 ? last : place - step, ArrowRight: place + step, Home: 0, End: last }[event.key];
+    if (next !== undefined && last >= 0) {
+      event.preventDefault();
+      this.showTip(points[Math.min(last, Math.max(0, next))]);
+    } else if (event.key === "Enter" && this.cursorAt !== undefined) {
+      this.options.onPick?.(this.cursorAt);
+    } else if (event.key === "Escape") {
+      this.hideTip();
+      this.options.store?.set("window", null);
+    }
+  }
+
+  /** The place of the nearest point of any line. */
+  nearest(value) {
+    const places = this.options.lines.filter((line) => line.x.length).map((line) => line.x[nearestIndex(line.x, value)]);
+    places.sort((a, b) => Math.abs(a - value) - Math.abs(b - value));
+    return places[0];
+  }
+
+  showTip(value) {
+    const at = this.nearest(value);
+    if (at === undefined || !this.xs) return;
+    this.cursorAt = at;
+    const x = this.xs.at(at);
+    const marks = [makeSvg("line", { class: "cursor", x1: x, x2: x, y1: this.ys.range[1], y2: this.ys.range[0] })];
+    const rows = [];
+    for (const line of this.options.lines) {
+      const i = nearestIndex(line.x, at);
+      if (i < 0) continue;
+      rows.push(this.tipRow(line, i));
+      if (Number.isFinite(line.y[i])) {
+        marks.push(makeSvg("circle", {
+          class: `spot ${line.kind ?? ""} ${colourClass(line.index ?? 0)}`, r: 3.5, cx: this.xs.at(line.x[i]), cy: this.ys.at(line.y[i]),
+        }));
+      }
+    }
+    this.cursor.replaceChildren(...marks);
+    this.cursor.setAttribute("visibility", "visible");
+    this.tip.replaceChildren(makeElement("div", {}, this.options.title(at)), ...rows);
+    this.tip.hidden = false;
+    this.placeTip(x);
+  }
+
+  tipRow(line, i) {
+    const half = line.half && Number.isFinite(line.half[i]) ? ` ± ${formatNumber(line.half[i])}` : "";
+    const text = `${formatNumber(line.y[i])}${half}${line.unit ? ` ${line.unit}` : ""}`;
+    const frame = line.frameOf ? makeElement("span", { class: "unit" }, `frame ${line.frameOf(i)}`) : "";
+    return makeElement("div", {}, makeSwatch(line.kind ?? "", line.index ?? 0), line.name, frame, makeElement("b", {}, text));
+  }
+
+  placeTip(x) {
+    const width = this.tip.offsetWidth;
+    const left = x + 14 + width <= this.width ? x + 14 : x - 14 - width;
+    this.tip.style.left = `${Math.max(0, Math.min(left, this.width - width))}px`;
+    this.tip.style.top = `${PLOT_MARGIN.top + 4}px`;
+  }
+
+  hideTip() {
+    this.cursorAt = undefined;
+    this.tip.hidden = true;
+    this.cursor?.setAttribute("visibility", "hidden");
+  }
+}

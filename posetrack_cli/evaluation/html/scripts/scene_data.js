@@ -1,0 +1,70 @@
+/* The embedded 3-D scene of one result: points by frame, and how much room they take. */
+
+const MISSING_STEP = -32768;
+
+class SceneData {
+  constructor(result) {
+    const scene = result.scene;
+    Object.assign(this, { result, scene, count: scene.pointCount, edges: scene.edges, readings: scene.readings });
+    this.at = unpack(scene.at);
+    this.estimate = unpack(scene.estimate);
+    this.truth = scene.truth && unpack(scene.truth);
+    this.length = this.at.length;
+    this.drawn = this.estimate.length / (3 * this.length);
+    this.times = result.times(scene);
+    this.centre = this.middle();
+    this.radius = { hand: this.handRadius(), path: this.pathRadius() };
+  }
+
+  /** The points of one frame, mm, camera axes; null where one is not known. */
+  points(which, frame) {
+    const values = this[which];
+    if (!values) return [];
+    const { origin, stepMm } = this.scene;
+    return Array.from({ length: this.drawn }, (_, point) => {
+      const start = 3 * (frame * this.drawn + point);
+      if (values[start] === MISSING_STEP) return null;
+      return origin.map((value, axis) => value + stepMm * values[start + axis]);
+    });
+  }
+
+  /** Mean of the known points of truth, or else of the estimate; null without any. */
+  centroid(frame) {
+    for (const which of ["truth", "estimate"]) {
+      const known = this.points(which, frame).filter((point) => point);
+      if (known.length) return [0, 1, 2].map((axis) => known.reduce((sum, point) => sum + point[axis], 0) / known.length);
+    }
+    return null;
+  }
+
+  /** A sample of the frames, for sizes. */
+  sample() {
+    const step = Math.max(1, Math.floor(this.length / 200));
+    return Array.from({ length: Math.ceil(this.length / step) }, (_, i) => i * step);
+  }
+
+  middle() {
+    const centres = this.sample().map((frame) => this.centroid(frame)).filter((centre) => centre);
+    return [0, 1, 2].map((axis) => {
+      const values = centres.map((centre) => centre[axis]);
+      return values.length ? (Math.min(...values) + Math.max(...values)) / 2 : 0;
+    });
+  }
+
+  /** How far the outermost point is from the centroid in most frames. */
+  handRadius() {
+    const radii = this.sample().map((frame) => {
+      const centre = this.centroid(frame);
+      if (!centre) return 0;
+      const known = this.points(this.truth ? "truth" : "estimate", frame).filter((point) => point);
+      return Math.max(1, ...known.map((point) => Math.hypot(...point.map((value, axis) => value - centre[axis]))));
+    }).sort((a, b) => a - b);
+    return radii[Math.floor(0.95 * (radii.length - 1))] || 100;
+  }
+
+  pathRadius() {
+    const centres = this.sample().map((frame) => this.centroid(frame)).filter((centre) => centre);
+    const reach = centres.map((centre) => Math.hypot(...centre.map((value, axis) => value - this.centre[axis])));
+    return Math.max(0, ...reach) + this.handRadius();
+  }
+}

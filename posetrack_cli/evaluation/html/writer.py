@@ -1,0 +1,132 @@
+"""Write the HTML report: one self-contained page, whole or not at all."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from string import Template
+
+from posetrack_cli import __version__
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.comparison import Comparison
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.html.about import about, component_remark, plot_remark
+from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery
+from posetrack_cli.evaluation.html.markup import text
+from posetrack_cli.evaluation.html.packing import json_text
+from posetrack_cli.evaluation.html.page_data import page_data
+from posetrack_cli.evaluation.html.provenance import provenance
+from posetrack_cli.evaluation.html.summary import comparison_section, lead, notices, summary_tables
+from posetrack_cli.recording.output import check_folder, whole_or_nothing
+
+HERE = Path(__file__).parent
+SCRIPTS = (
+    "format",
+    "data",
+    "elements",
+    "scale",
+    "paths",
+    "plot",
+    "over_time",
+    "curve",
+    "parts",
+    "trajectories",
+    "camera_view",
+    "scene_data",
+    "skeleton",
+    "player",
+    "main",
+)
+"""In the order in which the page runs them."""
+
+ENDINGS = (".html", ".htm")
+
+
+def write_html(
+    path: Path,
+    evaluations: Sequence[Evaluation],
+    comparison: Comparison | None,
+    pictures: Pictures,
+    title: str,
+) -> None:
+    """Write a page that shows evaluations beside each other; the same arguments give the same bytes.
+
+    The page loads nothing: styles, scripts, data and pictures are in it, and its security policy forbids
+    connections. An existing page is replaced.
+
+    Args:
+        path: ``*.html``.
+        evaluations: their names are unique.
+        comparison: paired differences of several results; None shows none.
+        pictures: of each result, by its name, the worst frames first.
+        title: heading of the page.
+
+    Raises:
+        UsageError: the path is not named as a page, or is a folder.
+        ResultError: it cannot be written.
+    """
+    check_page(path)
+    page = html_page(evaluations, comparison, pictures, title)
+    with whole_or_nothing(path) as part:
+        part.write_bytes(page.encode("utf-8", "backslashreplace"))
+
+
+def check_page(path: Path) -> None:
+    """Refuse a name that a page cannot have, before time is spent on what it shows.
+
+    Raises:
+        UsageError: it does not end in ``.html``, or is a folder.
+        ResultError: its folder does not exist.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        raise UsageError("page is not named as HTML", where=path, expected="a name that ends in .html")
+    if path.is_dir():
+        raise UsageError("page is a folder", where=path, expected="the name of a file")
+    check_folder(path)
+
+
+def html_page(
+    evaluations: Sequence[Evaluation],
+    comparison: Comparison | None,
+    pictures: Pictures,
+    title: str,
+) -> str:
+    """Return the page's text, see ``write_html``."""
+    style = _asset("report.css")
+    script = '"use strict";\n' + "\n".join(_asset(f"scripts/{name}.js") for name in SCRIPTS)
+    shown, dropped = fitting(evaluations, pictures)
+    data = page_data(evaluations, shown)
+    return Template(_asset("report.html")).substitute(
+        policy=_policy(style, script),
+        version=text(__version__),
+        title=text(title),
+        style=style,
+        script=script,
+        lead=lead(evaluations),
+        notices=notices(evaluations),
+        summary=summary_tables(evaluations),
+        comparison=comparison_section(comparison),
+        plot_remark=plot_remark(data),
+        component_remark=component_remark(data),
+        gallery=gallery(evaluations, shown, dropped),
+        provenance=provenance(evaluations),
+        about=about(data),
+        data=json_text(data),
+    )
+
+
+def _asset(name: str) -> str:
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def _policy(style: str, script: str) -> str:
+    """Content security policy: the page's own script and style, embedded pictures, nothing else."""
+    style_hash, script_hash = (
+        base64.b64encode(hashlib.sha256(source.encode()).digest()).decode() for source in (style, script)
+    )
+    return (
+        f"default-src 'none'; script-src 'sha256-{script_hash}'; style-src 'sha256-{style_hash}'; "
+        "img-src data:; base-uri 'none'; form-action 'none'"
+    )
