@@ -12,8 +12,10 @@ import click
 from posetrack_cli import __version__
 from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
+from posetrack_cli.cli.eval import evaluate
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.info import info
+from posetrack_cli.cli.view import view
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
 
 
@@ -27,7 +29,7 @@ def cli() -> None:
     """
 
 
-for command in (hand, info, convert, doctor):
+for command in (hand, evaluate, view, info, convert, doctor):
     cli.add_command(command)
 
 

@@ -70,7 +70,8 @@ def search_recording(
         except RecordingError as error:
             reasons.append(str(error))
     looked = ", ".join(dict.fromkeys(str(folder) for folder in _folders(result)))
-    return Search(None, "; ".join([f"no recording '{name}' in {looked}", *reasons]))
+    nowhere = f"no recording '{name}' in {looked}; pass it with --recording"
+    return Search(None, "; ".join(reasons) or nowhere)
 
 
 def required_recording(result: Result, given: Path | None = None, **options: Any) -> StoredRecording:
@@ -81,7 +82,7 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
     """
     search = search_recording(result, given, **options)
     if search.recording is None:
-        raise RecordingError(search.reason, hint="pass it with --recording")
+        raise RecordingError(search.reason)
     return search.recording
 
 
@@ -166,6 +167,23 @@ def camera_of(run: Mapping[str, str]) -> Camera:
         return Camera(**{**values, "distortion": tuple(values["distortion"])})
     except (KeyError, TypeError, ValueError, PosetrackError) as error:
         raise ResultError("run record tells no camera", found=error) from error
+
+
+def check_same_size(camera: Camera, recording: StoredRecording) -> None:
+    """Refuse images that the run's camera cannot have taken.
+
+    Raises:
+        UsageError: they are of another size.
+    """
+    given = recording.cameras[0]
+    if (given.width, given.height) != (camera.width, camera.height):
+        raise UsageError(
+            "images are not of the size that was tracked",
+            where=recording.path,
+            found=f"{given.width}x{given.height}",
+            expected=f"{camera.width}x{camera.height}",
+            hint="pass the --camera of the run, whose crop applies",
+        )
 
 
 def _check_size(path: Path, run: Mapping[str, str]) -> None:

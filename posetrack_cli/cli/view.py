@@ -1,0 +1,176 @@
+"""``posetrack view``: draw results on the recording they were made from."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.evaluation.viewing.outputs import Output
+    from posetrack_cli.evaluation.viewing.view import View
+    from posetrack_cli.recording.stored import StoredRecording
+    from posetrack_cli.results.reader import Result
+
+LAYOUTS = ("beside", "over", "paper", "side-by-side")
+DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
+
+
+@click.command(short_help="Draw a result on its recording: a video, pictures, or one sheet.")
+@click.argument("paths", metavar="RESULT [RESULT2]", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="FILE.mp4, a folder (frame_000123.png, ...), or FILE.png: the chosen frames on one sheet.",
+)
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    help="The recording; found by itself beside the result, one folder up or in the working folder.",
+)
+@click.option("--any-recording", is_flag=True, help="Draw on --recording even if it is not that of the run.")
+@click.option(
+    "--frames",
+    metavar="CHOICE",
+    help="Which: all, 0:300:5, 7,12,100:120, spread:6 or worst:8.  [default: all; of a sheet spread:6]",
+)
+@click.option(
+    "--layout",
+    type=click.Choice(LAYOUTS),
+    help="Observed, rendered and both beside each other; only both; observed above and rendered below, as "
+    "in the paper; two results.  [default: beside; of two results side-by-side]",
+)
+@click.option(
+    "--crop",
+    type=click.Choice(["full", "hand"]),
+    help="All of the image, or where the hand goes.  [default: full; of layout paper hand]",
+)
+@click.option("--scale", type=click.FloatRange(0.05, 16.0), help="Picture pixels per image pixel.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(0.1, 240.0),
+    help="Pictures per second of a video.  [default: as fast as recorded]",
+)
+@click.option(
+    "--range-mm",
+    type=(float, float),
+    metavar="NEAR FAR",
+    help="Depths drawn red and blue.  [default: the hand's]",
+)
+@click.option("--truth", is_flag=True, help="Draw the truth's contour, green.")
+@click.option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose.")
+@recording_options
+@click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing video, sheet or earlier pictures.")
+def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
+    """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
+
+    Two results of one recording are drawn beside each other. Lost frames have a red border, found ones an
+    orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
+    error of its points. Images of a camera with lens distortion are drawn without it.
+
+    Videos are MPEG-4 Part 2: VLC, mpv, ffplay and QuickTime play them; for browsers, convert with ffmpeg -i
+    FILE.mp4 -c:v libx264 -pix_fmt yuv420p OUT.mp4. Ctrl-C leaves what was drawn, readable. Exit code 3 means
+    that the result is truncated, or frames of it are not in the recording.
+    """
+    from posetrack_cli.evaluation.viewing.outputs import check_view_output, open_output
+    from posetrack_cli.results.reader import read_result
+
+    check_view_output(output, overwrite=options["overwrite"])
+    results = [read_result(path) for path in paths]
+    drawn = _prepare(results, output, options)
+    with stop_signals() as stopped, _finished(open_output(output, options["rate"] or drawn.rate_hz)) as out:
+        count = _draw(drawn, out, stopped)
+    _close(output, count, drawn, results, interrupted=stopped())
+
+
+def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> View:
+    """Everything that can be refused is refused here, before the first frame."""
+    from posetrack_cli.evaluation.viewing.outputs import is_sheet
+    from posetrack_cli.evaluation.viewing.view import View, ViewOptions
+    from posetrack_cli.rendering.context import open_context
+
+    view_options = ViewOptions(**{name: options[name] for name in DRAWN}, sheet=is_sheet(output))
+    recording = _recording(results, options)
+    return View(results, recording, view_options, open_context(options["device"]))
+
+
+def _recording(results: Sequence[Result], options: dict[str, Any]) -> StoredRecording:
+    """The recording that all results were made from."""
+    from posetrack_cli.evaluation.recording_of import required_recording
+
+    given, any_recording = options["recording"], options["any_recording"]
+    if any_recording and given is None:
+        raise UsageError("--any-recording needs --recording")
+    inputs = {result.run.get("input.sha256") for result in results}
+    if len(inputs) > 1 and not any_recording:
+        found = ", ".join(str(result.path) for result in results)
+        raise UsageError("results are of different recordings", found=found)
+    return required_recording(results[0], given, any_recording=any_recording, **opening_arguments(options))
+
+
+@contextmanager
+def _finished(out: Output) -> Iterator[Output]:
+    """Yield an output; it is finished at the end, and nothing of it is left after a failure."""
+    try:
+        yield out
+        out.close()
+    except BaseException:
+        out.discard()
+        raise
+
+
+def _draw(drawn: View, out: Output, stopped: Any) -> int:
+    """Draw the frames until it is stopped; return how many there are."""
+    from contextlib import closing
+
+    from tqdm import tqdm
+
+    count = 0
+    bar = tqdm(
+        total=len(drawn.rows), unit="frame", desc="view", file=sys.stderr, disable=None, dynamic_ncols=True
+    )
+    with bar, closing(drawn.pictures()) as pictures:
+        for frame_index, picture in pictures:
+            out.add(frame_index, picture)
+            count += 1
+            bar.update()
+            if stopped():
+                break
+    return count
+
+
+def _close(output: Path, count: int, drawn: View, results: Sequence[Result], *, interrupted: bool) -> None:
+    """The closing line, and the exit code."""
+    from posetrack_cli.recording.losses import loss_line
+
+    context, asked = click.get_current_context(), len(drawn.rows)
+    if interrupted:
+        click.echo(f"interrupted after {count} of {asked} frames: {output}", err=True)
+        context.exit(EXIT_INTERRUPTED)
+    if not count:
+        raise _nothing(drawn)
+    click.echo(f"{count} frames: {output}")
+    losses = [(str(result.path), loss_line(result.losses)) for result in results if result.losses]
+    losses += [(f"{drawn.recording_path}", loss_line(drawn.losses))] if drawn.losses else []
+    for where, line in losses:
+        click.echo(f"{where}: {line}", err=True)
+    if losses:
+        context.exit(EXIT_DATA_LOST)
+
+
+def _nothing(drawn: View) -> Exception:
+    from posetrack_cli.errors import RecordingError
+    from posetrack_cli.recording.losses import loss_line
+
+    return RecordingError("no frame can be drawn", where=drawn.recording_path, found=loss_line(drawn.losses))

@@ -1,0 +1,143 @@
+"""How well a hand result agrees with the images it was made from: no truth needed, and no truth either.
+
+The hand's pixels are told from the rest of an image around the estimate itself
+(``hand.observation.segmented``), so the figures are circular: they say that an estimate explains what is
+near it, not that it is right. A hand mirrored or swapped in its fingers can score well; one that has left
+the hand scores badly.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.evaluation import Value
+from posetrack_cli.evaluation.matched_frames import matched_frames
+from posetrack_cli.evaluation.recording_of import check_same_size
+from posetrack_cli.evaluation.result_track import track_of_result
+from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, anatomy_of
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import HandAnatomy
+from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.observation import PixelSampler, segmented, window_around
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.sums import TileSums
+from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.results.reader import Result
+
+WINDOW_MM = 320.0
+"""A hand of scale 1 within ``reach_mm`` of its middle, whichever way it points, and some room."""
+TILE_PX = 160
+NO_CLAMP_MM = 1e6
+"""Segmentation bounds the differences already."""
+
+
+class HandConsistency:
+    """Compares hands with images, one by one; the measure is the same for every run.
+
+    Window and segmentation are the defaults, not the run's: results of different configurations are
+    measured alike. Only the hand's side and size are the run's.
+
+    Args:
+        context: GL context.
+        anatomy: of the hand.
+        camera: of the images; lens distortion is taken out.
+    """
+
+    def __init__(self, context: Any, anatomy: HandAnatomy, camera: Camera) -> None:
+        self._anatomy, self._camera, self._sampler = anatomy, camera, PixelSampler(camera)
+        self._window = ObservationSettings(window_mm=WINDOW_MM * anatomy.scale, tile_px=TILE_PX)
+        self._segmentation = SegmentationSettings()
+        mesh = hand_mesh(anatomy, MESH_LEVEL)
+        self._renderer = TiledDepthRenderer(context, mesh, (TILE_PX, TILE_PX), 1)
+
+    def compare(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
+        """Return residual, mm (NaN where nothing is both), and overlap of a pose (22,) with a frame."""
+        sums = self.sums(pose, frame)
+        return residual_mm(sums), region_overlap(sums)
+
+    def sums(self, pose: FloatArray, frame: Frame) -> TileSums:
+        """Sums over the pixels of the window around a pose (22,)."""
+        joints = joint_positions(self._anatomy, pose[None])[0]
+        window = window_around(joints, self._camera, self._window)
+        tile = self._sampler.sample(frame.depth, window)
+        observed = segmented(
+            tile, window, self._camera, pose, joints, self._segmentation, self._anatomy.scale
+        )
+        transforms = skinning_transforms(self._anatomy, pose[None])
+        return self._renderer.sums(transforms, self._camera, window, observed.image, NO_CLAMP_MM)
+
+
+def residual_mm(sums: TileSums) -> float:
+    """Mean |rendered - observed| over the pixels of one tile that are both rendered and observed hand, mm.
+
+    NaN where there is no such pixel; the overlap, 0, then says what is wrong.
+    """
+    both = float(sums.both[0])
+    return float(sums.error[0]) / both if both else float("nan")
+
+
+def region_overlap(sums: TileSums) -> float:
+    """Intersection over union of rendered and observed hand: |r and o| / |r or o|, 0 to 1.
+
+    Rendered pixels without a reading count on neither side: at a hand's edge most readings are missing, and
+    what lies beyond the wrist is no hand. 0 where there is nothing at all.
+    """
+    both = float(sums.both[0])
+    union = sums.observed + float(sums.rendered_only[0])
+    return both / union if union else 0.0
+
+
+def image_consistency(
+    result: Result, recording: StoredRecording, device: int | None = None
+) -> dict[str, Value]:
+    """Metrics ``residual_mm`` and ``region_overlap`` over every frame that can be found, lost ones included.
+
+    Both are circular: the observed hand is told from the rest around the estimate. ``residual_mm`` has no
+    value in a frame where estimate and observed hand share no pixel: its count is then smaller, and
+    ``region_overlap`` is 0 there.
+
+    Args:
+        result: of a hand.
+        recording: what it was made from (``find_recording``); every frame is read once.
+        device: EGL device index, None for the default.
+
+    Returns:
+        Nothing where the recording gives none of the result's frames.
+
+    Raises:
+        ResultError: the result is of another subject.
+        UsageError: the images are not of the size that was tracked.
+        RenderingError: nothing can be rendered here.
+    """
+    camera = result.camera()
+    check_same_size(camera, recording)
+    context = open_context(device)
+    try:
+        measure = HandConsistency(context, anatomy_of(result.run), camera)
+        compared = np.array(_compared(result, recording, measure)).reshape(-1, 2)
+    finally:
+        context.release()
+    if not len(compared):
+        return {}
+    residual, overlap = compared.T
+    return {"residual_mm": statistics(residual[~np.isnan(residual)]), "region_overlap": statistics(overlap)}
+
+
+def _compared(
+    result: Result, recording: StoredRecording, measure: HandConsistency
+) -> list[tuple[float, float]]:
+    track = track_of_result(result, "")
+    if track.position is None or track.quaternion is None or track.shape is None:
+        return []
+    poses = np.hstack([track.position, track.quaternion, track.shape])
+    frames = matched_frames(recording, track.stamp_ns, track.frame_index, LossLog())
+    return [measure.compare(poses[row], frame) for row, frame in frames]

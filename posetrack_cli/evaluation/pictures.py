@@ -1,0 +1,149 @@
+"""Pictures for reports: the worst frames of a result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from posetrack_cli.evaluation.evaluation import Evaluation
+    from posetrack_cli.evaluation.viewing.panels import Panels
+    from posetrack_cli.recording.stored import StoredRecording
+
+ERRORS = {
+    "joint_error_mm": "joint error",
+    "point_error_mm": "point error",
+    "position_mm": "position error",
+}
+"""Series that say how bad a frame is, the first that an evaluation has, and what captions call them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A drawn frame.
+
+    Attributes:
+        png: the image file.
+        frame_index: position in the recording.
+        stamp_ns: when the frame was taken, integer nanoseconds.
+        caption: one line: frame, time, what the estimate is like.
+    """
+
+    png: bytes
+    frame_index: int
+    stamp_ns: int
+    caption: str
+
+
+def worst_frame_pictures(
+    evaluation: Evaluation, recording: StoredRecording, count: int, device: int | None = None
+) -> list[Picture]:
+    """Draw the worst frames: the largest error, without truth the lost ones and then the highest cost.
+
+    Each picture shows the observed depth and, right of it, the estimate over it, the truth as a green
+    contour; all are cut out around the hand and of one size.
+
+    Args:
+        evaluation: what was measured.
+        recording: what the result was made from (``find_recording``).
+        count: how many at most. They are at least a second apart, so a short recording gives fewer.
+        device: EGL device index, None for the default.
+
+    Returns:
+        The worst first. Frames that the recording does not give are left out.
+
+    Raises:
+        RenderingError: nothing can be rendered here.
+        ResultError, UsageError: the result cannot be drawn on these images.
+    """
+    from posetrack_cli.evaluation.viewing.frame_choice import worst_rows
+    from posetrack_cli.rendering.context import open_context
+
+    errors, name = _errors(evaluation)
+    rows = worst_rows(evaluation.track, errors, count)
+    if not rows.size:
+        return []
+    context = open_context(device)
+    try:
+        drawn = _drawn(evaluation, recording, rows, context)
+    finally:
+        context.release()
+    return [
+        Picture(*drawn[int(row)], _caption(evaluation, int(row), errors, name))
+        for row in rows
+        if int(row) in drawn
+    ]
+
+
+def _errors(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
+    """The error (N,) of every frame, NaN without truth, and its name; None where there is none."""
+    found = next((name for name in ERRORS if name in evaluation.series), None)
+    if found is None or evaluation.pairs is None:
+        return None, ""
+    errors = np.full(len(evaluation.track), np.nan)
+    errors[evaluation.pairs.estimate] = evaluation.series[found]
+    return errors, ERRORS[found]
+
+
+def _drawn(
+    evaluation: Evaluation, recording: StoredRecording, rows: IntArray, context: Any
+) -> dict[int, tuple[bytes, int, int]]:
+    """PNG, frame number and stamp of each row that the recording has a frame of."""
+    from posetrack_cli.evaluation.matched_frames import matched_frames
+    from posetrack_cli.evaluation.viewing.outputs import png_of
+    from posetrack_cli.evaluation.viewing.viewport import Viewport, largest_viewport, moved_to
+    from posetrack_cli.recording.losses import LossLog
+
+    track, panels = evaluation.track, _panels(evaluation, recording, context)
+    points = None if track.points is None else track.points
+    whole = Viewport.enlarged(panels.camera)
+    common = whole if points is None else largest_viewport(points[rows], panels.camera, None)
+    drawn = {}
+    ordered = np.sort(rows)
+    numbers = None if track.frame_index is None else track.frame_index[ordered]
+    for position, frame in matched_frames(recording, track.stamp_ns[ordered], numbers, LossLog()):
+        row = int(ordered[position])
+        viewport = common if points is None else moved_to(common, points[row], panels.camera)
+        drawn[row] = png_of(panels.pair(frame, viewport)), frame.index, frame.stamp_ns
+    return drawn
+
+
+def _panels(evaluation: Evaluation, recording: StoredRecording, context: Any) -> Panels:
+    from posetrack_cli.evaluation.recording_of import check_same_size
+    from posetrack_cli.evaluation.viewing.colours import TRUTH
+    from posetrack_cli.evaluation.viewing.layers import Layer
+    from posetrack_cli.evaluation.viewing.panels import Panels
+    from posetrack_cli.evaluation.viewing.view import drawer_of, usual_range
+    from posetrack_cli.hand.observation import PixelSampler
+    from posetrack_cli.results.reader import read_result
+
+    result, track, truth = read_result(evaluation.path), evaluation.track, evaluation.truth
+    camera, drawer = result.camera(), drawer_of(result, context)
+    check_same_size(camera, recording)
+    return Panels(
+        camera=camera,
+        sampler=PixelSampler(camera),
+        depths=usual_range(track),
+        layers=(Layer(track, drawer),),
+        truth=None if truth is None else Layer(truth, drawer, TRUTH),
+        skeleton=None,
+        start_ns=int(track.stamp_ns[0]),
+    )
+
+
+def _caption(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:
+    track = evaluation.track
+    seconds = 1e-9 * int(track.stamp_ns[row] - track.stamp_ns[0])
+    number = row if track.frame_index is None else int(track.frame_index[row])
+    words = [f"frame {number}", f"{seconds:.3f} s"]
+    if track.lost is not None:
+        words.append("lost" if track.lost[row] else "tracking")
+    if errors is not None:
+        words.append(f"{name} {errors[row]:.1f} mm")
+    elif track.cost is not None and np.isfinite(track.cost[row]):
+        words.append(f"cost {track.cost[row]:.1f} mm")
+    return ", ".join(words)

@@ -1,0 +1,1 @@
+"""Pictures of estimates on the frames they were made from."""

@@ -1,0 +1,230 @@
+"""Where drawn frames go: a video, a folder of pictures, or one picture of them all."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.recording.output import check_folder, check_not_written, whole_or_nothing
+
+VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
+CODEC = "mp4v"
+"""MPEG-4 Part 2: the only one that OpenCV's wheels can write into MP4 everywhere, and fast."""
+SLOWEST_HZ, FASTEST_HZ = 0.1, 240.0
+_SHEET_WIDTH, _SHEET_GAP = 2400, 6
+_NUMBERED = re.compile(r"frame_\d{6,}\.png", re.ASCII)
+
+
+class Output(Protocol):
+    """Takes pictures one after the other."""
+
+    def add(self, frame_index: int, picture: ImageArray) -> None:
+        """Take the picture (height, width, 3), blue green red, of a frame."""
+
+    def close(self) -> None:
+        """Finish: what was added can be read afterwards, also after an interruption."""
+
+    def discard(self) -> None:
+        """Leave nothing unfinished behind after a failure."""
+
+
+class VideoFile:
+    """An MP4 file, written as NAME.part.mp4 (the suffix tells FFmpeg the format) and renamed.
+
+    Args:
+        path: the file.
+        rate_hz: pictures per second.
+
+    Raises:
+        ResultError: it cannot be written.
+    """
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        self._path, self._rate = path, playable_rate(rate_hz)
+        self._part = path.with_name(f"{path.stem}.part{path.suffix}")
+        check_not_written(self._part)
+        self._writer: Any = None
+        self._size, self._count = (0, 0), 0
+
+    def add(self, frame_index: int, picture: ImageArray) -> None:
+        """Take the next picture; all are of one size."""
+        even = _even(picture)
+        if self._writer is None:
+            self._size = (even.shape[1], even.shape[0])
+            self._writer = self._open()
+        self._writer.write(even)
+        self._count += 1
+
+    def _open(self) -> Any:
+        code = cv2.VideoWriter.fourcc(*CODEC)
+        try:
+            self._part.open("wb").close()  # FFmpeg does not say why it cannot
+        except OSError as error:
+            raise ResultError("cannot be written", where=self._path, found=error.strerror or error) from error
+        writer = cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, code, self._rate, self._size)
+        if not writer.isOpened():
+            width, height = self._size
+            raise ResultError(
+                "video cannot be written",
+                where=self._path,
+                found=f"{width}x{height}",
+                hint="try a smaller --scale",
+            )
+        return writer
+
+    def close(self) -> None:
+        """Finish the file and give it its name, once it is sure that it plays."""
+        if self._writer is None:
+            return
+        self._writer.release()
+        self._writer = None
+        if not _plays(self._part, self._size, self._count):
+            self.discard()
+            raise ResultError("video does not play back", where=self._path, hint="is the disk full?")
+        self._part.replace(self._path)
+
+    def discard(self) -> None:
+        """Delete what was written."""
+        if self._writer is not None:
+            self._writer.release()
+        self._part.unlink(missing_ok=True)
+
+
+def playable_rate(rate_hz: float) -> float:
+    """A rate that MPEG-4 can state exactly: hundredths, within what players play."""
+    return round(min(max(rate_hz, SLOWEST_HZ), FASTEST_HZ), 2)
+
+
+def _even(picture: ImageArray) -> ImageArray:
+    """The picture with black at its right and lower edge where its size is odd: the codec wants pairs."""
+    down, right = picture.shape[0] % 2, picture.shape[1] % 2
+    if not (down or right):
+        return picture
+    return cv2.copyMakeBorder(picture, 0, down, 0, right, cv2.BORDER_CONSTANT)
+
+
+def _plays(path: Path, size: tuple[int, int], count: int) -> bool:
+    """Whether a video states so many pictures of this size, and the first can be read."""
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        read, picture = video.read()
+        stated = round(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    finally:
+        video.release()
+    return bool(read) and picture.shape[1::-1] == size and stated == count
+
+
+class PictureFolder:
+    """A folder of frame_000123.png; pictures of an earlier view in it are deleted first.
+
+    Args:
+        path: the folder; made if it does not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        path.mkdir(exist_ok=True)
+        for old in numbered_pictures(path):
+            old.unlink()
+
+    def add(self, frame_index: int, picture: ImageArray) -> None:
+        """Write the picture of a frame."""
+        (self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}").write_bytes(png_of(picture))
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+    def discard(self) -> None:
+        """Every picture is whole as soon as it is there; they stay."""
+
+
+def numbered_pictures(folder: Path) -> list[Path]:
+    """The pictures that an earlier view wrote into a folder."""
+    return [path for path in folder.iterdir() if _NUMBERED.fullmatch(path.name)]
+
+
+class Sheet:
+    """One PNG of all pictures beside each other, row by row.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._pictures: list[ImageArray] = []
+
+    def add(self, frame_index: int, picture: ImageArray) -> None:
+        """Put the picture beside the ones before."""
+        self._pictures.append(picture)
+
+    def close(self) -> None:
+        """Write the file."""
+        if self._pictures:
+            with whole_or_nothing(self._path) as part:
+                part.write_bytes(png_of(sheet_of(self._pictures)))
+
+    def discard(self) -> None:
+        """Nothing was written."""
+
+
+def sheet_of(pictures: list[ImageArray]) -> ImageArray:
+    """Pictures of one size in rows that are equally long as far as can be."""
+    height, width = pictures[0].shape[:2]
+    most = max(1, _SHEET_WIDTH // (width + _SHEET_GAP))
+    rows = math.ceil(len(pictures) / most)
+    columns = math.ceil(len(pictures) / rows)
+    step_down, step_right = height + _SHEET_GAP, width + _SHEET_GAP
+    sheet = np.zeros((rows * step_down - _SHEET_GAP, columns * step_right - _SHEET_GAP, 3), dtype=np.uint8)
+    for number, picture in enumerate(pictures):
+        top, left = (number // columns) * step_down, (number % columns) * step_right
+        sheet[top : top + height, left : left + width] = picture
+    return sheet
+
+
+def png_of(picture: ImageArray) -> bytes:
+    """A picture as PNG."""
+    return cv2.imencode(PICTURE_SUFFIX, picture)[1].tobytes()
+
+
+def is_sheet(path: Path) -> bool:
+    """Whether all pictures go onto one."""
+    return path.suffix.lower() == PICTURE_SUFFIX
+
+
+def open_output(path: Path, rate_hz: float) -> Output:
+    """A video, a picture or a folder, by what the name ends in."""
+    if path.suffix.lower() == VIDEO_SUFFIX:
+        return VideoFile(path, rate_hz)
+    return Sheet(path) if is_sheet(path) else PictureFolder(path)
+
+
+def check_view_output(path: Path, *, overwrite: bool) -> None:
+    """Refuse an output before anything is drawn.
+
+    Raises:
+        UsageError: the name ends in something else than .mp4, .png or nothing, or would replace something.
+        ResultError: its folder does not exist.
+    """
+    is_file = path.suffix.lower() in (VIDEO_SUFFIX, PICTURE_SUFFIX)
+    if path.is_dir() == is_file and path.exists():
+        found = "a folder" if path.is_dir() else "a file"
+        raise UsageError("output is something else already", where=path, found=found)
+    if not is_file and path.suffix and not path.is_dir():
+        raise UsageError(
+            "output cannot be written",
+            where=path,
+            found=f"a name that ends in {path.suffix}",
+            expected="FILE.mp4, FILE.png or a folder",
+        )
+    check_folder(path)
+    there = numbered_pictures(path) if path.is_dir() else path.exists()
+    if there and not overwrite:
+        raise UsageError("exists already", where=path, hint="use --overwrite to replace it")

@@ -1,0 +1,229 @@
+"""Pictures of one result, or of two beside each other, on the recording they were made from."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray, IntArray
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.matched_frames import matched_frames
+from posetrack_cli.evaluation.recording_of import check_same_size
+from posetrack_cli.evaluation.result_names import unique_names
+from posetrack_cli.evaluation.result_track import track_of_result
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth import load_truth
+from posetrack_cli.evaluation.viewing.colours import TONES, TRUTH, DepthRange
+from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
+from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, anatomy_of
+from posetrack_cli.evaluation.viewing.layers import NS_PER_S, Layer, point_errors
+from posetrack_cli.evaluation.viewing.panels import Panels
+from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, largest_viewport, moved_to
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.observation import PixelSampler
+from posetrack_cli.recording.base import Loss
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.results.reader import Result
+
+MOST_RESULTS = len(TONES)
+MOST_IN_SHEET = 120
+SHEET_CHOICE = "spread:6"
+_USUAL_RATE_HZ = 30.0
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How results are drawn.
+
+    Attributes:
+        frames: see ``chosen_rows``; None for all, or for six of a sheet.
+        layout: one of ``LAYOUTS``; None for beside, or side-by-side for two results.
+        crop: ``full`` or ``hand``; None for full, or hand in the layout paper.
+        scale: picture pixels per image pixel; None enlarges small images.
+        range_mm: depths that are red and blue; None takes them from the hand's.
+        truth: whether the truth's contour is drawn.
+        skeleton: whether joints, bones and axes are drawn.
+        sheet: whether all pictures go onto one, each cut out around the hand by itself.
+    """
+
+    frames: str | None = None
+    layout: str | None = None
+    crop: str | None = None
+    scale: float | None = None
+    range_mm: tuple[float, float] | None = None
+    truth: bool = False
+    skeleton: bool = False
+    sheet: bool = False
+
+
+class View:
+    """Draws the chosen frames, one after the other, in the recording's order.
+
+    Args:
+        results: one, or two of the same recording.
+        recording: what they were made from.
+        options: how.
+        context: GL context.
+
+    Raises:
+        UsageError: options that cannot be meant, or no frame to draw.
+        ResultError: a result that cannot be drawn, or without truth where truth is asked for.
+    """
+
+    def __init__(
+        self, results: Sequence[Result], recording: StoredRecording, options: ViewOptions, context: Any
+    ) -> None:
+        self._recording, self._options, self._log = recording, options, LossLog()
+        self.layout = _layout(options, len(results))
+        self._camera = _common_camera(results, recording)
+        truth = _truth(results[0], options)
+        layers = _layers(results, truth, context)
+        self._track = layers[0].track
+        self.rows = _rows(options, layers[0])
+        self._panels = Panels(
+            camera=self._camera,
+            sampler=PixelSampler(self._camera),
+            depths=_depth_range(options, self._track),
+            layers=layers,
+            truth=Layer(truth, layers[0].drawer, TRUTH) if options.truth and truth is not None else None,
+            skeleton=SkeletonDrawer(results[0].subject.point_parents) if options.skeleton else None,
+            start_ns=int(self._track.stamp_ns[0]),
+        )
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures per second that show the chosen frames as fast as they were recorded."""
+        steps = np.diff(self._track.stamp_ns[self.rows])
+        return NS_PER_S / float(np.median(steps)) if steps.size else _USUAL_RATE_HZ
+
+    @property
+    def recording_path(self) -> Path:
+        """Where the frames come from."""
+        return self._recording.path
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """Chosen frames that could not be drawn, once all were asked for."""
+        return self._log.losses
+
+    def pictures(self) -> Generator[tuple[int, ImageArray]]:
+        """Yield (frame number, picture), all pictures of one size."""
+        track, self._log = self._track, LossLog()
+        numbers = None if track.frame_index is None else track.frame_index[self.rows]
+        stamps = track.stamp_ns[self.rows]
+        for position, frame in matched_frames(self._recording, stamps, numbers, self._log):
+            viewport = self._viewport(int(self.rows[position]))
+            yield frame.index, self._panels.picture(frame, self.layout, viewport)
+
+    def _viewport(self, row: int) -> Viewport:
+        """All frames of a video show the same part of the image, those of a sheet the same size of it."""
+        points = self._track.points
+        if not self._options.sheet or points is None or self._is_whole:
+            return self._common_viewport
+        return moved_to(self._common_viewport, points[row], self._camera)
+
+    @property
+    def _is_whole(self) -> bool:
+        crop = self._options.crop or ("hand" if self.layout == "paper" else "full")
+        return crop == "full" or self._track.points is None
+
+    @cached_property
+    def _common_viewport(self) -> Viewport:
+        points, scale = self._track.points, self._options.scale
+        if self._is_whole or points is None:
+            return Viewport.enlarged(self._camera, scale)
+        shown = _not_lost(self._track, self.rows)
+        if self._options.sheet:
+            return largest_viewport(points[shown], self._camera, scale)
+        return around_points(points[shown], self._camera, scale)
+
+
+def drawer_of(result: Result, context: Any) -> Drawer:
+    """What draws the subject of a result: a hand's skin; of any other its points, bones and axes."""
+    if result.subject.name == "hand":
+        return HandDrawer(context, anatomy_of(result.run))
+    return SkeletonDrawer(result.subject.point_parents)
+
+
+def _common_camera(results: Sequence[Result], recording: StoredRecording) -> Camera:
+    """The camera that all estimates are relative to."""
+    camera = results[0].camera()
+    check_same_size(camera, recording)
+    for other in results[1:]:
+        if replace(other.camera(), name=camera.name) != camera:
+            raise UsageError("results have different cameras", found=f"{results[0].path} and {other.path}")
+    return camera
+
+
+def _layout(options: ViewOptions, results: int) -> str:
+    if results > MOST_RESULTS:
+        expected = f"at most {MOST_RESULTS} beside each other"
+        raise UsageError("too many results", found=results, expected=expected)
+    if options.layout == "side-by-side" and results == 1:
+        raise UsageError("--layout side-by-side needs two results", found="one")
+    return options.layout or ("beside" if results == 1 else "side-by-side")
+
+
+def _truth(result: Result, options: ViewOptions) -> Track | None:
+    """The truth that a result carries; one that cannot be used is an error only where it is to be drawn."""
+    try:
+        truth = load_truth(result, None)
+    except ResultError:
+        if options.truth:
+            raise
+        return None
+    if truth is None and options.truth:
+        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --truth")
+    return truth
+
+
+def _layers(results: Sequence[Result], truth: Track | None, context: Any) -> tuple[Layer, ...]:
+    names = unique_names([result.path for result in results])
+    layers = []
+    for result, name, tone in zip(results, names, TONES, strict=False):
+        track = track_of_result(result, name)
+        shown_name = name if len(results) > 1 else ""
+        layers.append(Layer(track, drawer_of(result, context), tone, shown_name, point_errors(track, truth)))
+    return tuple(layers)
+
+
+def _rows(options: ViewOptions, layer: Layer) -> IntArray:
+    """The rows to draw, of the first result."""
+    choice = options.frames or (SHEET_CHOICE if options.sheet else "all")
+    rows = chosen_rows(choice, layer.track, layer.error_mm)
+    if options.sheet and len(rows) > MOST_IN_SHEET:
+        expected = f"at most {MOST_IN_SHEET} in one picture"
+        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --frames")
+    return rows
+
+
+def _not_lost(track: Track, rows: IntArray) -> IntArray:
+    """The rows that are tracked; all where none is."""
+    if track.lost is None or track.lost[rows].all():
+        return rows
+    return rows[~track.lost[rows]]
+
+
+def _depth_range(options: ViewOptions, track: Track) -> DepthRange:
+    """The same colours for all frames, so that they do not flicker."""
+    if options.range_mm is not None:
+        near, far = options.range_mm
+        if not 0.0 <= near < far < np.inf:
+            found = f"{near:g} {far:g}"
+            raise UsageError("--range-mm cannot be used", found=found, expected="0 <= NEAR < FAR")
+        return DepthRange(near, far)
+    return usual_range(track)
+
+
+def usual_range(track: Track) -> DepthRange:
+    """The depths around where a track goes while it is not lost."""
+    rows = _not_lost(track, np.arange(len(track), dtype=np.int64))
+    source = track.points if track.points is not None else track.position
+    return DepthRange.of_points(np.empty(0) if source is None else source[rows][..., 2])

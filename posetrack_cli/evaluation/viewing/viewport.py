@@ -1,0 +1,120 @@
+"""Which part of an image a picture shows, and how large."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+
+MARGIN_MM = 45.0
+"""How far skin reaches beyond the outermost joints, and some room around it."""
+LEAST_ROWS = 300
+"""A picture is enlarged by whole numbers until it is at least so high, unless a scale is asked for."""
+
+
+@dataclass(frozen=True)
+class Viewport:
+    """A part of an image, drawn ``scale`` times as large.
+
+    Attributes:
+        left, top, width, height: of the part, pixels of the image.
+        scale: picture pixels per image pixel; the picture has at least one pixel.
+    """
+
+    left: int
+    top: int
+    width: int
+    height: int
+    scale: float = 1.0
+
+    @classmethod
+    def whole(cls, camera: Camera, scale: float = 1.0) -> Viewport:
+        """All of a camera's image."""
+        return cls(0, 0, camera.width, camera.height, scale)
+
+    @classmethod
+    def enlarged(cls, camera: Camera, scale: float | None = None) -> Viewport:
+        """All of a camera's image; without a scale, small images are enlarged up to ``LEAST_ROWS``."""
+        return _scaled(cls.whole(camera), scale)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the picture, pixels."""
+        return max(1, round(self.width * self.scale)), max(1, round(self.height * self.scale))
+
+    def camera(self, camera: Camera) -> Camera:
+        """The pinhole camera that sees the picture: a pixel's edges, not its centre, are scaled."""
+        across, down = self.size[0] / self.width, self.size[1] / self.height
+        return replace(
+            camera,
+            width=self.size[0],
+            height=self.size[1],
+            fx=camera.fx * across,
+            fy=camera.fy * down,
+            cx=(camera.cx - self.left + 0.5) * across - 0.5,
+            cy=(camera.cy - self.top + 0.5) * down - 0.5,
+            distortion=(),
+        )
+
+    def cut(self, image: ImageArray) -> ImageArray:
+        """The picture of an image; depth is repeated, never interpolated."""
+        part = image[self.top : self.top + self.height, self.left : self.left + self.width]
+        return cv2.resize(part, self.size, interpolation=cv2.INTER_NEAREST) if self.scale != 1.0 else part
+
+
+def around_points(points: FloatArray, camera: Camera, scale: float | None = None) -> Viewport:
+    """The part of the image in which all points can be seen, with a margin for skin.
+
+    Args:
+        points: (..., 3) mm; those behind the camera do not count.
+        camera: of the image.
+        scale: None enlarges by whole numbers up to ``LEAST_ROWS``.
+    """
+    flat = points.reshape(-1, 3)
+    flat = flat[flat[:, 2] > 0.0]
+    if not flat.size:
+        return Viewport.enlarged(camera, scale)
+    pixels, _ = camera.pixels_from_points(flat)
+    margin = MARGIN_MM * np.array([camera.fx, camera.fy]) / flat[:, 2:]
+    size = np.array([camera.width, camera.height])
+    low = np.clip((pixels - margin).min(axis=0), 0, size - 1)
+    high = np.clip((pixels + margin).max(axis=0), low + 1, size)
+    (left, top), (right, bottom) = np.floor(low).astype(int).tolist(), np.ceil(high).astype(int).tolist()
+    return _scaled(Viewport(left, top, right - left, bottom - top), scale)
+
+
+def largest_viewport(points: FloatArray, camera: Camera, scale: float | None) -> Viewport:
+    """A viewport as large as that of the largest of several hands.
+
+    Args:
+        points: (N, P, 3) of each, mm.
+        camera: of the image.
+        scale: as of ``around_points``.
+    """
+    each = [around_points(hand, camera, 1.0) for hand in points]
+    if not each:
+        return Viewport.enlarged(camera, scale)
+    width, height = max(one.width for one in each), max(one.height for one in each)
+    return _scaled(Viewport(0, 0, width, height), scale)
+
+
+def moved_to(viewport: Viewport, points: FloatArray, camera: Camera) -> Viewport:
+    """A viewport of the same size, centred on points (..., 3), mm, as far as the image reaches."""
+    flat = points.reshape(-1, 3)
+    flat = flat[flat[:, 2] > 0.0]
+    if not flat.size:
+        return viewport
+    pixels, _ = camera.pixels_from_points(flat)
+    middle = 0.5 * (pixels.min(axis=0) + pixels.max(axis=0))
+    left = int(np.clip(round(middle[0] - 0.5 * viewport.width), 0, camera.width - viewport.width))
+    top = int(np.clip(round(middle[1] - 0.5 * viewport.height), 0, camera.height - viewport.height))
+    return replace(viewport, left=left, top=top)
+
+
+def _scaled(viewport: Viewport, scale: float | None) -> Viewport:
+    """The viewport at a scale; by default the whole number that makes it ``LEAST_ROWS`` high."""
+    return replace(viewport, scale=scale or float(-(-LEAST_ROWS // viewport.height)))
