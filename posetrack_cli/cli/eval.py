@@ -1,0 +1,241 @@
+"""``posetrack eval``: how good results are, and whether that is good enough."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.evaluation.assessment import Assessment, Request
+    from posetrack_cli.evaluation.evaluation import Evaluation
+    from posetrack_cli.evaluation.pictures import Picture
+
+STANDARD_OUTPUT = Path("-")
+WORST_FRAMES = 6
+FILE = click.Path(path_type=Path)
+OUTPUT = click.Path(path_type=Path, allow_dash=True)
+
+
+@click.command("eval", short_help="Measure results against truth; compare them; gate on figures.")
+@click.argument("results", metavar="RESULT...", nargs=-1, type=FILE)
+@click.option(
+    "--truth", type=FILE, help="Truth: a recording, a result, or CSV.  [default: what the result carries]"
+)
+@click.option(
+    "--tolerance-ms",
+    type=float,
+    default=5.0,
+    show_default=True,
+    help="How far apart the stamps of an estimate and its truth may be.",
+)
+@click.option("--time-offset-s", type=float, default=0.0, help="Seconds to add to the stamps of the truth.")
+@click.option(
+    "--align",
+    type=click.Choice(["none", "rigid", "rigid+points"]),
+    default="none",
+    show_default=True,
+    help="Remove one constant rigid offset first, or also each point's own.",
+)
+@click.option("--recording", type=FILE, help="The recording; measures residuals against its images.")
+@click.option("--json", "json_path", type=OUTPUT, metavar="FILE|-", help="Write everything as JSON.")
+@click.option("--csv", "csv_path", type=OUTPUT, metavar="FILE|-", help="Write one figure a line as CSV.")
+@click.option("--html", "html_path", type=FILE, metavar="FILE", help="Write a page with tables and plots.")
+@click.option(
+    "--fail-if",
+    "conditions",
+    metavar="CONDITION",
+    multiple=True,
+    help="Gate, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; repeatable.",
+)
+@click.option(
+    "--gates", "gate_files", type=FILE, multiple=True, help="File of gates, one a line; repeatable."
+)
+@click.option("--baseline", type=FILE, help="Earlier --json; worse figures fail.")
+@click.option(
+    "--baseline-tolerance",
+    type=click.FloatRange(min=0.0),
+    default=0.05,
+    show_default=True,
+    help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
+)
+@click.option(
+    "--group",
+    "groups",
+    metavar="NAME=PATTERN",
+    multiple=True,
+    help="Compare groups of results, such as pf='out/pf-*.mcap', paired by recording; repeatable.",
+)
+@click.option("--parts", is_flag=True, help="Show every joint, finger, angle or point.")
+@click.option("--overwrite", is_flag=True, help="Replace existing reports.")
+def evaluate(results: tuple[Path, ...], **options: Any) -> None:
+    """Measure RESULTs against truth, by themselves without it; also of unfinished or running runs.
+
+    Several results stand beside each other; those of one recording are compared second by second with the
+    first, groups recording by recording: Wilcoxon's signed-rank test and a bootstrap interval.
+
+    Exit code 1: a gate failed or could not be judged, and a line on standard error names it with its figure.
+    Exit code 3: a result is unfinished or damaged and was measured over what it holds. A failed gate comes
+    first.
+    """
+    from posetrack_cli.evaluation.assessment import assess
+
+    request = _request(results, options)
+    with _progress(len(results) + sum(map(len, request.groups.values()))) as report:
+        found = assess(request, report)
+    _write_reports(found, request, options)
+    _show(found, len(results), options)
+    _close(found)
+
+
+def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
+    """Everything that can be refused is refused here, before the first result is read."""
+    from posetrack_cli.evaluation.assessment import Request
+    from posetrack_cli.evaluation.baseline import read_baseline
+    from posetrack_cli.evaluation.evaluate import EvalOptions
+    from posetrack_cli.evaluation.gates import parse_gate, read_gates
+    from posetrack_cli.evaluation.group_patterns import expand_groups
+
+    groups = expand_groups(options["groups"])
+    if not (results or groups):
+        raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
+    gates = [parse_gate(text) for text in options["conditions"]]
+    gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
+    names = ("truth", "tolerance_ms", "time_offset_s", "align", "recording")
+    request = Request(
+        results=results,
+        groups=groups,
+        options=EvalOptions(**{name: options[name] for name in names}),
+        gates=tuple(gates),
+        baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
+        baseline_tolerance=options["baseline_tolerance"],
+        keep_tracks=options["html_path"] is not None,
+    )
+    _check_reports(request, options)
+    return request
+
+
+def _check_reports(request: Request, options: dict[str, Any]) -> None:
+    from posetrack_cli.evaluation.report_files import check_reports
+
+    reports = [options[name] for name in ("json_path", "csv_path", "html_path") if options[name] is not None]
+    if reports.count(STANDARD_OUTPUT) > 1:
+        raise UsageError("only one report can go to standard output")
+    if options["html_path"] is not None:
+        from posetrack_cli.evaluation.html.writer import check_page
+
+        check_page(options["html_path"])
+    given = [options[name] for name in ("truth", "recording", "baseline")]
+    inputs = [*request.results, *options["gate_files"], *(path for path in given if path is not None)]
+    inputs += [path for paths in request.groups.values() for path in paths]
+    check_reports(
+        (path for path in reports if path != STANDARD_OUTPUT), inputs, overwrite=options["overwrite"]
+    )
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[], Any]]:
+    """Yield a function that counts results; a bar only for several, and where a person looks."""
+    from tqdm import tqdm
+
+    quiet = True if total < 2 else None
+    with tqdm(
+        total=total, unit="result", desc="eval", file=sys.stderr, disable=quiet, dynamic_ncols=True
+    ) as bar:
+        yield bar.update
+
+
+def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
+    """Write what was asked for, also when a gate failed."""
+    from posetrack_cli.evaluation.assessment import stated_options
+    from posetrack_cli.evaluation.csv_report import csv_report
+    from posetrack_cli.evaluation.json_report import json_report
+
+    stated = stated_options(request.options)
+    if options["json_path"] is not None:
+        text = json_report(found.evaluations, stated, found.comparison, found.outcomes)
+        _write(options["json_path"], text)
+    if options["csv_path"] is not None:
+        _write(options["csv_path"], csv_report(found.evaluations, found.comparison))
+    if options["html_path"] is not None:
+        _write_page(found, options["html_path"], options["recording"])
+
+
+def _write(path: Path, text: str) -> None:
+    from posetrack_cli.evaluation.report_files import write_report
+
+    if path == STANDARD_OUTPUT:
+        click.echo(text, nl=False)
+    else:
+        write_report(path, text)
+
+
+def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
+    from posetrack_cli.evaluation.html.writer import write_html
+
+    pictures = {one.name: _pictures(one, recording) for one in found.evaluations}
+    title = ", ".join(one.name for one in found.evaluations)
+    write_html(path, found.evaluations, found.comparison, pictures, title)
+
+
+def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture]:
+    """The worst frames; none, and a line that says why, where they cannot be drawn."""
+    from posetrack_cli.errors import RenderingError
+    from posetrack_cli.evaluation.pictures import worst_frame_pictures
+    from posetrack_cli.evaluation.recording_of import search_recording
+    from posetrack_cli.results.reader import read_result
+
+    search = search_recording(read_result(evaluation.path), given)
+    reason = search.reason
+    if search.recording is not None:
+        try:
+            return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES)
+        except RenderingError as error:
+            reason = str(error)
+    click.echo(f"{evaluation.name}: no pictures of the worst frames: {reason}", err=True)
+    return []
+
+
+def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
+    """Print the tables, unless a report goes where they would."""
+    from posetrack_cli.evaluation.comparison_table import comparison_lines, comparison_tables
+    from posetrack_cli.evaluation.table import closing_lines, tables
+    from posetrack_cli.evaluation.terminal import print_tables
+
+    if STANDARD_OUTPUT in (options["json_path"], options["csv_path"]):
+        return
+    shown = found.evaluations[:given] if found.grouped else found.evaluations
+    made = tables(shown, parts=options["parts"]) if shown else []
+    lines = closing_lines(found.evaluations)
+    if found.comparison is not None:
+        made += comparison_tables(found.comparison)
+        lines += comparison_lines(found.comparison)
+    if found.outcomes:
+        passed = len(found.outcomes) - len(found.failed)
+        lines.append(f"gates: {passed} passed, {len(found.failed)} failed")
+    print_tables(made, lines, sys.stdout)
+
+
+def _close(found: Assessment) -> None:
+    """Say on standard error what failed and what was lost, and choose the exit code."""
+    from posetrack_cli.recording.losses import loss_line
+
+    sys.stdout.flush()  # a log that takes both shows the table first
+    for note in found.notes:
+        click.echo(f"baseline: {note}", err=True)
+    for outcome in found.failed:
+        click.echo(outcome.line, err=True)
+    damaged = [one for one in found.evaluations if one.losses]
+    for one in damaged:
+        click.echo(f"{one.name}: measured over what can be read: {loss_line(one.losses)}", err=True)
+    context = click.get_current_context()
+    if found.failed:
+        context.exit(EXIT_FAILED)
+    if damaged:
+        context.exit(EXIT_DATA_LOST)

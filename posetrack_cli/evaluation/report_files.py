@@ -1,0 +1,44 @@
+"""Where reports are written: whole or not at all, and never over what an evaluation reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from posetrack_cli.errors import UsageError
+from posetrack_cli.recording.output import check_folder, check_free, whole_or_nothing
+
+
+def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite: bool) -> None:
+    """Refuse reports that cannot be written, before time is spent on what stands in them.
+
+    Args:
+        reports: files to write.
+        inputs: files that are read.
+        overwrite: whether existing reports may be replaced.
+
+    Raises:
+        UsageError: a report is a folder, an input, the same file as another, or is there already.
+        ResultError: its folder does not exist.
+    """
+    taken = {path.resolve(): "an input" for path in inputs}
+    for report in reports:
+        check_folder(report)
+        if report.is_dir():
+            raise UsageError("report is a folder", where=report, expected="the name of a file")
+        use = taken.get(report.resolve())
+        if use:
+            raise UsageError(f"report would replace {use}", where=report, hint="choose another name")
+        if not overwrite:
+            check_free(report)
+        taken[report.resolve()] = "another report"
+
+
+def write_report(path: Path, text: str) -> None:
+    """Write a report as UTF-8; a name that is no text is written as an escape that JSON reads back.
+
+    Raises:
+        ResultError: it cannot be written.
+    """
+    with whole_or_nothing(path) as part:
+        part.write_bytes(text.encode("utf-8", "backslashreplace"))
