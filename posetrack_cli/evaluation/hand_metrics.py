@@ -23,6 +23,7 @@ from posetrack_cli.hand.anatomy import FINGERS, JOINT_NAMES
 CURVE_MM: FloatArray = np.arange(0.0, 101.0)
 """Thresholds of the curve, mm."""
 
+OTHER_JOINTS = "the truth has other joints"
 _WRIST = JOINT_NAMES[0]
 _WITHIN = tuple(f"frames_within_{threshold}mm" for threshold in WITHIN_MM)
 _JOINT_METRICS = (
@@ -55,7 +56,7 @@ def hand_metrics(measures: Measures, matched: Matched, missed: int) -> Curve | N
 
 def _joints(measures: Measures, matched: Matched, missed: int) -> Curve | None:
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
-    reason = matched.lacks("points") or ("" if joints.names else "the truth has other joints")
+    reason = matched.lacks("points") or ("" if joints.names else OTHER_JOINTS)
     if reason:
         measures.lack(reason, *_JOINT_METRICS, *_WITHIN)
         return None
@@ -91,17 +92,18 @@ def _tracked(measures: Measures, matched: Matched, errors: FloatArray) -> None:
 
 def _fingers(measures: Measures, errors: FloatArray, names: tuple[str, ...]) -> None:
     """Joint errors of the fingers together, of each finger, and of the fingertips."""
-    of_finger = {
+    columns = {
         finger: [i for i, name in enumerate(names) if name.startswith(f"{finger}_")] for finger in FINGERS
     }
-    columns = {"finger_error_mm": sorted(i for own in of_finger.values() for i in own)}
-    columns |= {f"finger_error_mm.{finger}": own for finger, own in of_finger.items()}
-    columns["fingertip_error_mm"] = [i for i in columns["finger_error_mm"] if names[i].endswith("_tip")]
-    for address, own in columns.items():
+    of_fingers = [i for own in columns.values() for i in own]
+    tips = [i for i in of_fingers if names[i].endswith("_tip")]
+    for address, own in (("finger_error_mm", of_fingers), ("fingertip_error_mm", tips)):
         if own:
             measures.add(address, errors[:, own])
         else:
-            measures.lack("the truth has none of these joints", address)
+            measures.lack(OTHER_JOINTS, address)
+    for finger, own in columns.items():
+        measures.summarise(f"finger_error_mm.{finger}", errors[:, own], "" if own else OTHER_JOINTS)
 
 
 def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | None:

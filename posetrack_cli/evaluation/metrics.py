@@ -131,7 +131,7 @@ CATALOGUE: tuple[Metric, ...] = (
         "matched", "coverage", "neither", "Estimates with a truth at their stamp: errors are over these."
     ),
     _number("unmatched", "coverage", "lower", "Estimates without a truth at their stamp."),
-    _number("missed", "coverage", "lower", "Truths within the result's time span that have no estimate."),
+    _number("missed", "coverage", "lower", "Frames that the run left out though there is a truth for them."),
     _number(
         "truth_outside",
         "coverage",
@@ -231,21 +231,23 @@ CATALOGUE: tuple[Metric, ...] = (
     Metric(
         "residual_mm",
         "mm",
-        "Mean difference between observed and rendered depth where both have the subject.",
+        "Mean difference of rendered and observed depth where both have the hand, segmented around it.",
         "lower",
         "consistency",
+        HAND,
     ),
     Metric(
         "region_overlap",
         "",
-        "Pixels that are the subject's in the image and the rendering, over those in either.",
+        "Pixels that the rendered and the observed hand share, over those of either.",
         "higher",
         "consistency",
+        HAND,
     ),
     Metric(
         "jitter_mm",
         "mm",
-        "Distance of a point from the middle between its places one frame before and one after.",
+        "Mean over points of how far they are off the line between frames before and after, over sqrt(6).",
         "lower",
         "consistency",
     ),

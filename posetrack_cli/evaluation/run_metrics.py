@@ -11,14 +11,14 @@ from posetrack_cli.evaluation.measures import Measures
 from posetrack_cli.evaluation.track import Track
 
 NO_TIMINGS = "the run recorded no timings; posetrack hand run --timings does"
-EMPTY = "the result holds no estimates"
+EMPTY = "the result holds no estimate"
 
 
 def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> None:
-    """Add time per frame, frames/s, effective sample size, resampling rate, particles and confidence."""
+    """Add time per frame, frames/s, effective sample size, resampling rate and particles."""
     _timings(measures, track)
-    for address, values in (("ess", track.effective_sample_size), ("confidence", track.confidence)):
-        measures.summarise(address, np.empty(0) if values is None else values, EMPTY)
+    sizes = track.effective_sample_size
+    measures.summarise("ess", np.empty(0) if sizes is None else sizes, EMPTY)
     resampled = np.empty(0) if track.resampled is None else track.resampled
     if resampled.size:
         measures.metrics["resampling_rate"] = float(resampled.mean())

@@ -29,14 +29,12 @@ def test_a_run_by_hand() -> None:
         milliseconds=np.array([10.0, 20.0, 20.0, 30.0]),
         effective_sample_size=np.array([100.0, 200.0, 300.0, 400.0]),
         resampled=np.array([True, False, False, False]),
-        confidence=np.array([0.5, 0.5, 1.0, 1.0]),
     )
     measures = measured(track)
     assert figures(measures, "ms_per_frame").median == 20.0
     assert number(measures, "frames_per_s") == pytest.approx(4 / 0.08)
     assert figures(measures, "ess").mean == 250.0
     assert number(measures, "resampling_rate") == 0.25
-    assert figures(measures, "confidence").mean == 0.75
     assert number(measures, "particles") == 512.0
     assert not measures.absent
     assert not measures.notes
@@ -63,7 +61,7 @@ def test_no_time_at_all_is_no_infinite_speed() -> None:
 
 def test_an_empty_result_has_reasons() -> None:
     measures = measured(hand_track("a", 0, 0.0))
-    assert set(measures.absent) == {"ms_per_frame", "frames_per_s", "ess", "confidence", "resampling_rate"}
+    assert set(measures.absent) == {"ms_per_frame", "frames_per_s", "ess", "resampling_rate"}
     assert set(measures.absent.values()) == {EMPTY}
 
 

@@ -1,0 +1,260 @@
+"""Measure a result: read it, find its truth, pair the two, and fill the catalogue."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.alignment import remove_constant_offset
+from posetrack_cli.evaluation.association import associate, nearest_rows
+from posetrack_cli.evaluation.consistency import consistency_metrics
+from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Pairs, Value
+from posetrack_cli.evaluation.hand_metrics import hand_metrics
+from posetrack_cli.evaluation.head_metrics import head_metrics
+from posetrack_cli.evaluation.measures import Matched, Measures, rows_of
+from posetrack_cli.evaluation.metrics import BOTH, addresses, metric_of
+from posetrack_cli.evaluation.result_names import plain_name, unique_names
+from posetrack_cli.evaluation.result_track import track_of_result
+from posetrack_cli.evaluation.run_metrics import EMPTY, run_metrics
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth import load_truth
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.results.reader import Result, read_result
+
+Alignment: TypeAlias = Literal["none", "rigid", "rigid+points"]
+
+AGAINST_TRUTH = ("accuracy", "velocity", "covariance")
+NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
+NO_RECORDING = "needs the images: give the recording with --recording"
+WITHOUT_TRUTH = {
+    "residual_mm": NO_RECORDING,
+    "region_overlap": NO_RECORDING,
+    "cost_mm": "the run gave no estimate a cost",
+    "jitter_mm": "no three frames in a row",
+    "gaps": "fewer than two frames",
+    "largest_gap_s": "fewer than two frames",
+}
+"""Why these have no value, when they have none."""
+
+
+@dataclass(frozen=True)
+class EvalOptions:
+    """How results are measured.
+
+    Attributes:
+        truth: a file to take the truth from; None takes the one that the result carries.
+        tolerance_ms: how far apart the stamps of an estimate and its truth may be.
+        time_offset_s: added to the stamps of the truth.
+        align: ``rigid`` removes one constant rigid offset first, ``rigid+points`` each point's own, too.
+        recording: what the result was made from, to measure it against the images; None leaves that out.
+
+    Raises:
+        UsageError: a number that cannot be meant, or an unknown alignment.
+    """
+
+    truth: Path | None = None
+    tolerance_ms: float = 5.0
+    time_offset_s: float = 0.0
+    align: Alignment = "none"
+    recording: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.tolerance_ms <= 1e9:
+            found = f"{self.tolerance_ms} ms"
+            raise UsageError("tolerance cannot be used", found=found, expected="0 to 1e9 ms")
+        if not math.isfinite(self.time_offset_s):
+            raise UsageError("time offset cannot be used", found=f"{self.time_offset_s} s")
+        if self.align not in get_args(Alignment):
+            known = ", ".join(get_args(Alignment))
+            raise UsageError("no such alignment", found=repr(self.align), expected=f"one of {known}")
+
+    @property
+    def tolerance_ns(self) -> int:
+        """The tolerance in nanoseconds."""
+        return round(1e6 * self.tolerance_ms)
+
+
+DEFAULT_OPTIONS = EvalOptions()
+
+
+def evaluate_all(paths: Sequence[Path], options: EvalOptions = DEFAULT_OPTIONS) -> list[Evaluation]:
+    """Measure results that are shown beside each other, each under a name of its own.
+
+    Raises:
+        PosetrackError: as of ``evaluate``.
+    """
+    return [evaluate(path, options, name) for path, name in zip(paths, unique_names(paths), strict=True)]
+
+
+def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | None = None) -> Evaluation:
+    """Measure one result against its truth, or by itself where there is none.
+
+    Args:
+        path: the result; an unfinished or damaged one is measured over what it holds.
+        options: how.
+        name: what tables call it; by default the file's name without its ending.
+
+    Raises:
+        ResultError: it is no result, or its stamps or those of its truth do not increase.
+        TruthError: the truth cannot be read, or is of something else.
+        UsageError: the truth is the result itself, or does not have what the options ask for.
+        RecordingError: ``options.recording`` is not what the result was made from.
+    """
+    result = read_result(path)
+    if result.subject.name not in BOTH:
+        found, expected = f"subject '{result.subject.name}'", " or ".join(BOTH)
+        raise ResultError("is of a subject that has no metrics", where=path, found=found, expected=expected)
+    track = track_of_result(result, name or plain_name(path))
+    truth_losses = LossLog()
+    truth = load_truth(result, options.truth, time_offset_s=options.time_offset_s, losses=truth_losses)
+    return _measured(result, track, truth, truth_losses, options)
+
+
+def _measured(
+    result: Result, track: Track, truth: Track | None, truth_losses: LossLog, options: EvalOptions
+) -> Evaluation:
+    pairs = None if truth is None else associate(track.stamp_ns, truth.stamp_ns, options.tolerance_ns)
+    coverage = measure_coverage(track, truth, pairs, tolerance_ns=options.tolerance_ns)
+    measures = Measures(_nothing(track, truth, options), notes=_run_notes(result))
+    measures.metrics |= coverage_metrics(coverage)
+    curve = None
+    if truth is not None and pairs is not None:
+        track = _aligned(measures, track, truth, pairs, options)
+        curve = _against_truth(measures, Matched(track, truth, pairs), coverage)
+    _without_truth(measures, result, track, options)
+    rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
+    metrics, absent = _in_order(measures, track, truth)
+    return Evaluation(
+        name=track.name,
+        path=result.path,
+        subject=track.subject,
+        run=result.run,
+        coverage=coverage,
+        metrics=metrics,
+        absent=absent,
+        series=measures.series | _run_series(track, rows),
+        series_stamp_ns=track.stamp_ns[rows],
+        curve=curve,
+        notes=tuple(measures.notes),
+        losses=(*result.losses, *truth_losses.losses),
+        track=track,
+        truth=truth,
+        pairs=pairs,
+    )
+
+
+def _nothing(track: Track, truth: Track | None, options: EvalOptions) -> str:
+    """Why no estimate is compared, should there be none."""
+    if not len(track):
+        return EMPTY
+    if truth is None:
+        return NO_TRUTH
+    if not len(truth):
+        return "the truth is empty"
+    nearest = truth.stamp_ns[nearest_rows(track.stamp_ns, truth.stamp_ns)]
+    away = _readable(int(np.abs(track.stamp_ns - nearest).min()))
+    return (
+        f"no estimate has a truth within {options.tolerance_ms:g} ms: the nearest is {away} away; "
+        "see --tolerance-ms and --time-offset-s"
+    )
+
+
+def _readable(duration_ns: int) -> str:
+    return f"{1e-6 * duration_ns:.4g} ms" if duration_ns < 10**9 else f"{1e-9 * duration_ns:.10g} s"
+
+
+def _run_notes(result: Result) -> list[str]:
+    notes = [] if result.finished else ["the run did not finish: measured over the frames that it holds"]
+    losses = result.summary.get("losses")
+    return [*notes, f"the run could not use all of its input: {losses}"] if losses else notes
+
+
+def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, options: EvalOptions) -> Track:
+    """The estimate without its constant offset, as far as the options ask for it; a note says so."""
+    if options.align == "none":
+        return track
+    aligned, note = remove_constant_offset(track, truth, pairs, points=options.align == "rigid+points")
+    measures.notes.append(note)
+    return aligned
+
+
+def _against_truth(measures: Measures, matched: Matched, coverage: Coverage) -> Curve | None:
+    if not len(matched):
+        measures.notes.append(measures.nothing)
+    if matched.estimate.subject == "hand":
+        return hand_metrics(measures, matched, coverage.missed)
+    head_metrics(measures, matched)
+    return None
+
+
+def _without_truth(measures: Measures, result: Result, track: Track, options: EvalOptions) -> None:
+    """Add self-consistency and what the run says about itself."""
+    measures.metrics |= consistency_metrics(track)
+    if options.recording is not None:
+        measures.metrics |= _against_images(result, options.recording)
+        measures.lack("the recording has none of the result's frames", "residual_mm", "region_overlap")
+    run_metrics(measures, track, result.run)
+
+
+def _against_images(result: Result, recording: Path) -> dict[str, Value]:
+    from posetrack_cli.evaluation.image_consistency import image_consistency
+    from posetrack_cli.evaluation.recording_of import required_recording
+
+    return image_consistency(result, required_recording(result, recording))
+
+
+def coverage_metrics(coverage: Coverage) -> dict[str, Value]:
+    """The counts of a coverage by metric; those about a truth only where there is one."""
+    counts: dict[str, float] = {
+        "coverage": coverage.share,
+        "frames": coverage.frames,
+        "tracked": coverage.tracked,
+        "lost": coverage.lost,
+        "reinitialised": coverage.reinitialised,
+    }
+    if coverage.has_truth:
+        counts["matched"] = coverage.frames - coverage.unmatched
+        counts["unmatched"] = coverage.unmatched
+        counts["missed"] = coverage.missed
+        counts["truth_outside"] = coverage.outside
+    return {name: float(count) for name, count in counts.items()}
+
+
+def _run_series(track: Track, rows: IntArray) -> dict[str, FloatArray]:
+    """What the run says about each of these frames, as far as it says anything."""
+    columns: dict[str, FloatArray | None] = {
+        "cost_mm": track.cost,
+        "confidence": track.confidence,
+        "ms_per_frame": track.milliseconds,
+        "ess": track.effective_sample_size,
+    }
+    series = {name: rows_of(values, rows) for name, values in columns.items() if values is not None}
+    return {name: values for name, values in series.items() if np.isfinite(values).any()}
+
+
+def _in_order(
+    measures: Measures, track: Track, truth: Track | None
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Metrics in the catalogue's order, and of every other address of the subject why it has none."""
+    known = addresses(track.subject, track.point_names, track.shape_names)
+    metrics = {address: measures.metrics[address] for address in known if address in measures.metrics}
+    absent = {address: _reason(measures, address, truth) for address in known if address not in metrics}
+    return metrics, absent
+
+
+def _reason(measures: Measures, address: str, truth: Track | None) -> str:
+    """Why an address has no value: as told for it or its whole, else as its group has it."""
+    metric = metric_of(address)
+    if truth is None and metric.group in (*AGAINST_TRUTH, "coverage"):
+        return NO_TRUTH
+    told = measures.absent.get(address) or measures.absent.get(metric.name)
+    part = address.removeprefix(metric.name).removeprefix(".")
+    return told or (f"the truth has no {part}" if part else WITHOUT_TRUTH.get(address, EMPTY))
