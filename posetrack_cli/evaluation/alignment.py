@@ -61,8 +61,7 @@ def remove_constant_offset(
     mine, theirs = _tracked(track, pairs)
     turn, shift = _offset(track, truth, mine, theirs)
     aligned = _moved(track, turn, shift)
-    angle = float(np.degrees(rotations.angle_between(np.array(rotations.IDENTITY), turn)))
-    note = f"one constant rigid offset removed: {' '.join(f'{x:.1f}' for x in shift)} mm, {angle:.1f} deg"
+    note = f"one constant rigid offset removed: {_readable(turn, shift)}"
     if not points:
         return aligned, note
     offsets = _point_offsets(aligned, truth, mine, theirs)
@@ -97,6 +96,12 @@ def _offset(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tup
     turns = rotations.multiply(inverse, _known(truth.quaternion)[theirs])
     shifts = rotations.rotate(inverse, _known(truth.position)[theirs] - _known(track.position)[mine])
     return rotations.mean_quaternion(turns, np.ones(len(turns))), shifts.mean(axis=0)
+
+
+def _readable(turn: FloatArray, shift: FloatArray) -> str:
+    angle = float(np.degrees(rotations.angle_between(np.array(rotations.IDENTITY), turn)))
+    x, y, z = np.round(shift, 1) + 0.0  # no -0.0
+    return f"{x:.1f} {y:.1f} {z:.1f} mm, {angle:.1f} deg"
 
 
 def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
