@@ -214,8 +214,8 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     made = tables(shown, parts=options["parts"]) if shown else []
     lines = closing_lines(found.evaluations)
     if found.comparison is not None:
-        made += comparison_tables(found.comparison)
-        lines += comparison_lines(found.comparison)
+        made += comparison_tables(found.comparison, parts=options["parts"])
+        lines += comparison_lines(found.comparison, parts=options["parts"])
     if found.outcomes:
         passed = len(found.outcomes) - len(found.failed)
         lines.append(f"gates: {passed} passed, {len(found.failed)} failed")

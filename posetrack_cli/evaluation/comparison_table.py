@@ -5,30 +5,46 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from posetrack_cli.evaluation.comparison import Comparison, Difference
+from posetrack_cli.evaluation.metrics import split_address
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.table import ABSENT, Row, Section, Table, mean_and_sd, shown
 
 COLUMNS = ("difference", "95 % from", "to", "p", "pairs")
 
 
-def comparison_tables(comparison: Comparison) -> list[Table]:
-    """Make a table of the groups' figures, where there are groups, and one of each pair's differences."""
+def comparison_tables(comparison: Comparison, *, parts: bool = False) -> list[Table]:
+    """Make a table of the groups' figures, where there are groups, and one of each pair's differences.
+
+    Args:
+        comparison: what to show.
+        parts: also figures of single fingers, joints, angles or points.
+    """
     pairs = dict.fromkeys((one.first, one.second) for one in comparison.differences)
-    differences = [_differences(comparison, *pair) for pair in pairs]
+    differences = [_differences(_shown(comparison, *pair, parts=parts), *pair) for pair in pairs]
     return [_groups(comparison), *differences] if comparison.groups else differences
 
 
-def comparison_lines(comparison: Comparison) -> list[str]:
-    """What belongs under the tables: the unit of the test, and its notes."""
+def comparison_lines(comparison: Comparison, *, parts: bool = False) -> list[str]:
+    """What belongs under the tables: the unit of the test, and its notes; arguments as of the tables."""
     lines = [
         f"a pair is {comparison.unit}; p: Wilcoxon's signed-rank test, two-sided; interval: bootstrap, BCa"
     ]
-    noted: dict[str, list[str]] = {}
-    for one in comparison.differences:
-        if one.note:
-            noted.setdefault(f"{_name(one.first, one.second)}: {one.note}", []).append(one.figure)
-    lines += [f"{note}: {', '.join(figures)}" for note, figures in noted.items()]
+    for first, second in dict.fromkeys((one.first, one.second) for one in comparison.differences):
+        shown = _shown(comparison, first, second, parts=parts)
+        for note in dict.fromkeys(one.note for one in shown if one.note):
+            figures = [one.figure for one in shown if one.note == note]
+            about = "" if len(figures) == len(shown) else f": {', '.join(figures)}"
+            lines.append(f"{_name(first, second)}: {note}{about}")
     return [*lines, *comparison.notes]
+
+
+def _shown(comparison: Comparison, first: str, second: str, *, parts: bool) -> list[Difference]:
+    """The differences of a pair, with or without those of parts."""
+    return [
+        one
+        for one in comparison.differences
+        if (one.first, one.second) == (first, second) and (parts or split_address(one.figure).part is None)
+    ]
 
 
 def _groups(comparison: Comparison) -> Table:
@@ -51,8 +67,7 @@ def _cell(summary: Statistics | None) -> str:
     return mean_and_sd(summary.mean, summary.sd) if summary is not None and summary.count else ABSENT
 
 
-def _differences(comparison: Comparison, first: str, second: str) -> Table:
-    found = [one for one in comparison.differences if (one.first, one.second) == (first, second)]
+def _differences(found: list[Difference], first: str, second: str) -> Table:
     rows = tuple(Row(one.figure, _cells(one), one.figure) for one in found)
     return Table(_name(first, second), COLUMNS, (Section("", rows),))
 

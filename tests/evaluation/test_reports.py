@@ -147,7 +147,25 @@ def test_the_table_of_differences() -> None:
     assert (row.label, row.cells) == ("joint_error_mm", ("2.500", "2.500", "2.500", "0.12", "4"))
     lines = comparison_lines(comparison)
     assert lines[0].startswith("a pair is one second of a recording; p: Wilcoxon's signed-rank test")
-    assert lines[1] == "b - a: p cannot be below 0.125 with 4 different pairs: joint_error_mm"
+    assert lines[1] == "b - a: p cannot be below 0.125 with 4 different pairs"
+
+
+def test_differences_of_parts_are_shown_when_asked_for() -> None:
+    fine, coarse = np.linspace(1.0, 2.0, 120), np.linspace(3.0, 5.0, 120)
+    names = ("finger_error_mm", "finger_error_mm.thumb")
+    a = with_run("a", series=dict.fromkeys(names, fine))
+    b = with_run("b", series={names[0]: coarse, names[1]: fine})
+    comparison = compare([a, b])
+    assert comparison is not None
+    labels = [
+        [row.label for row in comparison_tables(comparison, parts=parts)[0].sections[0].rows]
+        for parts in (False, True)
+    ]
+    assert labels == [["finger_error_mm"], list(names)]
+    assert comparison_lines(comparison, parts=True)[1:3] == [
+        "b - a: p cannot be below 0.125 with 4 different pairs: finger_error_mm",
+        "b - a: no pair differs: finger_error_mm.thumb",
+    ]
 
 
 def test_groups_have_a_table_of_their_own() -> None:
