@@ -1,0 +1,481 @@
+"""``posetrack eval`` end to end, on small results."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eval_support import write_result
+from evaluation_support import hand_track
+
+from posetrack_cli.cli.main import run
+from posetrack_cli.recording.output import part_path
+
+SUPPORT = Path(__file__).with_name("eval_support.py")
+PASSES, FAILS = "joint_error_mm.mean > 1000", "joint_error_mm.mean > 0.001"
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_result(tmp_path_factory.mktemp("result") / "rbpf.mcap")
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_result(tmp_path_factory.mktemp("other") / "pf.mcap", error_mm=9.0, seed=2)
+
+
+def evaluate(*arguments: object) -> int:
+    return run(["eval", *map(str, arguments)])
+
+
+def lines(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.strip()]
+
+
+def shown(text: str) -> dict[str, list[str]]:
+    """The table's rows by their label."""
+    return {line.split()[0]: line.split()[1:] for line in lines(text)}
+
+
+def killed(path: Path, frames: int = 45) -> Path:
+    done = subprocess.run(
+        [sys.executable, str(SUPPORT), str(path), str(frames)], capture_output=True, text=True
+    )
+    assert done.returncode == -9, done.stderr
+    return part_path(path)
+
+
+def damaged(path: Path) -> Path:
+    """A result of nine chunks with one byte of the fifth changed."""
+    from mcap.opcode import Opcode
+
+    whole = bytearray(write_result(path).read_bytes())
+    place, chunks = 8, []
+    while place < len(whole):
+        length = int.from_bytes(whole[place + 1 : place + 9], "little")
+        if whole[place] == Opcode.CHUNK:
+            chunks.append(place + 9 + length // 2)
+        if whole[place] == Opcode.FOOTER:
+            break
+        place += 9 + length
+    whole[chunks[4]] ^= 0xFF
+    path.write_bytes(whole)
+    return path
+
+
+def test_the_figures_are_those_of_the_result(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(result) == 0
+    out, err = capsys.readouterr()
+    track, truth = hand_track("", 90, 5.0, 1), hand_track("", 90, 0.0)
+    errors = np.linalg.norm(track.points - truth.points, axis=2)
+    table = shown(out)
+    assert table["rbpf"] == ["mean/value", "sd", "median", "p95", "max"]
+    expected = [errors.mean(), errors.std(), np.median(errors), np.percentile(errors, 95), errors.max()]
+    # four digits are shown: half a unit of the fourth
+    np.testing.assert_allclose([float(cell) for cell in table["joint_error_mm"]], expected, rtol=5e-4)
+    assert table["coverage"] == ["1"] and table["frames"] == ["90"] and table["particles"] == ["64"]
+    assert "renderer: none" in out and err == ""
+
+
+def test_coverage_comes_first(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluate(result)
+    assert lines(capsys.readouterr().out)[2].startswith("coverage")
+
+
+def test_parts(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluate(result)
+    assert "index_tip" not in capsys.readouterr().out
+    evaluate(result, "--parts")
+    assert "  index_tip" in capsys.readouterr().out
+
+
+def test_lost_frames_count(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_result(tmp_path / "r.mcap", frames=40, lost=range(10))
+    assert evaluate(path) == 0
+    table = shown(capsys.readouterr().out)
+    assert table["coverage"] == ["0.7500"] and table["lost"] == ["10"] and table["matched"] == ["40"]
+
+
+def test_a_gate_that_holds(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(result, "--fail-if", PASSES, "--fail-if", "coverage < 0.99") == 0
+    out, err = capsys.readouterr()
+    assert err == "" and "gates: 2 passed, 0 failed" in out
+
+
+def test_a_gate_that_fails_is_one_line_with_its_figure(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(result, "--fail-if", FAILS, "--fail-if", PASSES, "--fail-if", "coverage == 1") == 1
+    out, err = capsys.readouterr()
+    first, second = lines(err)
+    figure = float(first.rpartition(" ")[2])
+    assert first.startswith("rbpf: gate 'joint_error_mm.mean > 0.001' failed: joint_error_mm.mean is ")
+    assert figure == pytest.approx(float(shown(out)["joint_error_mm"][0]), rel=5e-4)
+    assert second == "rbpf: gate 'coverage == 1' failed: coverage is 1"
+
+
+@pytest.mark.parametrize(
+    ("made", "gate", "reason"),
+    [
+        ({"truth": False}, FAILS, "no truth"),
+        ({"truth": False}, PASSES, "no truth"),
+        ({}, "ms_per_frame.p95 < 1", "no timings"),
+        ({"frames": 0, "truth": False}, "coverage < 0", "no estimate"),
+        ({"frames": 0, "truth": False}, "lost > 5", "no estimate"),
+        ({"lost": range(90)}, PASSES, "coverage is 0"),
+        ({"lost": range(90)}, "joint_error_tracked_mm.mean > 1000", "cannot be judged"),
+        ({"frames": 1}, "jitter_mm.mean > 1000", "cannot be judged"),
+    ],
+)
+def test_what_cannot_be_judged_fails(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    made: dict[str, object],
+    gate: str,
+    reason: str,
+) -> None:
+    path = write_result(tmp_path / "r.mcap", **made)
+    assert evaluate(path, "--fail-if", gate) == 1
+    (line,) = lines(capsys.readouterr().err)
+    assert line.startswith(f"r: gate '{gate}' cannot be judged: ") and reason in line
+
+
+def test_coverage_0_fails_its_own_gate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_result(tmp_path / "r.mcap", lost=range(90))
+    assert evaluate(path, "--fail-if", "coverage < 0.99") == 1
+    assert lines(capsys.readouterr().err) == ["r: gate 'coverage < 0.99' failed: coverage is 0"]
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2])
+def test_hardly_any_frames_are_evaluated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frames: int
+) -> None:
+    path = write_result(tmp_path / "r.mcap", frames=frames, truth=frames > 0)
+    assert evaluate(path, "--json", tmp_path / "r.json", "--csv", tmp_path / "r.csv") == 0
+    assert shown(capsys.readouterr().out)["frames"] == [str(frames)]
+    assert json.loads((tmp_path / "r.json").read_text())["results"][0]["coverage"]["frames"] == frames
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--fail-if", "joint_eror_mm.mean > 1"], "did you mean 'joint_error_mm'"),
+        (["--fail-if", "joint_error_mm > 1"], "does not say which statistic"),
+        (["--fail-if", "coverage is 1"], "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !="),
+        (["--fail-if", "coverage < 99%"], "write 0.99 for 99 %"),
+        (["--tolerance-ms", "-1"], "tolerance cannot be used"),
+        (["--align", "loose"], "'loose' is not one of"),
+        (["--baseline-tolerance", "-1"], "-1"),
+        (["--group", "a"], "'a' is no group, expected NAME=PATTERN"),
+        (["--group", "a=/nowhere/*.mcap"], "no file fits the pattern of group 'a', found /nowhere/*.mcap"),
+        (["--json", "-", "--csv", "-"], "only one report can go to standard output"),
+        (["--gates", "/nowhere/gates.txt"], "/nowhere/gates.txt: gates cannot be read, found No such file"),
+        (["--baseline", "/nowhere/b.json"], "/nowhere/b.json: baseline cannot be read"),
+        (["--html", "/tmp/page.txt"], "expected a name that ends in .html"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_2(
+    result: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert evaluate(result, *arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and len(lines(err)) == 1 and said in err
+
+
+def test_no_result_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate() == 2
+    assert "no result to evaluate" in capsys.readouterr().err
+
+
+def test_gates_from_a_file(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gates = tmp_path / "gates.txt"
+    gates.write_text(f"# accuracy\n{PASSES}\n{FAILS}  # never\n")
+    assert evaluate(result, "--gates", gates) == 1
+    assert len(lines(capsys.readouterr().err)) == 1
+    gates.write_text("coverage < 0.99\njoint_error_mm.mean >\n")
+    assert evaluate(result, "--gates", gates) == 2
+    assert f"{gates}:2: " in capsys.readouterr().err
+
+
+def test_a_killed_run_is_evaluated_over_what_it_holds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = killed(tmp_path / "r.mcap", frames=45)
+    assert evaluate(part, "--json", tmp_path / "r.json") == 3
+    out, err = capsys.readouterr()
+    (line,) = lines(err)
+    assert line.startswith("r: measured over what can be read: ")
+    assert shown(out)["frames"] == ["40"]  # of four flushes of ten frames
+    assert "did not finish" in out
+    assert json.loads((tmp_path / "r.json").read_text())["results"][0]["losses"]
+
+
+def test_a_failed_gate_wins_over_lost_data_and_both_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = killed(tmp_path / "r.mcap")
+    assert evaluate(part, "--fail-if", FAILS) == 1
+    gate, loss = lines(capsys.readouterr().err)
+    assert "failed" in gate and "measured over what can be read" in loss
+
+
+def test_a_name_whose_run_was_killed_says_where_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = killed(tmp_path / "r.mcap")
+    assert evaluate(tmp_path / "r.mcap") == 1
+    (line,) = lines(capsys.readouterr().err)
+    assert str(part) in line
+
+
+def test_a_run_that_is_going_on_is_evaluated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "r.mcap"
+    going = subprocess.Popen(
+        [sys.executable, str(SUPPORT), str(path), "30", "wait"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        assert going.stdout is not None
+        assert going.stdout.readline() == b"written\n"
+        assert evaluate(part_path(path)) == 3
+        assert shown(capsys.readouterr().out)["frames"] == ["30"]
+    finally:
+        going.kill()
+        going.communicate()
+
+
+def test_a_damaged_chunk_costs_its_own_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(damaged(tmp_path / "r.mcap")) == 3
+    out, err = capsys.readouterr()
+    assert len(lines(err)) == 1 and "measured over what can be read" in err
+    assert shown(out)["frames"] == ["80"]  # 90 in chunks of ten
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no MCAP", b"\x89MCAP0\r\n"])
+def test_a_result_that_cannot_be_read_is_one_line_that_names_it(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | None
+) -> None:
+    bad = tmp_path / "bad.mcap"
+    if content is not None:
+        bad.write_bytes(content)
+    assert evaluate(result, bad) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and len(lines(err)) == 1 and str(bad) in err
+
+
+def test_two_results_stand_beside_each_other(
+    result: Path, other: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(result, other) == 0
+    out = capsys.readouterr().out
+    header = next(line for line in lines(out) if line.startswith("Results"))
+    assert header.split() == ["Results", "rbpf", "pf"]
+    assert "pf - rbpf" in out
+    row = next(line for line in lines(out) if line.startswith("joint_error_mm ") and "\u00b1" not in line)
+    assert float(row.split()[1]) > 0 and row.split()[-1] == "3"  # 90 frames at 30 Hz are three seconds
+    assert "a pair is one second of a recording" in out
+
+
+def test_results_of_two_recordings_are_not_compared(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(result, write_result(tmp_path / "x.mcap", recording="bb")) == 0
+    assert "a pair is" not in capsys.readouterr().out
+
+
+def test_results_of_one_name_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        write_result(tmp_path / folder / "r.mcap", frames=5)
+    assert evaluate(tmp_path / "one" / "r.mcap", tmp_path / "two" / "r.mcap", "--fail-if", FAILS) == 1
+    assert [line.split(":")[0] for line in lines(capsys.readouterr().err)] == ["one/r", "two/r"]
+
+
+def study(folder: Path, count: int = 7) -> None:
+    """Two trackers on recordings 0, 1, 2, ...; pf is worse by 3 mm of noise on each."""
+    for index in range(count):
+        for name, error, seed in (("rbpf", 4.0, index), ("pf", 7.0, 100 + index)):
+            write_result(
+                folder / f"{name}-{index}.mcap", frames=20, error_mm=error, recording=f"r{index}", seed=seed
+            )
+
+
+def test_groups_are_paired_by_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    study(tmp_path)
+    assert evaluate("--group", "rbpf=rbpf-*.mcap", "--group", "pf=pf-*.mcap", "--json", "r.json") == 0
+    out = capsys.readouterr().out
+    header, counts, coverage = lines(out)[:3]
+    assert header.split()[-2:] == ["rbpf", "pf"]
+    assert counts.split() == ["results", "7", "7"] and coverage.startswith("coverage")
+    row = [line.split() for line in lines(out) if line.startswith("joint_error_mm.mean")][1]
+    assert float(row[1]) > 0 and row[4:] == ["0.016", "7"]  # 2 / 2^7: pf is worse on all seven
+    assert "a pair is one recording" in out and "seeds differ" in out
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert len(report["results"]) == 14
+    assert report["comparison"]["groups"]["pf"]["coverage"]["count"] == 7
+
+
+def test_gates_meet_every_result_of_a_group(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study(tmp_path, 2)
+    assert evaluate("--group", f"rbpf={tmp_path}/rbpf-*.mcap", "--fail-if", FAILS) == 1
+    assert [line.split(":")[0] for line in lines(capsys.readouterr().err)] == ["rbpf-0", "rbpf-1"]
+
+
+def test_a_file_in_two_groups_is_refused(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate("--group", f"a={result}", "--group", f"b={result}") == 2
+    assert f"{result}: file is in two groups, found a and b" in capsys.readouterr().err
+
+
+def test_one_result_given_twice_is_one(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(result, result, "--fail-if", FAILS) == 1
+    assert len(lines(capsys.readouterr().err)) == 1
+
+
+def test_a_baseline_goes_round(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    baseline = tmp_path / "baseline.json"
+    assert evaluate(result, "--json", baseline) == 0
+    assert evaluate(result, "--baseline", baseline, "--baseline-tolerance", "0") == 0
+    worse = write_result(tmp_path / "now.mcap", error_mm=9.0)
+    capsys.readouterr()
+    assert evaluate(worse, "--baseline", baseline) == 1
+    failed = lines(capsys.readouterr().err)
+    assert all(line.startswith("now: gate '") and "baseline" in line for line in failed)
+    assert any("'joint_error_mm.mean > " in line for line in failed)
+    assert not any("ms_per_frame" in line for line in failed)
+    assert evaluate(worse, "--baseline", baseline, "--baseline-tolerance", "3") == 0
+    assert evaluate(result, "--baseline", baseline) == 0
+
+
+def test_a_shorter_run_than_the_baseline_is_noted(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    baseline = tmp_path / "baseline.json"
+    evaluate(result, "--json", baseline)
+    capsys.readouterr()
+    evaluate(
+        write_result(tmp_path / "now.mcap", frames=80), "--baseline", baseline, "--baseline-tolerance", "1"
+    )
+    assert "baseline: now: 80 frames, the baseline has 90" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["{", '{"format": "posetrack.eval/9"}', "[1]"])
+def test_a_broken_baseline_is_wrong_usage(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    baseline = tmp_path / "baseline.json"
+    baseline.write_text(content)
+    assert evaluate(result, "--baseline", baseline) == 2
+    (line,) = lines(capsys.readouterr().err)
+    assert str(baseline) in line
+
+
+def test_json_on_standard_output_is_nothing_but_json(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(result, "--json", "-", "--fail-if", FAILS) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["format"] == "posetrack.eval/1"
+    assert report["gates"][0]["failed"] is True
+    assert report["results"][0]["run"]["input.sha256"] == "aa"
+    assert report["options"]["tolerance_ms"] == 5.0
+
+
+def test_csv_on_standard_output_is_nothing_but_csv(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(result, "--csv", "-") == 0
+    header, *rows = csv.reader(lines(capsys.readouterr().out))
+    assert header == ["result", "metric", "part", "statistic", "value", "unit"]
+    assert {len(row) for row in rows} == {6} and {row[0] for row in rows} == {"rbpf"}
+
+
+def test_reports_are_written_when_a_gate_fails_and_are_the_same_each_time(
+    result: Path, tmp_path: Path
+) -> None:
+    names = [(tmp_path / f"{n}.json", tmp_path / f"{n}.csv", tmp_path / f"{n}.html") for n in "ab"]
+    for as_json, as_csv, as_html in names:
+        arguments = ["--json", as_json, "--csv", as_csv, "--html", as_html, "--fail-if", FAILS]
+        assert evaluate(result, *arguments) == 1
+    for first, second in zip(*names, strict=True):
+        assert first.read_bytes() == second.read_bytes() and first.stat().st_size > 1000
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [
+        ".csv",
+        ".csv",
+        ".html",
+        ".html",
+        ".json",
+        ".json",
+    ]
+
+
+def test_existing_reports_are_replaced_on_demand_only(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = tmp_path / "r.json"
+    report.write_text("mine")
+    assert evaluate(result, "--json", report) == 2
+    assert report.read_text() == "mine" and "--overwrite" in capsys.readouterr().err
+    assert evaluate(result, "--json", report, "--overwrite") == 0
+    assert json.loads(report.read_text())["results"]
+
+
+@pytest.mark.parametrize("option", ["--json", "--csv"])
+def test_a_report_never_replaces_what_is_read(
+    result: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    before = result.read_bytes()
+    assert evaluate(result, option, result, "--overwrite") == 2
+    assert "would replace an input" in capsys.readouterr().err
+    assert result.read_bytes() == before
+
+
+def test_two_reports_in_one_file_are_refused(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(result, "--json", tmp_path / "r", "--csv", tmp_path / "r") == 2
+    assert "would replace another report" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("where", "code"), [("none/r.json", 1), (".", 2)])
+def test_a_report_without_a_place_is_refused_before_the_work(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], where: str, code: int
+) -> None:
+    assert evaluate(result, "--json", tmp_path / where) == code
+    out, err = capsys.readouterr()
+    assert out == "" and len(lines(err)) == 1
+
+
+def test_truth_from_another_result(tmp_path: Path, result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blind = write_result(tmp_path / "blind.mcap", truth=False)
+    assert evaluate(blind) == 0
+    assert "not measured (no truth" in capsys.readouterr().out
+    assert evaluate(blind, "--truth", result) == 0
+    assert "joint_error_mm" in shown(capsys.readouterr().out)
+
+
+def test_removing_the_offset_is_told_in_the_table(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(result, "--align", "rigid") == 0
+    assert "note: " in capsys.readouterr().out
+
+
+def test_names_of_any_script_and_an_ascii_terminal(tmp_path: Path) -> None:
+    paths = [write_result(tmp_path / name, frames=5) for name in ("\u624b[1].mcap", "a b.mcap")]
+    command = [sys.executable, "-m", "posetrack_cli.cli.main", "eval", *map(str, paths)]
+    for encoding, name in (("utf-8", "\u624b[1]"), ("ascii", "\\u624b[1]")):
+        environment = {**os.environ, "PYTHONIOENCODING": encoding}
+        done = subprocess.run(command, capture_output=True, env=environment)
+        assert done.returncode == 0 and done.stderr == b""
+        assert name in done.stdout.decode(encoding)
+
+
+def test_a_closed_pipe_is_no_stack_trace(result: Path) -> None:
+    command = f"{sys.executable} -m posetrack_cli.cli.main eval '{result}' --parts | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert "Traceback" not in done.stderr
