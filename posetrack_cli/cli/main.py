@@ -13,6 +13,7 @@ from posetrack_cli import __version__
 from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
 from posetrack_cli.cli.eval import evaluate
+from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.info import info
 from posetrack_cli.cli.view import view
@@ -29,7 +30,7 @@ def cli() -> None:
     """
 
 
-for command in (hand, evaluate, view, info, convert, doctor):
+for command in (hand, evaluate, view, export, info, convert, doctor):
     cli.add_command(command)
 
 

@@ -22,21 +22,35 @@ def state_path(path: Path) -> Path:
 
 
 def check_output(out: Path, *, overwrite: bool, source: Path | None = None) -> None:
-    """Refuse an output that cannot be written under this name, or would replace what it must not.
+    """Refuse an MCAP output that cannot be written under this name, or would replace what it must not.
 
     Raises:
-        UsageError: it is not named ``*.mcap``, is a folder, would be written over the source (under its own
-            name or as NAME.part), or a result or an interrupted run is there that may not be replaced.
-        ResultError: its folder does not exist.
+        UsageError: it is not named ``*.mcap``; and as of ``check_target``.
+        ResultError: as of ``check_target``.
     """
     if out.suffix != ".mcap":
         raise UsageError(
             "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
         )
+    check_target(out, overwrite=overwrite, source=source)
+
+
+def check_target(
+    out: Path, *, overwrite: bool, source: Path | None = None, source_name: str = "recording"
+) -> None:
+    """Refuse an output of any kind that cannot be written, or would replace what it must not.
+
+    Raises:
+        UsageError: it is a folder, would be written over the source (under its own name or as NAME.part), or
+            a file or an interrupted run is there that may not be replaced.
+        ResultError: its folder does not exist.
+    """
     check_folder(out)
     for written in (out, part_path(out)):
         if source is not None and source.exists() and written.exists() and written.samefile(source):
-            raise UsageError("output would replace the recording", where=written, hint="choose another name")
+            raise UsageError(
+                f"output would replace the {source_name}", where=written, hint="choose another name"
+            )
         if written.is_dir():
             raise UsageError("output is a folder", where=written, expected="the name of a file")
     if not overwrite:

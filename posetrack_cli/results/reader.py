@@ -95,6 +95,21 @@ class Result:
         """
         return self._losses.losses
 
+    def topic_of_estimates(self, topic: str | None = None) -> str:
+        """Return a topic that is asked for, by default this result's own.
+
+        Raises:
+            ResultError: it is no topic of ``posetrack.Estimate``.
+        """
+        if topic is None:
+            return self.estimate_topic
+        known = {c.topic for s, c in self.channels if s.name == ESTIMATE_SCHEMA_NAME}
+        if topic not in known:
+            raise ResultError(
+                f"no estimates on topic '{topic}'", where=self.path, hint=nearest_name(topic, known)
+            )
+        return topic
+
     def estimates(self, topic: str | None = None) -> Iterator[Estimate]:
         """Yield the estimates in file order; what cannot be read is left out and told in ``losses``.
 
@@ -104,14 +119,14 @@ class Result:
         Raises:
             ResultError: there is no such topic, or a message on it is no estimate.
         """
-        for _, _, message in self._messages([self._checked_topic(topic)]):
+        for _, _, message in self._messages([self.topic_of_estimates(topic)]):
             yield estimate_from_json(message.data)
 
     def column_blocks(
         self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES
     ) -> Iterator[Columns]:
         """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
-        messages = self._messages([self._checked_topic(topic)])
+        messages = self._messages([self.topic_of_estimates(topic)])
         yield from column_blocks((message.data for _, _, message in messages), fields)
 
     def columns(self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES) -> Columns:
@@ -156,17 +171,6 @@ class Result:
             calibration = CameraCalibration.FromString(message.data)
             return camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
         raise ResultError("holds no camera calibration", where=self.path)
-
-    def _checked_topic(self, topic: str | None) -> str:
-        """Return a topic of estimates, the result's own by default."""
-        if topic is None:
-            return self.estimate_topic
-        known = {c.topic for s, c in self.channels if s.name == ESTIMATE_SCHEMA_NAME}
-        if topic not in known:
-            raise ResultError(
-                f"no estimates on topic '{topic}'", where=self.path, hint=nearest_name(topic, known)
-            )
-        return topic
 
     def _messages(self, topics: Topics) -> Iterator[McapItem]:
         """Yield the messages on some topics in file order."""

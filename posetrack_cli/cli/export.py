@@ -1,0 +1,67 @@
+"""``posetrack export``: write a result for other tools."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+
+FORMATS = ("csv", "tum", "npz", "json")
+_BY_SUFFIX = {f".{name}": name for name in FORMATS}
+
+
+@click.command(short_help="Write a result as CSV, TUM, numpy or JSON.")
+@click.argument("path", metavar="RESULT", type=click.Path(path_type=Path))
+@click.option(
+    "--format",
+    "format_name",
+    type=click.Choice(FORMATS),
+    help="What to write.  [default: as FILE is named, else csv]",
+)
+@click.option(
+    "-o", "--output", metavar="FILE", type=click.Path(path_type=Path), help="Instead of standard output."
+)
+@click.option("--topic", help="Of the estimates, such as /truth/hand/estimate.  [default: the result's own]")
+@click.option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
+@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+def export(
+    path: Path,
+    format_name: str | None,
+    output: Path | None,
+    topic: str | None,
+    no_lost: bool,
+    overwrite: bool,
+) -> None:
+    """Write the estimates of RESULT, finished or not, for other tools.
+
+    \b
+    csv   one row per frame, every column explained in comments above: mm, rad, deg
+    tum   timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
+    json  the columns of csv as lists, below a header with units and the run record
+    npz   one array per field of an estimate, for numpy; needs -o
+
+    Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are in, with their last pose;
+    their status says so in all formats but tum: there leave them out with --no-lost. Exit code 3 means that
+    RESULT is truncated or damaged; what can be read is written all the same.
+    """
+    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.results.export.export import export_file, export_text
+    from posetrack_cli.results.export.source import export_source
+    from posetrack_cli.results.reader import read_result
+
+    result = read_result(path)
+    source = export_source(result, topic, lost=not no_lost)
+    chosen = format_name or _BY_SUFFIX.get(output.suffix.lower() if output else "", "csv")
+    if output is None:
+        if sys.stdout is None:
+            raise UsageError("standard output is closed", hint="name a file with -o")
+        export_text(source, chosen, sys.stdout.buffer)
+    else:
+        export_file(source, chosen, output, overwrite=overwrite)
+        click.echo(f"{output}: {chosen}, {output.stat().st_size} bytes")
+    if result.losses:
+        click.echo(f"{path}: {loss_line(result.losses)}", err=True)
+        click.get_current_context().exit(EXIT_DATA_LOST)

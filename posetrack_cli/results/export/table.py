@@ -1,0 +1,177 @@
+"""The columns of an exported table: their names, units and meanings, stated once for every format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
+from posetrack_cli.geometry.rotations import conjugate, rotate
+from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.estimate import Subject
+
+Values: TypeAlias = np.ndarray[Any, Any]
+HEAD = "head"
+
+
+@dataclass(frozen=True)
+class ColumnGroup:
+    """Columns that mean the same of different components.
+
+    Attributes:
+        names: of the columns.
+        unit: of all of them, empty for none.
+        meaning: of all of them.
+        values: makes the (N, len(names)) values from columns of ``Result.columns``.
+    """
+
+    names: tuple[str, ...]
+    unit: str
+    meaning: str
+    values: Callable[[Columns], Values]
+
+    @property
+    def description(self) -> str:
+        """Names, meaning and unit on one line."""
+        return f"{' '.join(self.names)}: {self.meaning}{', ' if self.unit else ''}{self.unit}"
+
+
+def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
+    """Return the columns of a subject's table, in order; groups without columns are left out."""
+    groups = (
+        *_frame_groups(),
+        *_pose_groups(subject),
+        *_velocity_groups(subject),
+        *_deviation_groups(subject),
+        _point_group(subject),
+        *_filter_groups(),
+    )
+    return tuple(group for group in groups if group.names)
+
+
+def euler_angles(subject: Subject) -> Callable[[FloatArray], FloatArray]:
+    """Return what makes roll, pitch, yaw (N, 3), rad, from a subject's quaternions (N, 4)."""
+    return head_roll_pitch_yaw if subject.name == HEAD else roll_pitch_yaw
+
+
+def _frame_groups() -> Iterable[ColumnGroup]:
+    yield _field("frame_index", "", "position of the frame in the recording, counted from 0")
+    yield _field("stamp_ns", "ns", "when the frame was taken")
+    yield _field("status", "", "tracking, lost or reinitialised")
+    yield _field("confidence", "", "0 (guess) to 1 (certain)")
+
+
+def _pose_groups(subject: Subject) -> Iterable[ColumnGroup]:
+    angles = euler_angles(subject)
+    yield _part(("x_mm", "y_mm", "z_mm"), "mm", f"origin of the {subject.name} in camera axes", "position")
+    yield _part(
+        ("qx", "qy", "qz", "qw"),
+        "",
+        f"rotation from {subject.name} to camera axes, unit quaternion, qw >= 0",
+        "quaternion",
+    )
+    yield ColumnGroup(
+        ("roll_deg", "pitch_deg", "yaw_deg"),
+        "deg",
+        "the same rotation in Euler angles",
+        lambda block: np.degrees(angles(block["quaternion"])),
+    )
+    unit = _shape_unit(subject)
+    meaning = "angles of the shape" if unit else "coefficients of the shape"
+    yield _part(_suffixed(subject.shape_names, unit), unit, meaning, "shape")
+
+
+def _velocity_groups(subject: Subject) -> Iterable[ColumnGroup]:
+    unit = _shape_unit(subject)
+    rates = _suffixed(subject.shape_names, f"{unit}_s" if unit else "per_s")
+    linear = tuple(f"v{axis}_mm_s" for axis in "xyz")
+    yield _part(linear, "mm/s", "velocity of the origin in camera axes", "twist")
+    yield _part(
+        tuple(f"w{axis}_rad_s" for axis in "xyz"),
+        "rad/s",
+        f"angular velocity in the {subject.name}'s own axes",
+        "twist",
+        3,
+    )
+    yield _part(rates, f"{unit or '1'}/s", "rate of the shape", "twist", 6)
+
+
+def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
+    """Standard deviations: roots of the diagonals of the covariances."""
+    unit = _shape_unit(subject)
+    suffix, rate = (f"sd_{unit}", f"sd_{unit}_s") if unit else ("sd", "sd_per_s")
+    yield _deviation(_suffixed("xyz", "sd_mm"), "mm", "of the position", "pose_variance", 0)
+    yield _deviation(
+        tuple(f"r{axis}_sd_rad" for axis in "xyz"),
+        "rad",
+        f"of a small rotation about the {subject.name}'s own axes",
+        "pose_variance",
+        3,
+    )
+    shape, rates = _suffixed(subject.shape_names, suffix), _suffixed(subject.shape_names, rate)
+    yield _deviation(shape, unit, "of the shape", "pose_variance", 6)
+    yield _deviation(
+        tuple(f"v{axis}_sd_mm_s" for axis in "xyz"), "mm/s", "of the velocity", "twist_variance", 0
+    )
+    yield _deviation(
+        tuple(f"w{axis}_sd_rad_s" for axis in "xyz"), "rad/s", "of the angular velocity", "twist_variance", 3
+    )
+    yield _deviation(rates, f"{unit or '1'}/s", "of the rate of the shape", "twist_variance", 6)
+
+
+def _point_group(subject: Subject) -> ColumnGroup:
+    """Points in camera axes; of a head in its own, where a rigid one's stand still."""
+    names = tuple(f"{name}_{axis}_mm" for name in subject.point_names for axis in "xyz")
+    if subject.name != HEAD:
+        return ColumnGroup(names, "mm", "points in camera axes", lambda block: _flat(block["points"]))
+    return ColumnGroup(names, "mm", "points in the head's own axes", lambda block: _flat(model_points(block)))
+
+
+def model_points(block: Columns) -> FloatArray:
+    """Return the points (N, P, 3), mm, seen from the object: R^T (p - t) of ``camera_T_object`` = (R, t)."""
+    inverse = conjugate(block["quaternion"])[:, None, :]
+    return rotate(inverse, block["points"] - block["position"][:, None, :])
+
+
+def _filter_groups() -> Iterable[ColumnGroup]:
+    yield _field("effective_sample_size", "particles", "1 / sum of the squared weights, before resampling")
+    yield _field("resampled", "", "1 if the particles were resampled after this frame, else 0")
+    yield ColumnGroup(
+        ("cost_mm",), "mm", "cost of the estimate against the image, empty where not evaluated", _one("cost")
+    )
+    yield _field("milliseconds", "ms", "time that the frame took, empty if the run recorded none")
+
+
+def _shape_unit(subject: Subject) -> str:
+    """A head's shape is coefficients, everything else's is angles."""
+    return "" if subject.name == HEAD else "rad"
+
+
+def _suffixed(names: Iterable[str], suffix: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{suffix}" if suffix else name for name in names)
+
+
+def _field(name: str, unit: str, meaning: str) -> ColumnGroup:
+    return ColumnGroup((name,), unit, meaning, _one(name))
+
+
+def _one(name: str) -> Callable[[Columns], Values]:
+    return lambda block: block[name][:, None]
+
+
+def _part(names: tuple[str, ...], unit: str, meaning: str, field: str, first: int = 0) -> ColumnGroup:
+    """Columns ``first`` and so on of a field."""
+    return ColumnGroup(names, unit, meaning, lambda block: block[field][:, first : first + len(names)])
+
+
+def _deviation(names: tuple[str, ...], unit: str, of: str, field: str, first: int) -> ColumnGroup:
+    part = slice(first, first + len(names))
+    return ColumnGroup(names, unit, f"standard deviation {of}", lambda block: np.sqrt(block[field][:, part]))
+
+
+def _flat(points: Values) -> Values:
+    return points.reshape(len(points), -1)
