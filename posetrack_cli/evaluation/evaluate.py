@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
@@ -21,7 +20,7 @@ from posetrack_cli.evaluation.hand_metrics import hand_metrics
 from posetrack_cli.evaluation.head_metrics import head_metrics
 from posetrack_cli.evaluation.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.metrics import BOTH, addresses, metric_of
-from posetrack_cli.evaluation.result_names import plain_name, unique_names
+from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.run_metrics import EMPTY, run_metrics
 from posetrack_cli.evaluation.track import Track
@@ -83,15 +82,6 @@ class EvalOptions:
 
 
 DEFAULT_OPTIONS = EvalOptions()
-
-
-def evaluate_all(paths: Sequence[Path], options: EvalOptions = DEFAULT_OPTIONS) -> list[Evaluation]:
-    """Measure results that are shown beside each other, each under a name of its own.
-
-    Raises:
-        PosetrackError: as of ``evaluate``.
-    """
-    return [evaluate(path, options, name) for path, name in zip(paths, unique_names(paths), strict=True)]
 
 
 def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | None = None) -> Evaluation:
@@ -168,7 +158,7 @@ def _nothing(track: Track, truth: Track | None, options: EvalOptions) -> str:
 
 
 def _readable(duration_ns: int) -> str:
-    return f"{1e-6 * duration_ns:.4g} ms" if duration_ns < 10**9 else f"{1e-9 * duration_ns:.10g} s"
+    return f"{1e-6 * duration_ns:.4g} ms" if duration_ns < 10**9 else f"{1e-9 * duration_ns:.3f} s"
 
 
 def _run_notes(result: Result) -> list[str]:
