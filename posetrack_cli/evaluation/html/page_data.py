@@ -52,7 +52,7 @@ def page_data(evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence
     budget = budget_for(len(evaluations))
     return {
         "sharedTime": shared,
-        "tickSeconds": (bases[0].tick_ns if bases else 1) * 1e-9,
+        "tickSeconds": bases[0].tick_s if bases else 1.0,
         "results": [
             _result(evaluation, base, budget, pictures.get(evaluation.name, ()))
             for evaluation, base in zip(evaluations, bases, strict=True)

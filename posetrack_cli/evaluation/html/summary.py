@@ -52,7 +52,7 @@ def lead(evaluations: Sequence[Evaluation]) -> str:
 def _lead_of(evaluation: Evaluation) -> str:
     coverage = evaluation.coverage
     due = coverage.frames + coverage.missed
-    parts = [f"Coverage <strong>{shown(coverage.share)}</strong> of {due} frames, {coverage.lost} lost"]
+    parts = [f"Coverage <strong>{shown(coverage.share)}</strong> ({due} frames due, {coverage.lost} lost)"]
     for name in ("joint_error_mm", "position_mm", "rotation_deg"):
         value = evaluation.metrics.get(name)
         if isinstance(value, Statistics) and value.count:

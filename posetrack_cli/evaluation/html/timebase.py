@@ -37,9 +37,14 @@ class Timebase:
         """Return stamps as whole ticks since the origin."""
         return (stamp_ns - self.origin_ns) // self.tick_ns
 
+    @property
+    def tick_s(self) -> float:
+        """Length of a tick, s."""
+        return self.tick_ns * 1e-9
+
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
-        """Return stamps as seconds since the origin."""
-        return 1e-9 * (stamp_ns - self.origin_ns).astype(np.float64)
+        """Return stamps as seconds since the origin, to whole ticks: the very numbers of the scripts."""
+        return self.ticks(stamp_ns).astype(np.float64) * self.tick_s
 
 
 def timebases(tracks: Sequence[Track]) -> tuple[list[Timebase], bool]:

@@ -104,6 +104,7 @@ def html_page(
         title=text(title),
         style=style,
         script=script,
+        top="top single" if len(evaluations) == 1 else "top",
         lead=lead(evaluations),
         notices=notices(evaluations),
         summary=summary_tables(evaluations),

@@ -83,7 +83,7 @@ class Player {
 
   showLegend(result) {
     const key = (kind, text) => makeElement("span", {}, makeSwatch(kind, result.index), text);
-    this.legend.replaceChildren(key("", "estimate"), this.data.truth ? key("truth", "truth") : makeElement("span", {}, "no truth"));
+    this.legend.replaceChildren(key("", "estimate"), this.data.truth ? key("truth solid", "truth") : makeElement("span", {}, "no truth"));
     this.connect.parentElement.hidden = !this.data.truth;
   }
 

@@ -112,7 +112,7 @@ class Plot {
       shapes.push(makeSvg("line", { class: "grid", x1: left, x2: right, y1: y, y2: y }));
       shapes.push(makeSvg("text", { x: left - 7, y: y + 4, "text-anchor": "end" }, yTexts[i]));
     });
-    const xTicks = niceTicks(...this.xs.domain, (right - left) / 75);
+    const xTicks = niceTicks(...this.xs.domain, (right - left) / 62);
     tickTexts(xTicks).forEach((text, i) => {
       const x = this.xs.at(xTicks[i]);
       shapes.push(makeSvg("line", { class: "axis", x1: x, x2: x, y1: bottom, y2: bottom + 4 }));

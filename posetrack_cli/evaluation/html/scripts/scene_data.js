@@ -1,6 +1,7 @@
 /* The embedded 3-D scene of one result: points by frame, and how much room they take. */
 
 const MISSING_STEP = -32768;
+const MOST_REACH = 1.5;  /* an estimate farther off than this part of the true one's size may leave the view */
 
 class SceneData {
   constructor(result) {
@@ -51,15 +52,20 @@ class SceneData {
     });
   }
 
-  /** How far the outermost point is from the centroid in most frames. */
+  /** How far the outermost point is from the centroid; estimates that are far off do not count in full. */
   handRadius() {
+    const reference = this.reach(this.truth ? ["truth"] : ["estimate"]) || this.reach(["estimate"]);
+    return Math.min(this.reach(["truth", "estimate"]), MOST_REACH * reference) || 100;
+  }
+
+  /** The largest distance of a point from its frame's centroid. */
+  reach(which) {
     const radii = this.sample().map((frame) => {
       const centre = this.centroid(frame);
-      if (!centre) return 0;
-      const known = this.points(this.truth ? "truth" : "estimate", frame).filter((point) => point);
-      return Math.max(1, ...known.map((point) => Math.hypot(...point.map((value, axis) => value - centre[axis]))));
-    }).sort((a, b) => a - b);
-    return radii[Math.floor(0.95 * (radii.length - 1))] || 100;
+      const known = which.flatMap((one) => this.points(one, frame)).filter((point) => point);
+      return Math.max(0, ...known.map((point) => Math.hypot(...point.map((value, axis) => value - centre[axis]))));
+    });
+    return Math.max(0, ...radii);
   }
 
   pathRadius() {

@@ -1,6 +1,6 @@
 /* Draws one frame of a scene on a canvas: estimate and truth as skeletons, a scale bar, the camera's axes. */
 
-const VIEW_FILL = 0.44;  /* of the canvas's shorter side: the radius that is shown */
+const VIEW_FILL = 0.46;  /* of the canvas's shorter side: the radius that is shown */
 const AXIS_NAMES = ["x", "y", "z"];
 
 class Skeleton {
