@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray, IntArray
-from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.result_names import unique_names
@@ -175,7 +175,7 @@ def _truth(result: Result, options: ViewOptions) -> Track | None:
     """The truth that a result carries; one that cannot be used is an error only where it is to be drawn."""
     try:
         truth = load_truth(result, None)
-    except ResultError:
+    except PosetrackError:
         if options.truth:
             raise
         return None

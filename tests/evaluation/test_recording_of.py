@@ -1,0 +1,201 @@
+"""Which recording a result was made from: where it is looked for, and how it is known."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from viewing_support import make_folder, make_recording, make_result, truth_of, write_camera
+
+from posetrack_cli.errors import RecordingError, ResultError, UsageError
+from posetrack_cli.evaluation.recording_of import (
+    camera_of,
+    find_recording,
+    required_recording,
+    search_recording,
+)
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.run import RunOptions, run_record
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.results import ResultWriter, Subject, read_result
+from posetrack_cli.results.reader import Result
+
+RATE = 20.0
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_recording(tmp_path_factory.mktemp("made") / "hand.mcap", 3)
+
+
+@pytest.fixture
+def recording(source: Path, tmp_path: Path) -> Path:
+    """A recording in a folder of its own, with a folder beside and one below."""
+    home = tmp_path / "home"
+    (home / "results").mkdir(parents=True)
+    return Path(shutil.copy(source, home / "hand.mcap"))
+
+
+def result_of(path: Path, recording: StoredRecording) -> Result:
+    """A result without estimates: only its run record matters here."""
+    camera = recording.cameras[0]
+    record = run_record(recording, camera, HandConfig(), RunOptions(path), "none")
+    with ResultWriter(path, Subject("hand", camera.name, (), (), ()), camera, record) as writer:
+        writer.finish({})
+    return read_result(path)
+
+
+def found_at(result: Result) -> Path:
+    found = find_recording(result)
+    assert found is not None
+    return found.path.resolve()
+
+
+def changed(path: Path) -> None:
+    """Another recording of the same size."""
+    data = path.read_bytes()
+    assert data.count(b"anatomy.segments_mm") == 1
+    path.write_bytes(data.replace(b"anatomy.segments_mm", b"anatomy.segments_cm"))
+
+
+@pytest.mark.parametrize("place", ["home", "home/results", "elsewhere"])
+def test_it_is_found_beside_the_result_above_it_and_in_the_working_folder(
+    recording: Path, tmp_path: Path, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(recording.parent if place == "elsewhere" else tmp_path)
+    result = result_of(tmp_path / place / "r.mcap", open_recording(recording))
+    assert found_at(result) == recording.resolve()
+
+
+def test_where_it_is_nowhere_the_reason_says_where_it_was_looked_for(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = result_of(tmp_path / "home" / "results" / "r.mcap", open_recording(recording))
+    recording.rename(recording.with_name("other.mcap"))
+    monkeypatch.chdir(tmp_path)
+    search = search_recording(result)
+    assert search.recording is None and find_recording(result) is None
+    looked = f"{tmp_path}/home/results, {tmp_path}/home, ."
+    assert search.reason == f"no recording 'hand.mcap' in {looked}; pass it with --recording"
+    with pytest.raises(RecordingError, match="no recording"):
+        required_recording(result)
+
+
+def test_one_of_the_same_name_and_size_that_differs_is_not_taken(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "home" / "results" / "r.mcap", open_recording(recording))
+    impostor = Path(shutil.copy(recording, recording.parent / "results" / "hand.mcap"))
+    changed(impostor)
+    assert found_at(result) == recording.resolve(), "the search goes on"
+    recording.unlink()
+    reason = search_recording(result).reason
+    other, mine = open_recording(impostor).identity()["sha256"], result.run["input.sha256"]
+    assert str(impostor) in reason and other[:12] in reason and mine[:12] in reason
+
+
+def test_a_given_one_that_differs_is_refused_unless_any_will_do(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    changed(recording)
+    with pytest.raises(
+        RecordingError, match=r"is not the recording .* found SHA-256 .* expected .* hand.mcap"
+    ):
+        find_recording(result, recording)
+    assert search_recording(result, recording, any_recording=True).recording is not None
+
+
+def test_another_size_is_told_without_reading_it_all(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    size = recording.stat().st_size
+    with recording.open("ab") as stream:
+        stream.write(b"more")
+    monkeypatch.setattr("posetrack_cli.recording.identity._feed", pytest.fail)
+    with pytest.raises(RecordingError, match=f"found {size + 4} bytes, expected {size} bytes"):
+        find_recording(result, recording)
+
+
+def test_a_name_with_folders_in_it_is_not_followed(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    bad = replace(result, run={**result.run, "input.name": "home/hand.mcap"})
+    assert find_recording(bad) is None
+
+
+def test_a_result_that_names_no_input_says_so(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    bare = replace(result, run={})
+    assert search_recording(bare).reason.endswith("does not say which recording it was made from")
+    assert find_recording(bare, recording) is not None, "what cannot be checked is taken when it is given"
+
+
+def test_a_folder_is_opened_as_the_run_opened_it(source: Path, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "images", open_recording(source), mirror=True)
+    opened = open_recording(folder, fps=RATE, mirror=True)
+    result = result_of(tmp_path / "r.mcap", opened)
+    found = find_recording(result)
+    assert found is not None
+    same = zip(found.frames(), opened.frames(), open_recording(source).frames(), strict=True)
+    for mine, theirs, unmirrored in same:
+        assert mine.stamp_ns == theirs.stamp_ns
+        assert (mine.depth == theirs.depth).all() and (mine.depth == unmirrored.depth).all()
+
+
+def test_another_rate_than_the_run_s_is_refused(source: Path, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "images", open_recording(source))
+    result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE))
+    assert find_recording(result, fps=RATE) is not None
+    with pytest.raises(UsageError, match=r"--fps is not that of the run, found 30, expected 20"):
+        find_recording(result, fps=30.0)
+
+
+def test_a_folder_without_its_camera_file_needs_it_again(source: Path, tmp_path: Path) -> None:
+    recording = open_recording(source)
+    folder = make_folder(tmp_path / "images", recording, camera=False)
+    camera = write_camera(tmp_path / "camera.toml", recording.cameras[0])
+    result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE, camera_file=camera))
+    assert find_recording(result, camera_file=camera) is not None
+    assert "pass --camera" in search_recording(result).reason
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_an_mcap_tracked_with_a_camera_file_gets_the_run_s_camera(
+    recording: Path, tmp_path: Path, mirror: bool
+) -> None:
+    file = write_camera(tmp_path / "mine.toml", Camera(512, 424, 400.0, 401.0, 250.0, 210.0))
+    opened = open_recording(recording, camera_file=file, mirror=mirror)
+    result = result_of(tmp_path / "home" / "r.mcap", opened)
+    file.unlink()
+    found = find_recording(result)
+    assert found is not None
+    values = found.cameras[0].values(), opened.cameras[0].values()
+    assert {k: v for k, v in values[0].items() if k != "name"} == {
+        k: v for k, v in values[1].items() if k != "name"
+    }
+    assert (next(found.frames()).depth == next(opened.frames()).depth).all()
+
+
+def test_options_that_do_not_apply_are_wrong_usage(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "home" / "r.mcap", open_recording(recording))
+    with pytest.raises(UsageError, match="--missing does not apply to an MCAP file"):
+        find_recording(result, missing=7)
+
+
+def test_the_camera_of_a_run(recording: Path, tmp_path: Path) -> None:
+    opened = open_recording(recording)
+    result = result_of(tmp_path / "r.mcap", opened)
+    assert camera_of(result.run) == opened.cameras[0]
+    for record in ({}, {"camera": "nonsense"}, {"camera": '{"width": 3}'}):
+        with pytest.raises(ResultError, match="run record tells no camera"):
+            camera_of(record)
+
+
+def test_support_makes_results_of_every_frame(source: Path, tmp_path: Path) -> None:
+    """The results that other tests rest on hold the truth of every frame."""
+    recording = open_recording(source)
+    result = read_result(make_result(tmp_path / "r.mcap", recording))
+    stamps = [frame.stamp_ns for frame in recording.frames()]
+    assert result.columns()["stamp_ns"].tolist() == stamps == [t.stamp_ns for t in truth_of(recording)]
