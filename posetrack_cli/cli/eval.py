@@ -23,6 +23,15 @@ FILE = click.Path(path_type=Path)
 OUTPUT = click.Path(path_type=Path, allow_dash=True)
 
 
+def _list_metrics(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    """Print the catalogue and end."""
+    if asked:
+        from posetrack_cli.evaluation.table import catalogue_lines
+
+        click.echo("\n".join(catalogue_lines()))
+        context.exit()
+
+
 @click.command("eval", short_help="Measure results against truth; compare them; gate on figures.")
 @click.argument("results", metavar="RESULT...", nargs=-1, type=FILE)
 @click.option(
@@ -71,6 +80,14 @@ OUTPUT = click.Path(path_type=Path, allow_dash=True)
     metavar="NAME=PATTERN",
     multiple=True,
     help="Compare groups of results, such as pf='out/pf-*.mcap', paired by recording; repeatable.",
+)
+@click.option(
+    "--list-metrics",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_metrics,
+    help="Show every metric, its unit and meaning, and exit.",
 )
 @click.option("--parts", is_flag=True, help="Show every joint, finger, angle or point.")
 @click.option("--overwrite", is_flag=True, help="Replace existing reports.")

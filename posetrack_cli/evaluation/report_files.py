@@ -18,14 +18,16 @@ def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite:
         overwrite: whether existing reports may be replaced.
 
     Raises:
-        UsageError: a report is a folder, an input, the same file as another, or is there already.
+        UsageError: a report is a folder, a device, an input, the same file as another, or is there already.
         ResultError: its folder does not exist.
     """
     taken = {path.resolve(): "an input" for path in inputs}
     for report in reports:
         check_folder(report)
-        if report.is_dir():
-            raise UsageError("report is a folder", where=report, expected="the name of a file")
+        if report.exists() and not report.is_file():  # a device would be replaced, not written to
+            found = "a folder" if report.is_dir() else "a device"
+            hint = "- is standard output"
+            raise UsageError("report cannot be written", where=report, found=found, hint=hint)
         use = taken.get(report.resolve())
         if use:
             raise UsageError(f"report would replace {use}", where=report, hint="choose another name")

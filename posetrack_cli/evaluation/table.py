@@ -67,6 +67,18 @@ def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Ta
     return [main] if thesis is None else [main, thesis]
 
 
+def catalogue_lines() -> Iterator[str]:
+    """Yield every metric's address, unit and direction, and below it its meaning, for people to read."""
+    for metric in CATALOGUE:
+        part = f"[.{metric.part.upper()}]" if metric.part else ""
+        statistic = "" if metric.scalar else ".STATISTIC"
+        better = "" if metric.better == "neither" else f", {metric.better} is better"
+        unit = f", {metric.unit}" if metric.unit else ""
+        yield f"{metric.name}{part}{statistic}{unit}{better}"
+        yield f"    {metric.meaning}"
+    yield f"STATISTIC is one of {', '.join(STATISTIC_NAMES)}"
+
+
 def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
     """Mean and sd of a head's six absolute errors side by side, or None where no result has them."""
     heads = [one for one in evaluations if all(name in one.metrics for name in THESIS_COLUMNS)]

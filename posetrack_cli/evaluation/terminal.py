@@ -36,8 +36,10 @@ def print_tables(
     plain = console.encoding.lower() not in ("utf-8", "utf8")
     for table in tables:
         for piece in _pieces(table, console.width):
-            console.print(_rendered(piece, plain))
-            console.print()
+            with console.capture() as capture:
+                console.print(_rendered(piece, plain))
+            console.out("\n".join(line.rstrip() for line in capture.get().splitlines()), highlight=False)
+            console.out()
     for line in lines:
         console.print(_encoded(line, plain), soft_wrap=True)
 

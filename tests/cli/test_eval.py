@@ -15,6 +15,7 @@ from eval_support import write_result
 from evaluation_support import hand_track
 
 from posetrack_cli.cli.main import run
+from posetrack_cli.evaluation.metrics import CATALOGUE
 from posetrack_cli.recording.output import part_path
 
 SUPPORT = Path(__file__).with_name("eval_support.py")
@@ -187,6 +188,13 @@ def test_wrong_usage_is_one_line_and_2(
     assert evaluate(result, *arguments) == 2
     out, err = capsys.readouterr()
     assert out == "" and len(lines(err)) == 1 and said in err
+
+
+def test_the_metrics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate("--list-metrics") == 0
+    out = lines(capsys.readouterr().out)
+    assert "joint_error_mm[.JOINT].STATISTIC, mm, lower is better" in out
+    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 1
 
 
 def test_no_result_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:

@@ -77,8 +77,13 @@ def test_a_report_that_is_there_needs_overwrite(files: Path) -> None:
 def test_a_report_whose_folder_is_missing_or_that_is_one(files: Path) -> None:
     with pytest.raises(ResultError, match="no folder nowhere"):
         check_reports(named("nowhere/r.json"), [], overwrite=False)
-    with pytest.raises(UsageError, match="report is a folder"):
+    with pytest.raises(UsageError, match="sub: report cannot be written, found a folder"):
         check_reports(named("sub"), [], overwrite=True)
+
+
+def test_a_device_is_not_replaced(files: Path) -> None:
+    with pytest.raises(UsageError, match="found a device; - is standard output"):
+        check_reports(named("/dev/null"), [], overwrite=True)
 
 
 def test_a_report_is_written_whole(files: Path) -> None:
