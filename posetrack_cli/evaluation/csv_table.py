@@ -16,8 +16,10 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.errors import TruthError
 from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.results.estimate import Status
 
 COMMENT = "#"
+STATUS = "status"
 BLOCK_ROWS = 4096  # as text a row takes ten times its numbers' memory
 NS_PER_UNIT = {"stamp_ns": 1, "t_s": 10**9, "time_s": 10**9}
 """Columns of stamps, the first that a file has is taken, and what one of their units is in ns."""
@@ -25,17 +27,15 @@ NS_PER_UNIT = {"stamp_ns": 1, "t_s": 10**9, "time_s": 10**9}
 
 @dataclass(frozen=True)
 class CsvHeader:
-    """What a file begins with.
+    """What a file's header row says.
 
     Attributes:
         path: the file.
-        columns: their names, as they stand in the header row.
-        comments: the lines before the header row that begin with ``#``, without it.
+        columns: their names.
     """
 
     path: Path
     columns: tuple[str, ...]
-    comments: tuple[str, ...]
 
     @property
     def stamp_column(self) -> str | None:
@@ -44,16 +44,11 @@ class CsvHeader:
 
 
 def read_header(path: Path) -> CsvHeader:
-    """Read the comments and the header row.
+    """Read the header row, the first that is no comment.
 
     Raises:
         TruthError: the file cannot be read, is empty, is not UTF-8, or has a column twice.
     """
-    comments = []
-    for _, line in _lines(path):
-        if not line.startswith(COMMENT):
-            break
-        comments.append(line.removeprefix(COMMENT).strip())
     _, row = next(_rows(path), (0, []))
     if not row:
         raise TruthError("is empty", where=path, expected="a CSV file with a header row")
@@ -61,7 +56,7 @@ def read_header(path: Path) -> CsvHeader:
     twice = sorted({name for name in columns if name and columns.count(name) > 1})
     if twice:
         raise TruthError("column occurs twice", where=path, found=", ".join(twice))
-    return CsvHeader(path, columns, tuple(comments))
+    return CsvHeader(path, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +69,7 @@ class CsvTable:
         values: (N, C).
         stamp_ns: (N,) strictly increasing.
         lines: (N,) the line of each row in the file, counted from 1.
+        lost: how many rows of frames that were lost are left out.
     """
 
     path: Path
@@ -81,6 +77,7 @@ class CsvTable:
     values: FloatArray
     stamp_ns: IntArray
     lines: IntArray
+    lost: int
 
     def of(self, names: Sequence[str]) -> FloatArray:
         """Return the columns of these names, (N, len(names))."""
@@ -92,7 +89,7 @@ class CsvTable:
 
 
 def read_table(header: CsvHeader, columns: Sequence[str], optional: Collection[str] = ()) -> CsvTable:
-    """Read the stamps and some columns of a file.
+    """Read the stamps and some columns of a file, without the rows whose ``status`` is ``lost``.
 
     Args:
         header: of the file; has a column of stamps.
@@ -103,20 +100,21 @@ def read_table(header: CsvHeader, columns: Sequence[str], optional: Collection[s
         TruthError: names file, line and column of what is no number, of a row that is too short or too
             long, of a stamp that is not later than the one before. Also for a file without rows.
     """
-    path, rows = header.path, _rows(header.path)
-    next(rows)
     stamps: list[int] = []
     lines: list[int] = []
     blocks = []
-    while block := list(islice(rows, BLOCK_ROWS)):
-        for line, row in block:
-            _check_length(header, line, row)
-        stamps += _stamps(header, block)
-        lines += [line for line, _ in block]
-        blocks.append(_numbers(header, block, columns, optional))
+    lost = 0
+    for block in _blocks(header):
+        kept = _not_lost(header, block)
+        lost += len(block) - len(kept)
+        stamps += _stamps(header, kept)
+        lines += [line for line, _ in kept]
+        blocks.append(_numbers(header, kept, columns, optional))
     if not lines:
-        raise TruthError("has no rows", where=path, expected="a row per frame after the header")
-    table = CsvTable(path, tuple(columns), np.vstack(blocks), np.array(stamps), np.array(lines))
+        found = f"{lost} rows, all lost" if lost else "no row after the header"
+        raise TruthError("has no truth", where=header.path, found=found, expected="a row per frame")
+    values = np.vstack(blocks)
+    table = CsvTable(header.path, tuple(columns), values, np.array(stamps), np.array(lines), lost)
     _check_order(table, str(header.stamp_column))
     return table
 
@@ -158,14 +156,26 @@ def _rows(path: Path) -> Iterator[_Row]:
         raise TruthError("is no CSV", where=f"{path} line {latest}", found=error) from error
 
 
-def _check_length(header: CsvHeader, line: int, row: list[str]) -> None:
-    if len(row) != len(header.columns):
-        raise TruthError(
-            "row does not fit the header",
-            where=f"{header.path} line {line}",
-            found=f"{len(row)} cells",
-            expected=len(header.columns),
-        )
+def _blocks(header: CsvHeader) -> Iterator[list[_Row]]:
+    """Yield the rows after the header, some at a time, each of the header's length."""
+    rows = islice(_rows(header.path), 1, None)
+    while block := list(islice(rows, BLOCK_ROWS)):
+        for line, row in block:
+            if len(row) != len(header.columns):
+                raise TruthError(
+                    "row does not fit the header",
+                    where=f"{header.path} line {line}",
+                    found=f"{len(row)} cells",
+                    expected=len(header.columns),
+                )
+        yield block
+
+
+def _not_lost(header: CsvHeader, block: list[_Row]) -> list[_Row]:
+    if STATUS not in header.columns:
+        return block
+    place = header.columns.index(STATUS)
+    return [(line, row) for line, row in block if row[place].strip() != Status.LOST.value]
 
 
 def _stamps(header: CsvHeader, block: list[_Row]) -> list[int]:
@@ -193,8 +203,8 @@ def _numbers(
     header: CsvHeader, block: list[_Row], columns: Sequence[str], optional: Collection[str]
 ) -> FloatArray:
     """Return the cells of some columns of a block of rows as numbers."""
-    if not columns:
-        return np.empty((len(block), 0))
+    if not (columns and block):
+        return np.empty((len(block), len(columns)))
     places = [header.columns.index(name) for name in columns]
     pick = itemgetter(*places, places[0])  # one more, so that it is a tuple also of a single column
     try:

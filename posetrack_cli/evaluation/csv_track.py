@@ -17,12 +17,11 @@ from posetrack_cli.evaluation.truth_checks import check_point_names, unit_quater
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results.estimate import Subject
 
+HEAD = "head"
 POSITION = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qx", "qy", "qz", "qw")
 LINEAR = ("vx_mm_s", "vy_mm_s", "vz_mm_s")
 ANGULAR = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
-CAMERA_POINTS = "points: camera axes"
-"""A comment above the header row that says so: the points of a head are not in the model frame."""
 
 
 def load_csv_track(path: Path, subject: Subject) -> Track:
@@ -33,11 +32,13 @@ def load_csv_track(path: Path, subject: Subject) -> Track:
     - ``stamp_ns`` (integer), or ``t_s`` or ``time_s`` (seconds, rounded to ns);
     - ``x_mm y_mm z_mm``: the object's origin in camera axes; ``qx qy qz qw``: ``camera_T_object``'s rotation;
     - ``<point>_x_mm <point>_y_mm <point>_z_mm``: all of the subject's points or none; of a hand its joints in
-      camera axes, of a head its points **in the model frame**, which the pose takes to camera axes, unless a
-      comment above the header row reads ``points: camera axes``;
-    - ``<shape entry>_rad``: all of the subject's or none;
+      camera axes, of a head its points **in the model frame**, which the pose takes to camera axes;
+    - ``<angle>_rad`` of a hand, ``<coefficient>`` of a head: all of the subject's or none;
     - ``vx_mm_s vy_mm_s vz_mm_s`` in camera axes, ``wx_rad_s wy_rad_s wz_rad_s`` in the body's,
-      ``<shape entry>_rad_s``: velocities; a cell that is empty or nan is unknown.
+      ``<angle>_rad_s`` or ``<coefficient>_per_s``: velocities; a cell that is empty or nan is unknown;
+    - ``status``: rows where it is ``lost`` are no truth and are left out.
+
+    An export of a result is such a file.
 
     Args:
         path: the file.
@@ -53,48 +54,53 @@ def load_csv_track(path: Path, subject: Subject) -> Track:
     header = read_header(path)
     layout = _Layout.of(header, subject)
     table = read_table(header, layout.columns, layout.velocities)
+    name = f"{path.name} without its {table.lost} lost frames" if table.lost else path.name
     position = table.of(POSITION) if layout.position else None
     quaternion = _quaternions(table) if layout.quaternion else None
     return Track(
-        path.name,
+        name,
         subject.name,
-        shape_names=layout.shape,
+        shape_names=subject.shape_names if layout.shape else (),
         point_names=layout.points,
         point_parents=subject.point_parents if layout.points else (),
         stamp_ns=table.stamp_ns,
         position=position,
         quaternion=quaternion,
-        shape=table.of(_suffixed(layout.shape, "_rad")) if layout.shape else None,
-        twist=_twist(table, layout),
+        shape=table.of(shape_columns(subject)) if layout.shape else None,
+        twist=_twist(table, subject, layout),
         points=_points(table, layout, position, quaternion) if layout.points else None,
     )
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What a file has."""
+    """What a file has.
 
+    Attributes:
+        subject: name of the subject.
+        position, quaternion: whether it has them.
+        points: names of the points, () for none.
+        shape, velocities: columns.
+    """
+
+    subject: str
     position: bool
     quaternion: bool
     points: tuple[str, ...]
-    points_in_model: bool
     shape: tuple[str, ...]
     velocities: tuple[str, ...]
 
     @classmethod
     def of(cls, header: CsvHeader, subject: Subject) -> _Layout:
         """Find the subject's columns in a header row."""
-        rates = _suffixed(subject.shape_names, "_rad_s")
-        points = _point_names(header, subject)
+        groups = (LINEAR, ANGULAR, rate_columns(subject))
         layout = cls(
+            subject.name,
             position=_has_all(header, POSITION),
             quaternion=_has_all(header, QUATERNION),
-            points=points,
-            points_in_model=bool(points) and subject.name == "head" and CAMERA_POINTS not in header.comments,
-            shape=subject.shape_names if _has_all(header, _suffixed(subject.shape_names, "_rad")) else (),
-            velocities=tuple(
-                n for group in (LINEAR, ANGULAR, rates) if _has_all(header, group) for n in group
-            ),
+            points=_point_names(header, subject),
+            shape=shape_columns(subject) if _has_all(header, shape_columns(subject)) else (),
+            velocities=tuple(name for group in groups if _has_all(header, group) for name in group),
         )
         _check(header, subject, layout)
         return layout
@@ -103,7 +109,7 @@ class _Layout:
     def columns(self) -> tuple[str, ...]:
         """The columns to read."""
         pose = (POSITION if self.position else ()) + (QUATERNION if self.quaternion else ())
-        return pose + _point_columns(self.points) + _suffixed(self.shape, "_rad") + self.velocities
+        return pose + _point_columns(self.points) + self.shape + self.velocities
 
 
 def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
@@ -118,12 +124,11 @@ def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
     if header.stamp_column is None:
         expected = " or ".join(NS_PER_UNIT)
         raise TruthError("has no column of stamps", where=header.path, expected=expected)
-    if layout.points_in_model and not (layout.position and layout.quaternion):
+    if subject.name == HEAD and layout.points and not (layout.position and layout.quaternion):
         raise TruthError(
-            "points of a head are in its model frame and need the pose",
+            "points of a head are in its model frame and need its pose",
             where=header.path,
             expected=", ".join((*POSITION, *QUATERNION)),
-            hint=f"or say '# {CAMERA_POINTS}' above the header row",
         )
 
 
@@ -158,13 +163,20 @@ def _point_names(header: CsvHeader, subject: Subject) -> tuple[str, ...]:
 
 def _known(subject: Subject) -> str:
     """Return every column that a file of this subject may have."""
-    names = (*NS_PER_UNIT, *POSITION, *QUATERNION, *LINEAR, *ANGULAR)
-    shape = (*_suffixed(subject.shape_names, "_rad"), *_suffixed(subject.shape_names, "_rad_s"))
-    return ", ".join((*names, *_point_columns(subject.point_names), *shape))
+    names = (*NS_PER_UNIT, *POSITION, *QUATERNION, *LINEAR, *ANGULAR, *_point_columns(subject.point_names))
+    return ", ".join((*names, *shape_columns(subject), *rate_columns(subject)))
 
 
-def _suffixed(names: Sequence[str], suffix: str) -> tuple[str, ...]:
-    return tuple(name + suffix for name in names)
+def shape_columns(subject: Subject) -> tuple[str, ...]:
+    """Return the columns of the shape: angles of a hand, coefficients of a head."""
+    suffix = "" if subject.name == HEAD else "_rad"
+    return tuple(name + suffix for name in subject.shape_names)
+
+
+def rate_columns(subject: Subject) -> tuple[str, ...]:
+    """Return the columns of the rates of the shape."""
+    suffix = "_per_s" if subject.name == HEAD else "_rad_s"
+    return tuple(name + suffix for name in subject.shape_names)
 
 
 def _point_columns(names: Sequence[str]) -> tuple[str, ...]:
@@ -179,20 +191,18 @@ def _quaternions(table: CsvTable) -> FloatArray:
 def _points(
     table: CsvTable, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
 ) -> FloatArray:
-    """Return the points (N, P, 3) in camera axes."""
+    """Return the points (N, P, 3) in camera axes; those of a head come in its own."""
     points = table.of(_point_columns(layout.points)).reshape(len(table.values), -1, 3)
-    if not layout.points_in_model or position is None or quaternion is None:
+    if layout.subject != HEAD or position is None or quaternion is None:
         return points
     rotation = matrices_from_quaternions(quaternion)
     in_camera: FloatArray = points @ np.swapaxes(rotation, 1, 2) + position[:, None]
     return in_camera
 
 
-def _twist(table: CsvTable, layout: _Layout) -> FloatArray | None:
+def _twist(table: CsvTable, subject: Subject, layout: _Layout) -> FloatArray | None:
     """Return the velocities (N, 6 + K), NaN where the file has none; None if it has none at all."""
-    if not layout.velocities:
-        return None
-    names = (*LINEAR, *ANGULAR, *_suffixed(layout.shape, "_rad_s"))
+    names = (*LINEAR, *ANGULAR, *(rate_columns(subject) if layout.shape else ()))
     twist = np.full((len(table.values), len(names)), np.nan)
     for column, name in enumerate(names):
         if name in table.columns:
