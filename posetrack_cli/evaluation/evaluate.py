@@ -23,6 +23,7 @@ from posetrack_cli.evaluation.metrics import BOTH, addresses, metric_of
 from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.run_metrics import EMPTY, run_metrics
+from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth import load_truth
 from posetrack_cli.recording.losses import LossLog
@@ -32,6 +33,8 @@ Alignment: TypeAlias = Literal["none", "rigid", "rigid+points"]
 
 AGAINST_TRUTH = ("accuracy", "velocity", "covariance")
 NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
+NO_IMAGES = "the recording has none of the result's frames"
+NO_OVERLAP = "in no frame the estimate and the observed hand overlap"
 NO_RECORDING = "needs the images: give the recording with --recording"
 WITHOUT_TRUTH = {
     "residual_mm": NO_RECORDING,
@@ -189,8 +192,9 @@ def _without_truth(measures: Measures, result: Result, track: Track, options: Ev
     """Add self-consistency and what the run says about itself."""
     measures.metrics |= consistency_metrics(track)
     if options.recording is not None:
-        measures.metrics |= _against_images(result, options.recording)
-        measures.lack("the recording has none of the result's frames", "residual_mm", "region_overlap")
+        found = _against_images(result, options.recording)
+        measures.metrics |= {name: value for name, value in found.items() if _has_values(value)}
+        measures.lack(NO_OVERLAP if found else NO_IMAGES, "residual_mm", "region_overlap")
     run_metrics(measures, track, result.run)
 
 
@@ -199,6 +203,10 @@ def _against_images(result: Result, recording: Path) -> dict[str, Value]:
     from posetrack_cli.evaluation.recording_of import required_recording
 
     return image_consistency(result, required_recording(result, recording))
+
+
+def _has_values(value: Value) -> bool:
+    return not isinstance(value, Statistics) or value.count > 0
 
 
 def coverage_metrics(coverage: Coverage) -> dict[str, Value]:

@@ -49,9 +49,11 @@ class Evaluation:
         coverage: frames tracked, lost, unmatched.
         metrics: values by address without statistic: ``joint_error_mm``, ``joint_error_mm.index_tip``,
             ``frames_within_20mm``; in the order of the catalogue (``evaluation.metrics.CATALOGUE``).
-        absent: known metrics of this subject that have no value here, and why ("no truth").
-        series: per-frame values (M,) over the matched frames by metric address, such as ``joint_error_mm``
-            (mean over the joints) and ``largest_joint_error_mm``; what comparisons pair and plots show.
+        absent: every other address of this subject, parts included, and why it has no value ("no truth").
+        series: per-frame values (M,) over the matched frames, without truth over all, by metric without part,
+            such as ``joint_error_mm`` (mean over the joints) and ``largest_joint_error_mm``; what comparisons
+            pair and plots show. NaN in a frame without a value (no true velocity, no cost); a NEES may be
+            infinite.
         series_stamp_ns: (M,) their stamps.
         curve: None where there is no truth with points.
         notes: what a reader of the figures must know: an alignment that was removed, an unfinished run.

@@ -40,13 +40,23 @@ def velocity_lacks(matched: Matched) -> str:
     """Why velocities cannot be compared at all; empty when they can."""
     if reason := matched.lacks("twist"):
         return reason
-    return "the run estimates no velocity" if _estimates_no_velocity(matched.estimate) else ""
+    if _estimates_no_velocity(matched.estimate):
+        return "the run estimates no velocity"
+    return NO_VELOCITY if _moves_without_velocity(matched.truth) else ""
 
 
 def _estimates_no_velocity(track: Track) -> bool:
     """Whether all velocities are exactly 0 and certain, as a filter without velocity writes them."""
     both = (track.twist, track.twist_variance)
     return len(track) > 0 and not any(array is not None and array.any() for array in both)
+
+
+def _moves_without_velocity(truth: Track) -> bool:
+    """Whether all velocities are exactly 0 though the pose changes, as a filter without velocity says."""
+    moves = any(
+        array is not None and (array != array[:1]).any() for array in (truth.position, truth.quaternion)
+    )
+    return moves and truth.twist is not None and not truth.twist.any()
 
 
 def _linear(measures: Measures, matched: Matched) -> None:

@@ -14,13 +14,14 @@ from truth_support import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.evaluation.errors import TruthError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Value
 from posetrack_cli.evaluation.metrics import CATALOGUE, addresses, metric_of
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
     Estimate,
+    Result,
     ResultWriter,
     Status,
     Subject,
@@ -141,6 +142,55 @@ def test_without_truth_it_is_measured_by_itself(tmp_path: Path) -> None:
     np.testing.assert_array_equal(got.series["ess"], 100.0 + np.arange(7))
     assert got.notes == ()
     assert is_complete(got)
+
+
+def test_the_truth_of_another_subject_is_none(tmp_path: Path) -> None:
+    true = estimates(HAND, 3)
+    got = evaluate(write_result(tmp_path / "a.mcap", HAND, true, truths(true, "head")))
+    assert got.truth is None
+    assert got.absent["joint_error_mm"] == NO_TRUTH
+
+
+def test_a_truth_of_other_joints_is_refused(tmp_path: Path) -> None:
+    true = estimates(HAND, 3)
+    fewer = [replace(one, points=one.points[1:]) for one in true]
+    with pytest.raises(TruthError, match="other shape entries or points"):
+        evaluate(write_result(tmp_path / "a.mcap", HAND, true, truths(fewer)))
+
+
+def test_images_are_looked_at_when_the_recording_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_result(tmp_path / "a.mcap", HAND, estimates(HAND, 3))
+    asked: list[object] = []
+    answers: list[dict[str, Value]] = [
+        {"residual_mm": statistics([1.0, 3.0]), "region_overlap": statistics([0.5])},
+        {},
+        {"residual_mm": statistics([]), "region_overlap": statistics([0.0])},
+    ]
+
+    def image_consistency(result: Result, recording: object) -> dict[str, Value]:
+        asked.append((result.path, recording))
+        return answers[len(asked) - 1]
+
+    monkeypatch.setattr("posetrack_cli.evaluation.image_consistency.image_consistency", image_consistency)
+    monkeypatch.setattr(
+        "posetrack_cli.evaluation.recording_of.required_recording", lambda result, given: ("opened", given)
+    )
+    options = EvalOptions(recording=tmp_path / "recording.mcap")
+    found, nothing, apart = (evaluate(path, options) for _ in answers)
+    assert asked == [(path, ("opened", options.recording))] * 3
+    assert (mean(found, "residual_mm"), mean(found, "region_overlap")) == (2.0, 0.5)
+    assert nothing.absent["residual_mm"] == "the recording has none of the result's frames"
+    assert apart.absent["residual_mm"] == "in no frame the estimate and the observed hand overlap"
+    assert mean(apart, "region_overlap") == 0.0
+    assert all(map(is_complete, (found, nothing, apart)))
+
+
+def test_another_recording_is_an_error(tmp_path: Path) -> None:
+    path = write_result(tmp_path / "a.mcap", HAND, estimates(HAND, 3))
+    with pytest.raises(PosetrackError, match=r"nowhere\.mcap"):
+        evaluate(path, EvalOptions(recording=tmp_path / "nowhere.mcap"))
 
 
 def test_an_empty_result_has_reasons_and_coverage_0(tmp_path: Path) -> None:

@@ -65,7 +65,23 @@ def test_a_hand_that_is_held_still_has_a_velocity() -> None:
     assert figures(measures, "velocity_error_mm_s").count == 3
 
 
-@pytest.mark.parametrize("twist", [None, np.full((3, 21), np.nan)])
+def test_a_truth_that_is_held_still_has_a_velocity_too() -> None:
+    estimate, still = random_hand(3, 1), random_hand(1)
+    rows = np.zeros(3, dtype=np.int64)
+    truth = replace(
+        random_hand(3, 2),
+        position=still.position[rows],  # type: ignore[index]
+        quaternion=still.quaternion[rows],  # type: ignore[index]
+        twist=np.zeros((3, 21)),
+    )
+    measures, _ = measure(estimate, truth)
+    assert estimate.twist is not None
+    np.testing.assert_allclose(
+        measures.series["velocity_error_mm_s"], np.linalg.norm(estimate.twist[:, :3], axis=1)
+    )
+
+
+@pytest.mark.parametrize("twist", [None, np.full((3, 21), np.nan), np.zeros((3, 21))])
 def test_a_truth_without_velocity_says_so(twist: np.ndarray | None) -> None:
     truth = random_hand(3)
     measures, _ = measure(truth, replace(truth, twist=twist))
