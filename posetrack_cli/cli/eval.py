@@ -162,9 +162,7 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
     from tqdm import tqdm
 
     quiet = True if total < 2 else None
-    with tqdm(
-        total=total, unit="result", desc="eval", file=sys.stderr, disable=quiet, dynamic_ncols=True
-    ) as bar:
+    with tqdm(total=total, unit="result", desc="eval", file=sys.stderr, disable=quiet, leave=False) as bar:
         yield bar.update
 
 

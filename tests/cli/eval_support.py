@@ -51,6 +51,11 @@ def estimate(track: Track, row: int, status: Status = Status.TRACKING) -> Estima
     )
 
 
+def truth_message(topic: str, true: Estimate) -> TruthMessage:
+    data = estimate_to_json(true)
+    return TruthMessage(topic, ESTIMATE_SCHEMA_NAME, "jsonschema", b"{}", "json", true.stamp_ns, data)
+
+
 def begin(path: Path, recording: str = "aa", seed: int = 0) -> ResultWriter:
     run = {"tracker": "hand", "seed": str(seed), "configuration": CONFIGURATION, "renderer": "none"}
     return ResultWriter(path, SUBJECT, CAMERA, {**run, "input.sha256": recording}, flush_frames=10)
@@ -68,18 +73,7 @@ def write_frames(
     track, true = hand_track("made up", frames, error_mm, seed), hand_track("truth", frames, 0.0)
     for row in range(frames):
         if truth:
-            data = estimate_to_json(estimate(true, row))
-            writer.add_truth(
-                TruthMessage(
-                    "/truth/hand/estimate",
-                    ESTIMATE_SCHEMA_NAME,
-                    "jsonschema",
-                    b"{}",
-                    "json",
-                    int(true.stamp_ns[row]),
-                    data,
-                )
-            )
+            writer.add_truth(truth_message("/truth/hand/estimate", estimate(true, row)))
         writer.write(estimate(track, row, Status.LOST if row in lost else Status.TRACKING))
 
 

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eval_support import write_result
+from eval_support import CAMERA, truth_message, write_result
 from evaluation_support import hand_track
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.metrics import CATALOGUE
 from posetrack_cli.recording.output import part_path
+from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
 
 SUPPORT = Path(__file__).with_name("eval_support.py")
 PASSES, FAILS = "joint_error_mm.mean > 1000", "joint_error_mm.mean > 0.001"
@@ -466,6 +467,52 @@ def test_truth_from_another_result(tmp_path: Path, result: Path, capsys: pytest.
     assert "not measured (no truth" in capsys.readouterr().out
     assert evaluate(blind, "--truth", result) == 0
     assert "joint_error_mm" in shown(capsys.readouterr().out)
+
+
+def head_result(path: Path, off_mm: tuple[float, float, float]) -> Path:
+    """A head that faces the camera, its estimate off by the same vector in every frame."""
+    points = np.array([[-30.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
+    subject = Subject("head", "camera", (), ("left", "right"), (-1, -1))
+
+    def at(row: int, position: np.ndarray) -> Estimate:
+        nothing, own = np.zeros(6), position + points @ np.diag([1.0, -1.0, -1.0])
+        return Estimate(
+            frame_index=row,
+            stamp_ns=row * 10**8,
+            status=Status.TRACKING,
+            confidence=1.0,
+            position=position,
+            quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+            shape=np.empty(0),
+            pose_rate=np.zeros(7),
+            twist=nothing,
+            pose_variance=nothing + 1.0,
+            twist_variance=nothing + 1.0,
+            points=own,
+            effective_sample_size=1.0,
+            resampled=False,
+        )
+
+    with ResultWriter(path, subject, CAMERA, {}) as writer:
+        for row in range(10):
+            true = np.array([row, 2.0 * row, 700.0])
+            writer.add_truth(truth_message("/truth/head/estimate", at(row, true)))
+            writer.write(at(row, true + np.array(off_mm)))
+        writer.finish({})
+    return path
+
+
+def test_heads_have_the_thesis_s_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = head_result(tmp_path / "head.mcap", (1.0, -2.0, 4.0))
+    assert evaluate(path, "--fail-if", "point_error_mm.left.max > 0.001", "--fail-if", "z_mm.mean > 4.5") == 0
+    table = shown(capsys.readouterr().out)
+    # the points move with the head, so in head coordinates they have no error; rounding is far below 1e-6
+    assert [float(cell) for cell in table["mean"]] == pytest.approx([1, 2, 4, 0, 0, 0], abs=1e-6)
+    assert [float(cell) for cell in table["sd"]] == pytest.approx([0] * 6, abs=1e-6)
+    assert evaluate(path, "--fail-if", "point_error_mm.nose.max > 1") == 2
+    assert "metric 'point_error_mm' has no 'nose' here" in capsys.readouterr().err
+    assert evaluate(path, "--fail-if", "joint_error_mm.mean > 1") == 1
+    assert "it is no metric of a head" in capsys.readouterr().err
 
 
 def test_removing_the_offset_is_told_in_the_table(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
