@@ -101,7 +101,7 @@ class _Rows:
 
     def values(self, columns: int) -> FloatArray:
         """(N, columns)."""
-        return np.array(self.rows, dtype=np.float64).reshape(-1, columns)
+        return np.array(self.rows, dtype=np.float64).reshape(len(self.rows), columns)
 
     def of(self, chosen: IntArray) -> _Rows:
         """Return some of the rows."""
@@ -154,10 +154,13 @@ def _together(poses: _Rows, joints: _Rows, losses: LossLog) -> tuple[_Rows, _Row
 
 
 def _track(poses: _Rows, joints: _Rows, subject: str, name: str) -> Track:
-    values, shape = poses.values(13), joints.values(2 * len(joints.names))
-    count = len(joints.names)
+    values = poses.values(13)
     quaternion = unit_quaternions(values[:, 3:7], lambda row: f"{name}, pose at {poses.stamp_ns[row]} ns")
-    twist = np.hstack([rotate(quaternion, values[:, 7:10]), values[:, 10:], shape[:, count:]])
+    twist = np.hstack([rotate(quaternion, values[:, 7:10]), values[:, 10:]])
+    shape = None
+    if joints.names:
+        shape, rates = np.split(joints.values(2 * len(joints.names)), 2, axis=1)
+        twist = np.hstack([twist, rates])
     return Track(
         name,
         subject,
@@ -167,6 +170,6 @@ def _track(poses: _Rows, joints: _Rows, subject: str, name: str) -> Track:
         stamp_ns=poses.stamps,
         position=values[:, :3],
         quaternion=quaternion,
-        shape=shape[:, :count],
+        shape=shape,
         twist=None if np.isnan(twist).all() else twist,
     )
