@@ -10,6 +10,7 @@ import click
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 FORMATS = ("csv", "tum", "npz", "json")
+_STANDARD_OUTPUT = Path("-")
 _BY_SUFFIX = {f".{name}": name for name in FORMATS}
 
 
@@ -22,7 +23,11 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
     help="What to write.  [default: as FILE is named, else csv]",
 )
 @click.option(
-    "-o", "--output", metavar="FILE", type=click.Path(path_type=Path), help="Instead of standard output."
+    "-o",
+    "--output",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Where to write; nothing or - is standard output.",
 )
 @click.option("--topic", help="Of the estimates, such as /truth/hand/estimate.  [default: the result's own]")
 @click.option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
@@ -54,6 +59,8 @@ def export(
 
     result = read_result(path)
     source = export_source(result, topic, lost=not no_lost)
+    if output == _STANDARD_OUTPUT:
+        output = None
     chosen = format_name or _BY_SUFFIX.get(output.suffix.lower() if output else "", "csv")
     if output is None:
         if sys.stdout is None:

@@ -41,7 +41,7 @@ def check_target(
     """Refuse an output of any kind that cannot be written, or would replace what it must not.
 
     Raises:
-        UsageError: it is a folder, would be written over the source (under its own name or as NAME.part), or
+        UsageError: it is a folder or a device, would be written over the source (under its own name or as NAME.part), or
             a file or an interrupted run is there that may not be replaced.
         ResultError: its folder does not exist.
     """
@@ -53,6 +53,8 @@ def check_target(
             )
         if written.is_dir():
             raise UsageError("output is a folder", where=written, expected="the name of a file")
+        if written.exists() and not written.is_file():  # it would be replaced, /dev/null too
+            raise UsageError("output is no plain file", where=written, expected="the name of a file")
     if not overwrite:
         check_free(out)
 

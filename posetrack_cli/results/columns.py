@@ -34,23 +34,34 @@ _XYZ = itemgetter("x", "y", "z")
 
 
 def column_blocks(
-    messages: Iterable[bytes], fields: Collection[str] = FIELD_NAMES, frames: int = BLOCK_FRAMES
+    messages: Iterable[bytes],
+    fields: Collection[str] = FIELD_NAMES,
+    frames: int = BLOCK_FRAMES,
+    where: object = "",
 ) -> Iterator[Columns]:
     """Yield the columns of consecutive messages ``posetrack.Estimate``, at most ``frames`` rows at a time.
 
     The arrays are those of ``empty_columns``, with as many shape entries K and points P as the first message.
 
+    Args:
+        messages: in JSON.
+        fields: to decode.
+        frames: per block; the last may have fewer.
+        where: file and topic, for errors.
+
     Raises:
         ResultError: a message is no estimate, or has other numbers of shape entries or points.
     """
     rows: _Rows | None = None
-    for data in messages:
+    for number, data in enumerate(messages):
         try:
             values = parse_fields(data)
             rows = rows or _Rows(fields, len(values["shape"]), len(values["points"]))
             rows.add(values)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
-            raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", found=error) from error
+            raise ResultError(
+                f"message {number} is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error
+            ) from error
         if rows.count == frames:
             yield rows.take()
     if rows is not None and rows.count:
@@ -105,27 +116,29 @@ class _Rows:
         self.count = 0
         self._empty = empty_columns(fields, k, p)
         sizes = {name: math.prod(shape) for name, shape in array_shapes(k, p).items()}
-        self._points = p if "points" in self._empty else None
+        self._points = p
         self._sizes = {name: sizes[name] for name in self._empty if name in sizes and name != "points"}
-        self._numbers = [name for name in self._empty if name not in sizes and name != "status"]
+        self._optional = [name for name in self._empty if name in _OPTIONAL_NUMBERS]
+        others = {*sizes, *self._optional, "status"}
+        self._numbers = [name for name in self._empty if name not in others]
         self._clear()
 
     def add(self, values: Mapping[str, Any]) -> None:
         """Append a message's values; what they raise says what is wrong with them."""
         buffers = self._buffers
         for name in self._numbers:
-            buffers[name].append(values.get(name, math.nan) if name in _OPTIONAL_NUMBERS else values[name])
+            buffers[name].append(values[name])
+        for name in self._optional:
+            value = values.get(name)
+            buffers[name].append(math.nan if value is None else value)
         if "status" in buffers:
             buffers["status"].append(_STATUS_CODES[values["status"]])
         for name, size in self._sizes.items():
-            numbers = values.get(name) if name in VELOCITY_FIELDS else values[name]
-            if numbers is None:
-                numbers = [math.nan] * size
-            _check_count(name, numbers, size)
-            buffers[name].extend(numbers)
-        if self._points is not None:
-            _check_count("points", values["points"], self._points)
-            buffers["points"].extend(chain.from_iterable(map(_XYZ, values["points"])))
+            unknown = name in VELOCITY_FIELDS and values.get(name) is None
+            buffers[name].extend([math.nan] * size if unknown else _counted(name, values[name], size))
+        if "points" in buffers:
+            points = _counted("points", values["points"], self._points)
+            buffers["points"].extend(chain.from_iterable(map(_XYZ, points)))
         self.count += 1
 
     def take(self) -> Columns:
@@ -136,7 +149,7 @@ class _Rows:
 
     def _clear(self) -> None:
         self.count = 0
-        self._buffers = {name: array(_CODES.get(name, "d")) for name in self._empty}
+        self._buffers: dict[str, array[Any]] = {name: array(_CODES.get(name, "d")) for name in self._empty}
 
     def _column(self, name: str, empty: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         flat = np.array(self._buffers[name])
@@ -146,6 +159,8 @@ class _Rows:
         return column.reshape(self.count, *empty.shape[1:])
 
 
-def _check_count(name: str, values: Any, expected: int) -> None:
+def _counted(name: str, values: Any, expected: int) -> Any:
+    """Return values if there are as many as expected."""
     if len(values) != expected:
         raise ValueError(f"{name} of {len(values)} entries among others of {expected}")
+    return values

@@ -126,8 +126,9 @@ class Result:
         self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES
     ) -> Iterator[Columns]:
         """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
-        messages = self._messages([self.topic_of_estimates(topic)])
-        yield from column_blocks((message.data for _, _, message in messages), fields)
+        topic = self.topic_of_estimates(topic)
+        messages = (message.data for _, _, message in self._messages([topic]))
+        yield from column_blocks(messages, fields, where=f"{self.path}, {topic}")
 
     def columns(self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES) -> Columns:
         """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.
