@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from hypothesis import settings
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Curve, Pairs
@@ -20,6 +21,7 @@ from posetrack_cli.hand.kinematics import joint_positions
 HEAD_POINTS = ("left_eye_inner", "left_mouth_corner", "right_nostril", "right_brow_inner")
 FRAME_NS = 33_333_333
 NOTHING = "nothing to compare"
+relaxed = settings(deadline=None, max_examples=60)
 
 
 def random_quaternions(rng: np.random.Generator, frames: int) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import figures, measure, number, random_hand, random_head
+from metrics_support import figures, measure, number, random_hand, random_head, relaxed
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.track import Track
@@ -98,6 +98,7 @@ def test_calibrated_gaussian_errors_are_found_consistent(random: object, dimensi
             assert number(measures, f"{prefix}inside_90.{part}") == pytest.approx(0.9, abs=part_error)
 
 
+@relaxed
 @given(st.floats(0.1, 10.0), st.integers(0, 1000))
 def test_a_variance_too_large_by_a_factor_divides_the_nees(factor: float, seed: int) -> None:
     estimate, truth = random_hand(5, seed), random_hand(5, seed + 1)

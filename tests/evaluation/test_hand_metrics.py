@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import NOTHING, figures, measure, moved, number, random_hand
+from metrics_support import NOTHING, figures, measure, moved, number, random_hand, relaxed
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
@@ -220,6 +220,7 @@ def test_a_perfect_estimate_has_no_errors() -> None:
     assert set(measures.metrics) <= set(addresses("hand"))
 
 
+@relaxed
 @given(SEEDS, st.tuples(*[st.floats(-200.0, 200.0)] * 3))
 def test_a_constant_shift_is_exactly_the_wrist_s_error(seed: int, shift: tuple[float, ...]) -> None:
     truth = random_hand(4, seed)
@@ -234,6 +235,7 @@ def test_a_constant_shift_is_exactly_the_wrist_s_error(seed: int, shift: tuple[f
     assert figures(measures, "angle_error_deg").max == 0.0
 
 
+@relaxed
 @given(SEEDS, SEEDS, SEEDS)
 def test_errors_do_not_depend_on_where_the_camera_is(seed: int, other: int, motion: int) -> None:
     rng = np.random.default_rng(motion)

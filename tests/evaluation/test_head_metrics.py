@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import HEAD_POINTS, figures, measure, moved, random_head
+from metrics_support import HEAD_POINTS, figures, measure, moved, random_head, relaxed
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.evaluation.head_metrics import TABLE_ORDER
@@ -97,6 +97,7 @@ def test_a_perfect_estimate_has_no_errors() -> None:
         assert (value.max <= 1e-6) if isinstance(value, Statistics) else (value == 1.0)
 
 
+@relaxed
 @given(SEEDS, SEEDS)
 def test_points_in_head_coordinates_do_not_see_the_camera_move(seed: int, motion: int) -> None:
     rng = np.random.default_rng(motion)
