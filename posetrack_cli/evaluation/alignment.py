@@ -135,21 +135,30 @@ def _cross_matrix(v: FloatArray) -> FloatArray:
 
 
 def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> FloatArray:
-    """Return each point's mean difference m_true - m, (P, 3) mm, in the object's frame of either side."""
-    return (_in_object(truth, theirs) - _in_object(track, mine)).mean(axis=0)  # type: ignore[no-any-return]
+    """Return each point's mean difference m_true - m, (P, 3) mm, each side in its object's frame.
+
+    One point at a time: a long track's points are most of its memory.
+    """
+    return np.array(
+        [
+            (_in_object(truth, theirs, point) - _in_object(track, mine, point)).mean(axis=0)
+            for point in range(len(track.point_names))
+        ]
+    )
 
 
-def _in_object(track: Track, rows: IntArray) -> FloatArray:
-    """Return points in the object's frame, (M, P, 3): R^T (p - t)."""
-    rotation = rotations.matrices_from_quaternions(_known(track.quaternion)[rows])
-    own: FloatArray = (_known(track.points)[rows] - _known(track.position)[rows, None]) @ rotation
-    return own
+def _in_object(track: Track, rows: IntArray, point: int) -> FloatArray:
+    """Return one point in the object's frame, (M, 3): R^T (p - t)."""
+    inverse = rotations.conjugate(_known(track.quaternion)[rows])
+    return rotations.rotate(inverse, _known(track.points)[rows, point] - _known(track.position)[rows])
 
 
 def _with_points_moved(track: Track, offsets: FloatArray) -> Track:
     """Return the track with its points moved by offsets (P, 3) in the object's frame."""
-    rotation = rotations.matrices_from_quaternions(_known(track.quaternion))
-    return replace(track, points=_known(track.points) + offsets @ np.swapaxes(rotation, 1, 2))
+    points = _known(track.points).copy()
+    for point, offset in enumerate(offsets):
+        points[:, point] += rotations.rotate(_known(track.quaternion), offset)
+    return replace(track, points=points)
 
 
 def _known(array: FloatArray | None) -> Any:
