@@ -18,6 +18,7 @@ from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, anatomy_of
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
@@ -111,19 +112,21 @@ def image_consistency(
         device: EGL device index, None for the default.
 
     Returns:
-        Nothing where the recording gives none of the result's frames.
+        Nothing where the recording gives none of the result's frames, or the result has none.
 
     Raises:
         ResultError: the result is of another subject.
         UsageError: the images are not of the size that was tracked.
         RenderingError: nothing can be rendered here.
     """
+    anatomy, track = anatomy_of(result.run), track_of_result(result, "")
+    if not len(track):
+        return {}
     camera = result.camera()
     check_same_size(camera, recording)
     context = open_context(device)
     try:
-        measure = HandConsistency(context, anatomy_of(result.run), camera)
-        compared = np.array(_compared(result, recording, measure)).reshape(-1, 2)
+        compared = _compared(track, recording, HandConsistency(context, anatomy, camera))
     finally:
         context.release()
     if not len(compared):
@@ -132,12 +135,10 @@ def image_consistency(
     return {"residual_mm": statistics(residual[~np.isnan(residual)]), "region_overlap": statistics(overlap)}
 
 
-def _compared(
-    result: Result, recording: StoredRecording, measure: HandConsistency
-) -> list[tuple[float, float]]:
-    track = track_of_result(result, "")
+def _compared(track: Track, recording: StoredRecording, measure: HandConsistency) -> FloatArray:
+    """Residual and overlap (M, 2) of the frames that the recording gives."""
     if track.position is None or track.quaternion is None or track.shape is None:
-        return []
+        return np.empty((0, 2))
     poses = np.hstack([track.position, track.quaternion, track.shape])
     frames = matched_frames(recording, track.stamp_ns, track.frame_index, LossLog())
-    return [measure.compare(poses[row], frame) for row, frame in frames]
+    return np.array([measure.compare(poses[row], frame) for row, frame in frames]).reshape(-1, 2)

@@ -82,11 +82,11 @@ class View:
     ) -> None:
         self._recording, self._options, self._log = recording, options, LossLog()
         self.layout = _layout(options, len(results))
-        self._camera = _common_camera(results, recording)
         truth = _truth(results[0], options)
         layers = _layers(results, truth, context)
         self._track = layers[0].track
         self.rows = _rows(options, layers[0])
+        self._camera = _common_camera(results, recording)
         self._panels = Panels(
             camera=self._camera,
             sampler=PixelSampler(self._camera),

@@ -1,0 +1,165 @@
+"""Videos, folders and sheets: what is written can be read, and nothing is replaced unasked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.viewing.outputs import (
+    PictureFolder,
+    Sheet,
+    VideoFile,
+    check_view_output,
+    open_output,
+    sheet_of,
+)
+
+RATE = 12.5
+COLOUR_TOLERANCE = 40
+"""The codec's loss on plain colours; the colours of the tests differ by over 100."""
+
+
+def plain(level: int, height: int = 64, width: int = 96) -> np.ndarray:
+    return np.full((height, width, 3), level, np.uint8)
+
+
+def pictures_of(path: Path) -> list[np.ndarray]:
+    video, pictures = cv2.VideoCapture(str(path)), []
+    while True:
+        read, picture = video.read()
+        if not read:
+            return pictures
+        pictures.append(picture)
+
+
+def test_a_video_plays_back_with_every_picture_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "ü.mp4"
+    video = VideoFile(path, RATE)
+    levels = [0, 120, 250, 120, 0]
+    for index, level in enumerate(levels):
+        video.add(index, plain(level))
+    assert not path.exists(), "the name stands for a whole video"
+    video.close()
+    played = pictures_of(path)
+    assert [picture.shape for picture in played] == [(64, 96, 3)] * 5
+    np.testing.assert_allclose([p.mean() for p in played], levels, atol=COLOUR_TOLERANCE)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FPS) == pytest.approx(RATE)
+    assert [p.name for p in tmp_path.iterdir()] == ["ü.mp4"]
+
+
+@pytest.mark.parametrize("size", [(63, 97), (65, 96), (17, 1), (1, 1)])
+def test_pictures_of_odd_size_keep_every_pixel(tmp_path: Path, size: tuple[int, int]) -> None:
+    path = tmp_path / "v.mp4"
+    video = VideoFile(path, RATE)
+    video.add(0, plain(200, *size))
+    video.close()
+    (played,) = pictures_of(path)
+    height, width = size
+    assert played.shape[:2] == (height + height % 2, width + width % 2)
+    assert played[:height, :width].min() > 200 - 2 * COLOUR_TOLERANCE
+
+
+@pytest.mark.parametrize("rate", [0.001, 0.1, 1 / 3, 29.97, 1e9 / 33333333, 240.0, 1e6])
+def test_rates_that_no_player_knows_are_brought_into_range(tmp_path: Path, rate: float) -> None:
+    path = tmp_path / "v.mp4"
+    video = VideoFile(path, rate)
+    for index in range(3):
+        video.add(index, plain(50))
+    video.close()
+    assert len(pictures_of(path)) == 3
+    expected = min(max(rate, 0.1), 240.0)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FPS) == pytest.approx(expected, abs=0.01)
+
+
+def test_a_video_without_pictures_leaves_no_file_and_a_failed_one_neither(tmp_path: Path) -> None:
+    VideoFile(tmp_path / "a.mp4", RATE).close()
+    failed = VideoFile(tmp_path / "b.mp4", RATE)
+    failed.add(0, plain(1))
+    failed.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_video_that_was_cut_short_is_not_taken_for_one(tmp_path: Path) -> None:
+    """A full disk: FFmpeg says nothing, so the file is looked at before it gets its name."""
+    path = tmp_path / "v.mp4"
+    video = VideoFile(path, RATE)
+    for index in range(5):
+        video.add(index, plain(50))
+    video._count += 1  # as if the last one had not reached the disk
+    with pytest.raises(ResultError, match=r"v.mp4: video does not play back"):
+        video.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_place_is_one_line(tmp_path: Path) -> None:
+    video = VideoFile(tmp_path / "nowhere" / "v.mp4", RATE)
+    with pytest.raises(ResultError, match=r"v.mp4: cannot be written, found No such file or directory"):
+        video.add(0, plain(1))
+
+
+def test_a_folder_holds_a_picture_per_frame_and_loses_those_of_before(tmp_path: Path) -> None:
+    folder = tmp_path / "pictures"
+    for frames in ([3, 1_234_567], [4]):
+        out = PictureFolder(folder)
+        for frame in frames:
+            out.add(frame, plain(frame % 200))
+        out.close()
+    (folder / "notes.txt").write_text("mine")
+    assert sorted(p.name for p in folder.iterdir()) == ["frame_000004.png", "notes.txt"]
+    np.testing.assert_array_equal(cv2.imread(str(folder / "frame_000004.png")), plain(4))
+
+
+@pytest.mark.parametrize(("count", "width", "columns"), [(1, 96, 1), (6, 300, 6), (7, 700, 3), (3, 5000, 1)])
+def test_a_sheet_shows_every_picture_where_reading_order_has_it(count: int, width: int, columns: int) -> None:
+    sheet = sheet_of([plain(10 + number, 20, width) for number in range(count)])
+    rows = -(-count // columns)
+    assert sheet.shape[:2] == (26 * rows - 6, (width + 6) * columns - 6)
+    for number in range(count):
+        row, column = divmod(number, columns)
+        part = sheet[26 * row : 26 * row + 20, (width + 6) * column : (width + 6) * column + width]
+        assert (part == 10 + number).all()
+
+
+def test_a_sheet_is_written_at_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "s.png"
+    sheet = Sheet(path)
+    sheet.add(0, plain(7))
+    assert not path.exists()
+    sheet.close()
+    assert cv2.imread(str(path)).shape == (64, 96, 3)
+    Sheet(tmp_path / "none.png").close()
+    assert not (tmp_path / "none.png").exists()
+
+
+def test_the_name_decides(tmp_path: Path) -> None:
+    kinds = {"a.mp4": VideoFile, "a.MP4": VideoFile, "a.png": Sheet, "a": PictureFolder}
+    for name, kind in kinds.items():
+        assert isinstance(open_output(tmp_path / name, RATE), kind)
+
+
+def test_outputs_that_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "v.mp4").write_bytes(b"")
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "file").write_bytes(b"")
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "frame_000001.png").write_bytes(b"")
+    for name, words in {
+        "v.avi": "a name that ends in .avi, expected FILE.mp4",
+        "v.mp4": "exists already; use --overwrite",
+        "full": "exists already; use --overwrite",
+        "folder.png": "output is something else already, found a folder",
+        "file": "output is something else already, found a file",
+    }.items():
+        with pytest.raises(UsageError, match=words):
+            check_view_output(tmp_path / name, overwrite=False)
+    with pytest.raises(ResultError, match="no folder"):
+        check_view_output(tmp_path / "no" / "v.mp4", overwrite=False)
+    for name in ("v.mp4", "full", "new.mp4", "new"):
+        check_view_output(tmp_path / name, overwrite=True)
+    (full / "frame_000001.png").rename(full / "mine.png")
+    check_view_output(full, overwrite=False)

@@ -1,0 +1,197 @@
+"""Panels of a frame: what is over what, marks of lost frames, lens distortion, captions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from evaluation_support import FRAME_NS, hand_track
+from viewing_support import KINECT
+
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.viewing.colours import LOST, SECOND, SKIN, TRUTH, DepthRange
+from posetrack_cli.evaluation.viewing.drawing import Shown
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
+from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
+from posetrack_cli.evaluation.viewing.panels import LAYOUTS, Panels
+from posetrack_cli.evaluation.viewing.viewport import Viewport
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.observation import PixelSampler
+from posetrack_cli.recording.base import Frame
+
+FRAMES = 4
+WHOLE = Viewport.whole(KINECT)
+LENS = replace(KINECT, distortion=(0.25, -0.1, 0.002, -0.003, 0.0))
+CAPTION_PX = 18
+
+
+@pytest.fixture(scope="module")
+def drawer(context: Any) -> Iterator[HandDrawer]:
+    yield HandDrawer(context, make_anatomy())
+
+
+@pytest.fixture(scope="module")
+def track() -> Track:
+    return hand_track("mine", FRAMES, 0.0)
+
+
+def frame_of(drawer: HandDrawer, track: Track, row: int = 1, camera: Camera = KINECT) -> Frame:
+    """What a sensor behind a pinhole sees of the track's own hand, before a wall."""
+    depth = drawer.depth(camera, Shown.of_row(track, row))
+    assert depth is not None
+    return Frame(row, int(track.stamp_ns[row]), (np.where(depth > 0, depth, 2000.0).astype(np.float32),))
+
+
+def panels_of(*layers: Layer, camera: Camera = KINECT, truth: Layer | None = None) -> Panels:
+    sampler, depths = PixelSampler(camera), DepthRange(500.0, 1000.0)
+    return Panels(camera, sampler, depths, layers, truth, None, start_ns=0)
+
+
+def near_colour(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+    return (np.abs(picture.astype(int) - colour) <= 2).all(axis=2)
+
+
+def test_over_changes_the_hand_s_pixels_and_dims_the_rest(drawer: HandDrawer, track: Track) -> None:
+    frame, panels = frame_of(drawer, track), panels_of(Layer(track, drawer))
+    hand = frame.depth < 1000.0
+    observed = panels.observed(frame, WHOLE)
+    over = panels.over(observed, frame.stamp_ns, WHOLE, panels.layers)
+    np.testing.assert_allclose(over[~hand], 0.6 * observed[~hand], atol=1.0)
+    changed = np.abs(over.astype(float) - 0.6 * observed).max(axis=2) > 10
+    assert changed[hand].mean() > 0.99
+
+
+def test_rendered_shows_the_estimate_and_nothing_else(drawer: HandDrawer, track: Track) -> None:
+    frame, panels = frame_of(drawer, track), panels_of(Layer(track, drawer))
+    hand = frame.depth < 1000.0
+    np.testing.assert_array_equal(panels.rendered(frame.stamp_ns, WHOLE, panels.layers[0]).any(axis=2), hand)
+
+
+def test_the_truth_is_a_green_contour_where_the_truth_is(drawer: HandDrawer, track: Track) -> None:
+    assert track.position is not None
+    wrong = replace(track, position=track.position + np.array([60.0, 0.0, 0.0]))
+    panels = panels_of(Layer(wrong, drawer), truth=Layer(track, drawer, TRUTH))
+    frame = frame_of(drawer, track)
+    picture = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, panels.layers)
+    hand = (frame.depth < 1000.0).astype(np.uint8)
+    rim = (hand > 0) & (cv2.erode(hand, np.ones((3, 3), np.uint8)) == 0)
+    np.testing.assert_array_equal(near_colour(picture, TRUTH), rim)
+
+
+@pytest.mark.parametrize("status", ["tracking", "lost", "reinitialised", "no estimate"])
+def test_frames_that_are_not_simply_tracked_have_a_border(
+    drawer: HandDrawer, track: Track, status: str
+) -> None:
+    row = 1
+    at_row = np.arange(FRAMES) == row
+    changed = replace(
+        track, lost=at_row & (status == "lost"), reinitialised=at_row & (status == "reinitialised")
+    )
+    frame = frame_of(drawer, track, row)
+    if status == "no estimate":
+        frame = replace(frame, stamp_ns=10 * FRAMES * FRAME_NS)
+    layer = Layer(changed, drawer)
+    assert layer.status(frame.stamp_ns) == status
+    panels = panels_of(layer)
+    border = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, (layer,))[0]
+    red = near_colour(border[None], LOST).all()
+    assert red == (status in ("lost", "no estimate"))
+    assert bool(layer.mark(frame.stamp_ns)) == (status != "tracking")
+    words = " ".join(layer.words(frame.stamp_ns))
+    assert (status.upper() if red else status) in words
+
+
+def test_a_distorted_image_is_straightened_to_where_the_hand_is_drawn(
+    drawer: HandDrawer, track: Track
+) -> None:
+    """The sensor's pixels are where OpenCV's lens model puts them; drawn hand and image must still agree."""
+    assert track.position is not None
+    track = replace(track, position=track.position + np.array([230.0, -130.0, 0.0]))  # a lens bends corners
+    straight = frame_of(drawer, track)
+    v, u = np.mgrid[0 : LENS.height, 0 : LENS.width].astype(np.float64)
+    through_lens = np.stack([u.ravel(), v.ravel()], axis=1)
+    ideal = cv2.undistortPoints(
+        through_lens[:, None], LENS.matrix, np.array(LENS.distortion), None, None, LENS.matrix
+    )[:, 0]
+    x, y = (ideal[:, k].reshape(u.shape).astype(np.float32) for k in (0, 1))
+    seen = cv2.remap(straight.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    frame = replace(straight, images=(seen,))
+    assert ((seen < 1000.0) != (straight.depth < 1000.0)).sum() > 300, "the lens moves the hand"
+    panels = panels_of(Layer(track, drawer), camera=LENS)
+    shown = panels.observed(frame, WHOLE)
+    drawn = panels.rendered(frame.stamp_ns, WHOLE, panels.layers[0]).any(axis=2)
+    wall = tuple(shown[350, 100].tolist())
+    in_image = ~near_colour(shown, wall) & shown.any(axis=2)
+    assert (in_image != drawn).sum() < 0.05 * drawn.sum()  # nearest pixels twice: an edge moves by one
+
+
+@pytest.mark.parametrize(
+    ("layout", "results", "across", "down"),
+    [
+        ("over", 1, 1, 1),
+        ("over", 2, 1, 1),
+        ("beside", 1, 3, 1),
+        ("beside", 2, 5, 1),
+        ("paper", 1, 1, 2),
+        ("paper", 2, 1, 3),
+        ("side-by-side", 2, 2, 1),
+    ],
+)
+def test_sizes_of_layouts(
+    drawer: HandDrawer, track: Track, layout: str, results: int, across: int, down: int
+) -> None:
+    layers = [Layer(track, drawer, tone, name) for tone, name in ((SKIN, "a"), (SECOND, "b"))]
+    panels = panels_of(*(layers if results == 2 else [Layer(track, drawer)]))
+    viewport = Viewport(100, 100, 300, 200, 2.0)
+    pictures = [panels.picture(frame_of(drawer, track, row), layout, viewport) for row in range(FRAMES)]
+    height, width = pictures[0].shape[:2]
+    assert width == 600 * across
+    assert (height - 400 * down) in (CAPTION_PX, 2 * CAPTION_PX, 3 * CAPTION_PX)
+    assert {picture.shape for picture in pictures} == {pictures[0].shape}, "a video needs one size"
+    assert layout in LAYOUTS
+
+
+def test_two_results_differ_in_colour(drawer: HandDrawer, track: Track) -> None:
+    panels = panels_of(Layer(track, drawer, SKIN, "a"), Layer(track, drawer, SECOND, "b"))
+    picture = panels.picture(frame_of(drawer, track), "side-by-side", WHOLE)[:-CAPTION_PX]
+    left, right = np.hsplit(picture.astype(int), 2)
+    hand = np.abs(left - right).max(axis=2) > 10
+    assert (left[hand][:, 2] > left[hand][:, 0]).mean() > 0.9, "skin is red rather than blue"
+    assert (right[hand][:, 2] < right[hand][:, 0]).mean() > 0.9
+
+
+def test_estimates_within_the_tolerance_of_a_stamp_are_its_own(drawer: HandDrawer, track: Track) -> None:
+    layer = Layer(track, drawer)
+    assert [layer.row(FRAME_NS + late) for late in (0, 4_999_999, -5_000_000)] == [1, 1, 1]
+    assert layer.row(FRAME_NS + 5_000_001) is None
+    assert layer.row(-FRAME_NS) is None and layer.row(FRAMES * FRAME_NS) is None
+    empty = Track("t", "hand", (), (), (), stamp_ns=np.empty(0, np.int64))
+    assert Layer(empty, drawer).row(0) is None
+
+
+def test_words_tell_what_is_known(drawer: HandDrawer, track: Track) -> None:
+    assert Layer(track, drawer).words(0) == ["tracking", "confidence 0.80"]
+    errors = np.array([np.nan, 12.345, 0.0, 0.0])
+    named = Layer(replace(track, confidence=None), drawer, name="mine", error_mm=errors)
+    assert named.words(FRAME_NS) == ["mine", "tracking", "error 12.3 mm"]
+    assert named.words(0) == ["mine", "tracking"]
+
+
+def test_point_errors_are_mean_distances_at_equal_stamps(track: Track) -> None:
+    assert track.points is not None
+    offset = np.zeros((21, 3))
+    offset[0] = [3.0, 4.0, 0.0]
+    late = np.array([0, 1, 0, FRAME_NS // 2])
+    truth = replace(track, points=track.points + offset, stamp_ns=track.stamp_ns + late)
+    errors = point_errors(track, truth)
+    assert errors is not None
+    np.testing.assert_allclose(errors[:3], 5.0 / 21)
+    assert np.isnan(errors[3])
+    assert point_errors(track, None) is None
+    assert point_errors(track, replace(track, points=track.points[:, :5])) is None
+    assert point_errors(replace(track, points=None), track) is None
