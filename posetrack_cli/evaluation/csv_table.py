@@ -134,7 +134,12 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         raise TruthError("cannot be read", where=path, found=error.strerror or error) from error
     except UnicodeDecodeError as error:
         found = f"byte 0x{error.object[error.start]:02x}"
-        raise TruthError("is no UTF-8 text", where=f"{path} line {number}", found=found) from error
+        raise TruthError(
+            "is no UTF-8 text",
+            where=f"{path} line {number}",
+            found=found,
+            hint="a truth is an MCAP file or a CSV file in UTF-8",
+        ) from error
 
 
 def _rows(path: Path) -> Iterator[_Row]:

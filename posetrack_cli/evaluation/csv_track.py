@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 
@@ -118,7 +119,7 @@ def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
         raise TruthError(
             "no column is known",
             where=header.path,
-            found=", ".join(header.columns) or "an empty header row",
+            found=shorten(", ".join(header.columns), 100, placeholder=" ..."),
             expected=_known(subject),
         )
     if header.stamp_column is None:
@@ -162,9 +163,17 @@ def _point_names(header: CsvHeader, subject: Subject) -> tuple[str, ...]:
 
 
 def _known(subject: Subject) -> str:
-    """Return every column that a file of this subject may have."""
-    names = (*NS_PER_UNIT, *POSITION, *QUATERNION, *LINEAR, *ANGULAR, *_point_columns(subject.point_names))
-    return ", ".join((*names, *shape_columns(subject), *rate_columns(subject)))
+    """Return what columns a file of this subject may have."""
+    point, shape = "<point>", replace(subject, shape_names=("<name>",))
+    groups = [
+        "/".join(NS_PER_UNIT),
+        *(" ".join(group) for group in (POSITION, QUATERNION, LINEAR, ANGULAR)),
+        f"{' '.join(_point_columns([point]))} for {point} {' '.join(subject.point_names)}",
+    ]
+    if subject.shape_names:
+        columns = " ".join(shape_columns(shape) + rate_columns(shape))
+        groups.append(f"{columns} for <name> {' '.join(subject.shape_names)}")
+    return ", ".join(groups)
 
 
 def shape_columns(subject: Subject) -> tuple[str, ...]:

@@ -23,7 +23,11 @@ from truth_support import (
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
+from posetrack_cli.evaluation.csv_table import read_header
+from posetrack_cli.evaluation.csv_track import load_csv_track
 from posetrack_cli.evaluation.errors import TruthError
+from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth import load_truth
 from posetrack_cli.recording.base import TruthMessage
@@ -383,3 +387,40 @@ def test_names_of_files_may_be_any(tmp_path: Path) -> None:
     own = estimates(HAND, 3)
     path = recording_of(tmp_path / "Größe 手.mcap", HAND, own, ("estimate",))
     assert truth_of(result_of(tmp_path), path).name == "Größe 手.mcap"
+
+
+@pytest.mark.parametrize("person", ["person-a", "person-b"])
+def test_the_rendered_heads_against_themselves(tmp_path: Path, person: str) -> None:
+    """A track that is the truth has no error: 1e-9 mm is the rounding of points to and from the head."""
+    path = Path(__file__).parents[3] / "shared" / "data" / "heads" / person / "truth.csv"
+    if not path.exists():
+        pytest.skip("../shared/data/heads is not here")
+    columns = [name for name in read_header(path).columns if name.endswith("_x_mm")]
+    names = tuple(name.removesuffix("_x_mm") for name in columns)
+    head = Subject("head", "left", (), names, (-1,) * len(names))
+    true = load_csv_track(path, head)
+    blank = estimates(head, len(true), velocity=False)
+    own = [
+        replace(one, stamp_ns=int(stamp), position=position, quaternion=quaternion, points=points)
+        for one, stamp, position, quaternion, points in zip(
+            blank, true.stamp_ns, of(true.position), of(true.quaternion), of(true.points), strict=True
+        )
+    ]
+    result = write_result(tmp_path / "head.mcap", head, own)
+    measured = evaluate(result, EvalOptions(truth=path))
+    assert measured.coverage.share == 1.0 and measured.coverage.frames == len(true)
+    for name in (
+        "x_mm",
+        "y_mm",
+        "z_mm",
+        "roll_deg",
+        "pitch_deg",
+        "yaw_deg",
+        "rotation_deg",
+        "point_error_mm",
+    ):
+        figures = measured.metrics[name]
+        assert isinstance(figures, Statistics)
+        assert figures.max < 1e-9, name
+    aligned = evaluate(result, EvalOptions(truth=path, align="rigid+points"))
+    assert aligned.notes[0].startswith("one constant rigid offset removed: 0.0 0.0 0.0 mm, 0.0 deg")
