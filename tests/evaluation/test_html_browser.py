@@ -1,0 +1,490 @@
+"""The page in a real headless Chromium: it draws, moves, answers, fits, and asks nobody for anything."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from browser_support import console_lines, open_browser, requested, set_features, set_width
+from evaluation_support import FRAME_NS, hand_evaluation
+from html_support import head_evaluation, picture
+from test_html_page import NASTY, shortened, without_truth
+
+from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.html import write_html
+
+FRAMES = 120
+PIXEL = 0.1
+"""Coordinates are embedded in steps of 0.01 mm, and a millimetre takes less than ten pixels."""
+
+PAUSE = """
+const done = arguments[arguments.length - 1];
+requestAnimationFrame(() => requestAnimationFrame(() => done()));
+"""
+PROJECTED = "return document.querySelector('.scene canvas').projected"
+
+
+class Page:
+    """A page in the browser."""
+
+    def __init__(self, driver: Any, path: Path) -> None:
+        self.driver = driver
+        self.path = path
+
+    def open(self, width: int = 1200, scheme: str = "light") -> Page:
+        set_width(self.driver, width)
+        set_features(self.driver, prefers_color_scheme=scheme)
+        self.driver.get("about:blank")
+        console_lines(self.driver), requested(self.driver)
+        self.driver.get(self.path.as_uri())
+        self.settle()
+        return self
+
+    def settle(self) -> None:
+        """Wait until what was asked for is drawn."""
+        self.driver.execute_async_script(PAUSE)
+
+    def run(self, script: str, *arguments: Any) -> Any:
+        result = self.driver.execute_script(script, *arguments)
+        self.settle()
+        return result
+
+    def find(self, selector: str) -> Any:
+        return self.driver.find_element("css selector", selector)
+
+    def all(self, selector: str) -> list[Any]:
+        found: list[Any] = self.driver.find_elements("css selector", selector)
+        return found
+
+    def choose(self, selector: str, value: str) -> None:
+        """Choose an option of a select."""
+        self.run(
+            "const [one, value] = arguments; one.value = value; one.dispatchEvent(new Event('change'));",
+            self.find(selector),
+            value,
+        )
+
+    def slide(self, frame: int) -> None:
+        self.run(
+            "const [one, value] = arguments; one.value = value; one.dispatchEvent(new Event('input'));",
+            self.find(".scene input[type=range]"),
+            frame,
+        )
+
+    def joints(self, which: str = "estimate") -> np.ndarray:
+        """(D, 3) where the drawn points are: pixels, and mm away from the centre."""
+        return np.array(self.run(PROJECTED)[which], dtype=np.float64)
+
+    def path_of(self, selector: str) -> str:
+        return str(self.find(selector).get_attribute("d"))
+
+    def mouse(self, kind: str, selector: str, share: float, **more: Any) -> None:
+        """A mouse event at a share of the width of an element, half way down."""
+        found = self.find(selector)
+        self.run("arguments[0].scrollIntoView({block: 'center'})", found)
+        box = self.run("return arguments[0].getBoundingClientRect().toJSON()", found)
+        values = {"x": box["x"] + share * box["width"], "y": box["y"] + 0.5 * box["height"], **more}
+        self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": kind, **values})
+        self.settle()
+
+    def click(self, selector: str, share: float) -> None:
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+            self.mouse(kind, selector, share, **button)
+
+    def press(self, selector: str, *keys: str) -> None:
+        self.find(selector).send_keys(*keys)
+        self.settle()
+
+    @property
+    def reading(self) -> list[str]:
+        """Frame, time, status, errors."""
+        return [one.text for one in self.all(".scene .reading span")]
+
+    def picture(self) -> np.ndarray:
+        """What the viewport shows."""
+        data = base64.b64decode(self.driver.get_screenshot_as_base64())
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        assert image is not None
+        return image
+
+    def canvas_colours(self) -> int:
+        """How many different colours the 3-D view has."""
+        return int(
+            self.run(
+                "const c = document.querySelector('.scene canvas');"
+                "const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+                "return new Set(new Uint32Array(d.buffer)).size;"
+            )
+        )
+
+
+@pytest.fixture(scope="module")
+def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with open_browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+Make = Callable[..., Page]
+
+
+@pytest.fixture
+def make(driver: Any, tmp_path: Path) -> Make:
+    """Writes a page about evaluations and opens it."""
+
+    def made(*evaluations: Evaluation, width: int = 1200, scheme: str = "light", **pictures: Any) -> Page:
+        path = tmp_path / "page.html"
+        write_html(path, evaluations, None, pictures, "A page")
+        return Page(driver, path).open(width, scheme)
+
+    return made
+
+
+def some_lost(evaluation: Evaluation) -> Evaluation:
+    """Frames 30 to 39 are lost, frames 60 to 69 do not exist."""
+    lost = np.arange(FRAMES) % FRAMES // 10 == 3
+    stamps = evaluation.track.stamp_ns + np.where(np.arange(FRAMES) >= 60, 10 * FRAME_NS, 0)
+    track = dataclasses.replace(evaluation.track, lost=lost, stamp_ns=stamps)
+    return dataclasses.replace(evaluation, track=track, series_stamp_ns=stamps)
+
+
+def test_a_page_is_silent_and_asks_for_nothing(make: Make) -> None:
+    page = make(some_lost(hand_evaluation(frames=FRAMES)), a=[picture()])
+    assert console_lines(page.driver) == []
+    asked = [address for address in requested(page.driver) if not address.startswith("data:")]
+    assert asked == [page.path.as_uri()]
+    assert page.run("return performance.getEntriesByType('resource').length") == 0
+    assert not page.all("link[href]:not([href^='data:'])")
+
+
+def test_connections_are_refused(make: Make) -> None:
+    page = make(hand_evaluation(frames=5))
+    refused = page.driver.execute_async_script(
+        "const done = arguments[0]; fetch('data:text/plain,x').then(() => done(false), () => done(true));"
+    )
+    assert refused
+    assert any("Content Security Policy" in line for line in console_lines(page.driver))
+
+
+def test_plots_are_drawn(make: Make) -> None:
+    page = make(some_lost(hand_evaluation(frames=FRAMES)))
+    for section in ("#over-time-plot", "#curve-plot", "#trajectory-plots"):
+        path = page.path_of(f"{section} path.line:not(.thin):not(.truth)")
+        numbers = np.array(path.replace("M", " ").replace("L", " ").split(), dtype=np.float64)
+        x, y = numbers[::2], numbers[1::2]
+        assert len(x) > 100
+        assert np.all(np.diff(x) >= 0)
+        assert np.ptp(x) > 200 and np.ptp(y) > 20
+        assert len(page.all(f"{section} text")) > 6
+    assert len(page.all("#trajectory-plots path.band")) == 3
+    assert len(page.all("#parts-plot line.bar")) == 1  # the made-up evaluation has one joint of its own
+    assert len(page.all("#over-time-plot rect.lost")) == 1
+    assert page.path_of("#over-time-plot path.line").count("M") == 2, (
+        "the line breaks where frames are missing"
+    )
+    assert page.canvas_colours() > 10
+
+
+def test_the_line_is_where_its_values_are(make: Make) -> None:
+    evaluation = hand_evaluation(frames=FRAMES)
+    page = make(evaluation)
+    path = page.path_of("#over-time-plot path.line:not(.thin)")
+    y = np.array(path[1:].replace("L", " ").split(), dtype=np.float64)[1::2]
+    values = evaluation.series["joint_error_mm"]
+    slope, offset = np.polyfit(values, y, 1)
+    assert slope < 0
+    np.testing.assert_allclose(slope * values + offset, y, atol=0.1)  # coordinates have one decimal
+
+
+def test_the_slider_moves_the_hand_as_projected(make: Make) -> None:
+    evaluation = hand_evaluation(frames=FRAMES)
+    page = make(evaluation)
+    points, truth = evaluation.track.points, evaluation.truth
+    assert points is not None and truth is not None and truth.points is not None
+    first = page.joints()
+    canvas = page.find(".scene canvas")
+    size = page.run("return [arguments[0].clientWidth, arguments[0].clientHeight]", canvas)
+    scale = None
+    for frame in (0, 17, FRAMES - 1):
+        page.slide(frame)
+        centre = truth.points[frame].mean(axis=0)
+        for which, expected in (("estimate", points[frame]), ("truth", truth.points[frame])):
+            seen = page.joints(which)
+            moved = expected - centre
+            flat = seen[:, :2] - np.array(size) / 2
+            scale = scale or float((flat * moved[:, :2]).sum() / (moved[:, :2] ** 2).sum())
+            np.testing.assert_allclose(flat, scale * moved[:, :2], atol=PIXEL)
+            np.testing.assert_allclose(seen[:, 2], moved[:, 2], atol=PIXEL)
+        assert page.reading[:3] == [f"frame {frame}", f"{frame * FRAME_NS / 1e9:.3f} s", "tracking"]
+    assert np.abs(page.joints() - first).max() > 5
+
+
+def test_drag_turns_wheel_zooms_reset_restores(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    before = page.joints()
+    page.mouse("mousePressed", ".scene canvas", 0.5, button="left", clickCount=1)
+    page.mouse("mouseMoved", ".scene canvas", 0.7, button="left", buttons=1)
+    page.mouse("mouseReleased", ".scene canvas", 0.7, button="left", clickCount=1)
+    turned = page.joints()
+    assert np.abs(turned[:, 0] - before[:, 0]).max() > 10, "a turn about the vertical moves points sideways"
+    np.testing.assert_allclose(turned[:, 1], before[:, 1], atol=1e-6)
+    page.mouse("mouseWheel", ".scene canvas", 0.5, deltaX=0, deltaY=-100)
+    zoomed = page.joints()
+    assert np.ptp(zoomed[:, 1]) > 1.05 * np.ptp(turned[:, 1])
+    page.find(".scene button[aria-label='Reset view']").click()
+    np.testing.assert_allclose(page.joints(), before)
+
+
+def test_keys_step_jump_turn_and_play(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    canvas = ".scene canvas"
+    page.press(canvas, "\ue014", "\ue014")  # right, twice
+    assert page.reading[0] == "frame 2"
+    page.press(canvas, "\ue012")  # left
+    assert page.reading[0] == "frame 1"
+    page.press(canvas, "\ue010")  # end
+    assert page.reading[0] == f"frame {FRAMES - 1}"
+    before = page.joints()
+    page.press(canvas, "\ue008\ue014\ue000")  # shift and right
+    assert np.abs(page.joints() - before).max() > 1
+    page.press(canvas, "0", "\ue011")  # reset, home
+    assert page.reading[0] == "frame 0"
+    page.choose(".scene select", "4")
+    page.press(canvas, " ")
+    page.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 400)")
+    page.press(canvas, " ")
+    shown = page.find(".scene input[type=range]").get_attribute("value")
+    assert int(shown) > 3, "it plays"
+    page.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 150)")
+    assert page.find(".scene input[type=range]").get_attribute("value") == shown, "it pauses"
+
+
+def test_nothing_plays_by_itself(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    page.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 200)")
+    assert page.find(".scene input[type=range]").get_attribute("value") == "0"
+
+
+def test_hovering_reads_time_frame_and_value_of_that_frame(make: Make) -> None:
+    evaluation = hand_evaluation(frames=FRAMES)
+    page = make(evaluation)
+    page.mouse("mouseMoved", "#over-time-plot svg", 0.5)
+    frame = int(page.find("#over-time-plot .tip .unit").text.removeprefix("frame "))
+    assert 40 < frame < 80
+    assert page.find("#over-time-plot .tip div").text == f"{frame * FRAME_NS / 1e9:.3f} s"
+    value, unit = page.find("#over-time-plot .tip b").text.split()
+    assert unit == "mm"
+    shown = 0.5e-2 if float(value) >= 10 else 0.5e-3  # places of the read-out
+    assert float(value) == pytest.approx(evaluation.series["joint_error_mm"][frame], abs=1.01 * shown)
+    page.mouse("mouseMoved", "h1", 0.5)
+    assert not page.find("#over-time-plot .tip").is_displayed()
+
+
+def test_the_cursor_moves_by_keys(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    page.press("#over-time-plot .plot", "\ue011", "\ue014", "\ue014")  # home, right, right
+    assert page.find("#over-time-plot .tip .unit").text == "frame 2"
+    page.press("#over-time-plot .plot", "\ue007")  # enter
+    assert page.reading[0] == "frame 2"
+
+
+def test_a_click_in_the_plot_shows_that_frame(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    page.click("#over-time-plot svg", 0.75)
+    assert page.find("#over-time-plot .tip .unit").text == page.reading[0] != "frame 0"
+    assert page.find("#trajectory-plots .now").get_attribute("visibility") == "visible"
+
+
+def test_a_worst_frame_leads_to_its_place(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES), a=[picture(77, 77 * FRAME_NS)])
+    page.run("arguments[0].click()", page.find(".jump"))
+    assert page.reading[0] == "frame 77"
+
+
+def test_dragging_shows_a_shorter_time_everywhere_and_a_button_the_whole(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    before = page.path_of("#over-time-plot path.line"), page.path_of("#trajectory-plots path.line")
+    page.mouse("mousePressed", "#over-time-plot svg", 0.4, button="left", clickCount=1)
+    page.mouse("mouseMoved", "#over-time-plot svg", 0.6, button="left", buttons=1)
+    page.mouse("mouseReleased", "#over-time-plot svg", 0.6, button="left", clickCount=1)
+    after = page.path_of("#over-time-plot path.line"), page.path_of("#trajectory-plots path.line")
+    assert all(new.count("L") < 0.4 * old.count("L") for new, old in zip(after, before, strict=True))
+    page.find("#over-time-plot .reset").click()
+    page.settle()
+    assert page.path_of("#over-time-plot path.line") == before[0]
+
+
+def test_components_can_be_chosen(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    page.choose("#component-choice", "Index angles")
+    titles = [one.text for one in page.all("#trajectory-plots .axis-title")]
+    assert "pip flexion, deg" in titles
+    page.choose("#component-choice", "Wrist rotation, quaternion")
+    assert len(page.all("#trajectory-plots .plot")) == 4
+
+
+def test_quantities_can_be_chosen(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    assert len(page.all("#over-time-plot path.line")) == 2
+    page.choose("#quantity-choice", "ess")
+    assert len(page.all("#over-time-plot path.line")) == 1
+
+
+def test_several_results_are_overlaid_and_one_is_shown_in_detail(make: Make) -> None:
+    evaluations = [some_lost(hand_evaluation(name, FRAMES, 3.0 + i)) for i, name in enumerate("ab")]
+    page = make(*evaluations, b=[picture()])
+    assert len(page.all("#over-time-plot path.line")) == 4
+    assert len(page.all("#over-time-plot rect.lost")) == 2
+    assert len(page.all("#curve-plot path.line")) == 2
+    first, shown = page.joints(), page.path_of("#trajectory-plots path.line:not(.truth)")
+    assert not page.find("#worst figure").is_displayed()
+    page.choose("#result-choice", "1")
+    assert np.abs(page.joints() - first).max() > 0.5
+    assert page.path_of("#trajectory-plots path.line:not(.truth)") != shown
+    assert page.find("#worst figure").is_displayed()
+    page.run("arguments[0].click()", page.find("#over-time-plot input[type=checkbox]"))
+    assert len(page.all("#over-time-plot path.line")) == 2
+    assert console_lines(page.driver) == []
+
+
+def test_dark_and_light_differ_and_text_can_be_read_in_both(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES))
+    light = page.picture()
+    colours = page.canvas_colours()
+    page.open(scheme="dark")
+    dark = page.picture()
+    assert light.mean() > 200 > 80 > dark.mean()
+    assert colours > 10 < page.canvas_colours()
+
+
+CONTRAST = """
+const luminance = (colour) => {
+  const [r, g, b] = colour.match(/[\\d.]+/g).map(Number).slice(0, 3).map((v) => v / 255)
+    .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const probe = document.body.appendChild(document.createElement('span'));
+const shown = (name) => {
+  probe.style.color = `var(${name})`;
+  return luminance(getComputedStyle(probe).color);
+};
+return Object.fromEntries(arguments[0].map(([ink, paper]) => {
+  const [a, b] = [shown(ink), shown(paper)].sort((x, y) => y - x);
+  return [`${ink} on ${paper}`, (a + 0.05) / (b + 0.05)];
+}));
+"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_contrast_is_enough(make: Make, scheme: str) -> None:
+    """WCAG 2.1: 4.5 for text, 3 for what is drawn."""
+    page = make(hand_evaluation(frames=5), scheme=scheme)
+    text = [[ink, paper] for ink in ("--ink", "--soft") for paper in ("--paper", "--panel")]
+    drawn = [[f"--c{i}", "--panel"] for i in range(6)] + [["--truth", "--panel"], ["--focus", "--paper"]]
+    found = page.run(CONTRAST, [*text, ["--ink", "--warn"], *drawn])
+    assert all(found[f"{ink} on {paper}"] >= 4.5 for ink, paper in [*text, ["--ink", "--warn"]]), found
+    assert all(found[f"{ink} on {paper}"] >= 3.0 for ink, paper in drawn), found
+
+
+@pytest.mark.parametrize("width", [360, 800, 1600])
+def test_the_page_does_not_scroll_sideways(make: Make, width: int) -> None:
+    run = {"input.name": "a-very-long-name-" * 10, "configuration": '{"a": {"b": "' + "x" * 300 + '"}}'}
+    evaluation = dataclasses.replace(some_lost(hand_evaluation("n" * 90, FRAMES)), run=run)
+    page = make(evaluation, hand_evaluation("b", FRAMES), width=width)
+    page.run("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    wide = page.run(
+        "return [...document.querySelectorAll('body *')].filter((one) =>"
+        " !one.closest('.scrolling, svg, .skip') && one.getBoundingClientRect().right > innerWidth + 1)"
+        ".map((one) => one.outerHTML.slice(0, 80))"
+    )
+    assert wide == []
+    assert page.run("return document.documentElement.scrollWidth") == width
+
+
+def test_controls_have_names_and_can_be_reached(make: Make) -> None:
+    page = make(hand_evaluation("a", FRAMES), hand_evaluation("b", FRAMES), a=[picture()])
+    nameless = page.run(
+        "return [...document.querySelectorAll('button, select, input, canvas, svg, img')].filter((one) =>"
+        " !(one.getAttribute('aria-label') || one.textContent.trim() || one.alt || one.labels?.length)"
+        ").map((one) => one.outerHTML.slice(0, 90))"
+    )
+    assert nameless == []
+    page.run("document.querySelector('.scene canvas').focus()")
+    assert page.run("return document.activeElement.tagName") == "CANVAS"
+
+
+def test_names_of_users_run_nothing(make: Make) -> None:
+    nasty = dataclasses.replace(hand_evaluation(frames=20), name=NASTY, run={NASTY: NASTY}, notes=(NASTY,))
+    other = dataclasses.replace(hand_evaluation("b", 20), name="<img src=x onerror=alert(2)>")
+    page = make(nasty, other)
+    assert console_lines(page.driver) == []
+    assert not page.all("img")
+    assert page.find("#result-choice option").get_attribute("textContent") == NASTY
+    page.mouse("mouseMoved", "#over-time-plot svg", 0.5)
+    assert "<img src=x onerror=alert(2)>" in page.find("#over-time-plot .tip").text
+
+
+def lost_everywhere(evaluation: Evaluation) -> Evaluation:
+    frames = len(evaluation.track)
+    return dataclasses.replace(
+        evaluation,
+        coverage=Coverage(frames, 0, frames, 0, 0, 0, 0, True, 0),
+        track=dataclasses.replace(evaluation.track, lost=np.ones(frames, dtype=np.bool_)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("evaluation", "said"),
+    [
+        (shortened(hand_evaluation(frames=9), 1), "frame 0"),
+        (dataclasses.replace(without_truth(shortened(hand_evaluation(frames=9), 0))), "There are no frames"),
+        (without_truth(hand_evaluation(frames=30)), "No truth with joints"),
+        (lost_everywhere(hand_evaluation(frames=30)), "lost"),
+        (head_evaluation(frames=30), "position, mm"),
+    ],
+    ids=["one frame", "empty", "no truth", "lost everywhere", "head"],
+)
+def test_pages_of_little_say_what_is_missing(make: Make, evaluation: Evaluation, said: str) -> None:
+    page = make(evaluation)
+    assert console_lines(page.driver) == []
+    assert said in page.find("main").text
+
+
+def test_a_page_without_results_is_silent(make: Make) -> None:
+    page = make()
+    assert console_lines(page.driver) == []
+    assert "No result was given" in page.find("main").text
+
+
+def test_a_head_s_points_and_axes_move(make: Make) -> None:
+    evaluation = head_evaluation(frames=60)
+    page = make(evaluation)
+    before = page.joints()
+    assert before.shape == (14, 3)  # ten points, the origin, three ends
+    page.slide(40)
+    assert np.abs(page.joints() - before).max() > 5
+
+
+def test_printed_it_is_light_and_everything_is_unfolded(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES), scheme="dark")
+    page.run("window.dispatchEvent(new Event('beforeprint'))")
+    assert page.run("return [...document.querySelectorAll('details')].every((one) => one.open)")
+    assert page.picture().mean() > 200
+    page.run("window.dispatchEvent(new Event('afterprint'))")
+    assert page.picture().mean() < 80
+    assert not page.run("return [...document.querySelectorAll('details')].some((one) => one.open)")
+
+
+def test_ten_thousand_frames_are_drawn(make: Make) -> None:
+    page = make(hand_evaluation(frames=10_000))
+    assert console_lines(page.driver) == []
+    page.slide(1)
+    assert page.reading[0] == "frame 4"
+    assert page.canvas_colours() > 10
