@@ -7,5 +7,6 @@ HERE = Path(__file__).parent
 for folder in (
     HERE,
     HERE.parent / "evaluation",
+    HERE.parent / "results",
 ):  # their support modules are shared by the tests of this folder
     sys.path.insert(0, str(folder))

@@ -174,4 +174,4 @@ def _deviation(names: tuple[str, ...], unit: str, of: str, field: str, first: in
 
 
 def _flat(points: Values) -> Values:
-    return points.reshape(len(points), -1)
+    return points.reshape(len(points), 3 * points.shape[1])

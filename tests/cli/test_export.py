@@ -1,0 +1,163 @@
+"""``posetrack export`` as a user meets it: names, exit codes, one line for each mistake."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from results_support import write_result
+
+from posetrack_cli.cli.export import FORMATS, export
+from posetrack_cli.cli.main import run
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_USAGE
+from posetrack_cli.results import load_arrays
+from posetrack_cli.results.export import export as library
+
+FRAMES = 26
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write_result(tmp_path / "r.mcap", FRAMES)
+
+
+def told(capfd: pytest.CaptureFixture[str]) -> str:
+    """The one line on standard error."""
+    captured = capfd.readouterr()
+    assert captured.err.count("\n") == 1, captured.err
+    return captured.err
+
+
+def rows(text: str) -> list[str]:
+    """The lines of a CSV file below its header row."""
+    return [line for line in text.splitlines() if not line.startswith("#")][1:]
+
+
+def test_formats_are_those_of_the_library() -> None:
+    assert set(FORMATS) == set(library.FORMATS)
+
+
+def test_csv_goes_to_standard_output_and_nothing_else(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for arguments in ([], ["--format", "csv"], ["-o", "-"]):
+        assert run(["export", str(path), *arguments]) == EXIT_DONE
+        captured = capfd.readouterr()
+        assert len(rows(captured.out)) == FRAMES
+        assert captured.err == ""
+    assert [entry.name for entry in path.parent.iterdir()] == ["r.mcap"]
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.tum", "a.json", "a.npz", "A.NPZ", "a.txt"])
+def test_format_is_taken_from_the_files_name(
+    path: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = path.with_name(name)
+    assert run(["export", str(path), "-o", str(out)]) == EXIT_DONE
+    kind = {".txt": "csv"}.get(out.suffix, out.suffix[1:].lower())
+    assert capfd.readouterr().out == f"{out}: {kind}, {out.stat().st_size} bytes\n"
+    if kind == "json":
+        assert json.loads(out.read_text())["header"]["result"] == "r.mcap"
+    elif kind == "npz":
+        with np.load(out) as arrays:
+            np.testing.assert_array_equal(arrays["points"], load_arrays(path)["points"])
+    elif kind == "tum":
+        assert np.loadtxt(out).shape == (FRAMES, 8)
+    else:
+        assert len(rows(out.read_text())) == FRAMES
+
+
+def test_format_that_is_given_counts_more_than_the_name(path: Path) -> None:
+    out = path.with_name("a.csv")
+    assert run(["export", str(path), "-o", str(out), "--format", "tum", "--no-lost"]) == EXIT_DONE
+    assert len(np.loadtxt(out)) == sum(load_arrays(path)["status"] != "lost") < FRAMES
+
+
+def test_an_existing_file_is_kept_unless_it_may_be_replaced(
+    path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = path.with_name("a.csv")
+    out.write_text("precious")
+    assert run(["export", str(path), "-o", str(out)]) == EXIT_USAGE
+    assert "exists already; use --overwrite to replace it" in told(capfd)
+    assert out.read_text() == "precious"
+    assert run(["export", str(path), "-o", str(out), "--overwrite"]) == EXIT_DONE
+    assert len(rows(out.read_text())) == FRAMES
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["{folder}/gone.mcap"], EXIT_FAILED, "gone.mcap: cannot be read, found No such file"),
+        (["{folder}"], EXIT_FAILED, "cannot be read, found Is a directory"),
+        (["{folder}/text.mcap"], EXIT_FAILED, "is no MCAP file"),
+        (["{path}", "--format", "npz"], EXIT_USAGE, "npz is no text"),
+        (["{path}", "--format", "xml"], EXIT_USAGE, "'csv', 'tum', 'npz', 'json'"),
+        (["{path}", "--topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
+        (["{path}", "-o", "{path}", "--overwrite"], EXIT_USAGE, "output would replace the result"),
+        (["{path}", "-o", "{folder}"], EXIT_USAGE, "output is a folder"),
+        (["{path}", "-o", "/dev/null", "--overwrite"], EXIT_USAGE, "output is no plain file"),
+        (["{path}", "-o", "{folder}/gone/a.csv"], EXIT_FAILED, "no folder"),
+        ([], EXIT_USAGE, "Missing argument 'RESULT'"),
+    ],
+)
+def test_mistakes_are_one_line_and_write_nothing(
+    path: Path, arguments: list[str], code: int, message: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (path.parent / "text.mcap").write_text("hello, world")
+    before = path.read_bytes()
+    filled = [argument.format(path=path, folder=path.parent) for argument in arguments]
+    assert run(["export", *filled]) == code
+    captured = capfd.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert path.read_bytes() == before
+    assert sorted(entry.name for entry in path.parent.iterdir()) == ["r.mcap", "text.mcap"]
+
+
+@pytest.mark.parametrize("to_file", [True, False])
+def test_what_a_truncated_result_holds_is_exported_with_exit_3(
+    path: Path, to_file: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cut, out = path.with_name("cut.mcap"), path.with_name("a.csv")
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert run(["export", str(cut), *(["-o", str(out)] if to_file else [])]) == EXIT_DATA_LOST
+    captured = capfd.readouterr()
+    assert captured.err.startswith(f"{cut}: file is truncated, the rest is missing: 1, first byte ")
+    assert captured.err.count("\n") == 1
+    count = len(rows(out.read_text() if to_file else captured.out))
+    assert 0 < count < FRAMES
+
+
+def test_a_damaged_chunk_is_left_out_with_exit_3(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 4] ^= 0xFF
+    path.write_bytes(data)
+    assert run(["export", str(path)]) == EXIT_DATA_LOST
+    captured = capfd.readouterr()
+    assert 0 < len(rows(captured.out)) < FRAMES
+    assert "chunk is damaged, its messages are lost: 1" in captured.err
+
+
+def test_a_reader_that_stops_early_is_no_stack_trace(path: Path) -> None:
+    command = [sys.executable, "-m", "posetrack_cli.cli.main", "export", str(write_long(path))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline().startswith(b"# posetrack export of long.mcap")
+        process.stdout.close()
+        assert process.wait(60) == EXIT_FAILED
+        assert process.stderr.read() == b""
+
+
+def write_long(path: Path) -> Path:
+    """A result whose table does not fit into a pipe."""
+    return write_result(path.with_name("long.mcap"), 600)
+
+
+def test_help_states_the_euler_order_and_what_happens_to_lost_frames() -> None:
+    text = " ".join((export.help or "").split())
+    assert "R = R_y(yaw) R_x(pitch) R_z(roll)" in text
+    assert "Lost frames are in" in text
