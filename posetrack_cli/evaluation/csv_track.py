@@ -10,7 +10,6 @@ from textwrap import shorten
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import nearest_name
 from posetrack_cli.evaluation.csv_table import NS_PER_UNIT, CsvHeader, CsvTable, read_header, read_table
 from posetrack_cli.evaluation.errors import TruthError
 from posetrack_cli.evaluation.track import Track
@@ -141,12 +140,8 @@ def _has_all(header: CsvHeader, group: Sequence[str]) -> bool:
     """
     missing = [name for name in group if name not in header.columns]
     if missing and len(missing) < len(group):
-        raise TruthError(
-            f"column {', '.join(missing)} is missing",
-            where=header.path,
-            expected=f"all or none of {', '.join(group)}",
-            hint="" if len(missing) > 1 else nearest_name(missing[0], header.columns),
-        )
+        expected = f"all or none of {', '.join(group)}"
+        raise TruthError(f"lacks {', '.join(missing)}", where=header.path, expected=expected)
     return bool(group) and not missing
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from metrics_support import all_pairs, random_hand, random_head
 from scipy.optimize import minimize
@@ -71,6 +71,7 @@ def cost(estimate: Track, truth: Track) -> tuple[float, float]:
     return float(translation), float(((mine - theirs) ** 2).sum())
 
 
+@settings(deadline=None, max_examples=40)
 @given(seeds)
 def test_a_planted_offset_comes_back_exactly(seed: int) -> None:
     truth = random_head(FRAMES, seed)
@@ -81,6 +82,7 @@ def test_a_planted_offset_comes_back_exactly(seed: int) -> None:
     np.testing.assert_allclose(in_object(aligned), in_object(truth), atol=ROUNDING)
 
 
+@settings(deadline=None, max_examples=40)
 @given(seeds)
 def test_no_other_offset_is_better(seed: int) -> None:
     """scipy's minimiser, started at the found offset, finds nothing below it: to 1e-6 of the sum."""
@@ -98,6 +100,7 @@ def test_no_other_offset_is_better(seed: int) -> None:
     assert best[1] <= minimize(rotation, np.zeros(3)).fun * (1 + 1e-6)
 
 
+@settings(deadline=None, max_examples=40)
 @given(seeds)
 def test_errors_never_grow(seed: int) -> None:
     truth = random_head(FRAMES, seed)
@@ -111,6 +114,7 @@ def test_errors_never_grow(seed: int) -> None:
     assert squares[1] <= squares[0] * (1 + ROUNDING)
 
 
+@settings(deadline=None, max_examples=40)
 @given(seeds)
 def test_aligning_twice_changes_nothing_more(seed: int) -> None:
     truth = random_head(FRAMES, seed)
@@ -144,6 +148,7 @@ def test_points_stay_in_the_camera_and_move_in_the_head() -> None:
     np.testing.assert_allclose(in_object(aligned).reshape(-1, 3), turn.apply(own) + shift, atol=ROUNDING)
 
 
+@settings(deadline=None, max_examples=40)
 @given(seeds)
 def test_each_point_s_own_offset_is_removed(seed: int) -> None:
     truth = random_head(FRAMES, seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import IntArray
@@ -40,11 +40,13 @@ def greedy(estimate: list[int], truth: list[int], tolerance: int) -> list[tuple[
     return sorted(taken)
 
 
+@settings(deadline=None)
 @given(stamps, stamps, tolerances)
 def test_the_choice_is_greedy(estimate: list[int], truth: list[int], tolerance: int) -> None:
     assert paired(estimate, truth, tolerance) == greedy(estimate, truth, tolerance)
 
 
+@settings(deadline=None)
 @given(stamps, stamps, tolerances)
 def test_one_to_one_in_order_and_within_the_tolerance(
     estimate: list[int], truth: list[int], tolerance: int
@@ -55,6 +57,7 @@ def test_one_to_one_in_order_and_within_the_tolerance(
     assert all(abs(estimate[i] - truth[j]) <= tolerance for i, j in pairs)
 
 
+@settings(deadline=None)
 @given(stamps, stamps, tolerances)
 def test_swapping_the_arguments_swaps_the_pairs(
     estimate: list[int], truth: list[int], tolerance: int
@@ -63,6 +66,7 @@ def test_swapping_the_arguments_swaps_the_pairs(
     assert paired(estimate, truth, tolerance) == swapped
 
 
+@settings(deadline=None)
 @given(stamps, stamps, tolerances)
 def test_equal_stamps_are_always_paired(estimate: list[int], truth: list[int], tolerance: int) -> None:
     pairs = paired(estimate, truth, tolerance)
@@ -70,6 +74,7 @@ def test_equal_stamps_are_always_paired(estimate: list[int], truth: list[int], t
     assert equal <= set(pairs)
 
 
+@settings(deadline=None)
 @given(st.data(), st.integers(1, 60))
 def test_jitter_below_the_tolerance_and_missing_frames_change_no_pair(
     data: st.DataObject, frames: int
@@ -130,6 +135,7 @@ def test_the_source_with_the_fault_is_named() -> None:
         check_stamps(as_stamps([4, 4]), "run-7.mcap")
 
 
+@settings(deadline=None)
 @given(stamps, stamps.filter(bool))
 def test_nearest_rows_by_brute_force(values: list[int], others: list[int]) -> None:
     expected = [min(range(len(others)), key=lambda j: (abs(others[j] - v), j)) for v in values]

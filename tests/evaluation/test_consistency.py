@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evaluation_support import hand_track
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
@@ -90,6 +90,7 @@ def test_white_noise_gives_its_own_strength_at_uneven_stamps() -> None:
     assert squared == pytest.approx(3 * sd**2, rel=0.04)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(-9, 9), min_size=3, max_size=40))
 def test_a_constant_velocity_does_not_shake_whatever_the_stamps(shifts_ms: list[int]) -> None:
     stamps = [i * FRAME_NS + 1_000_000 * shift for i, shift in enumerate(shifts_ms)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.evaluation.association import associate
@@ -105,6 +105,7 @@ def test_a_hole_counts_frames_whatever_the_truth_s_rate(rate: int) -> None:
     assert coverage(frames(0, 1, 2, 3, 7, 8, 9), truths).missed == 3
 
 
+@settings(deadline=None)
 @given(st.sets(st.integers(1, 38), max_size=12), st.integers(-TOLERANCE_NS, TOLERANCE_NS))
 def test_what_is_dropped_is_missed(dropped: set[int], jitter: int) -> None:
     """Of 40 frames, jitter every second: those left out, and only those, are missed."""
