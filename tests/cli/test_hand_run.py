@@ -18,7 +18,8 @@ import pytest
 
 from posetrack_cli.cli.hand import _progress
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.joints import joint_errors
+from posetrack_cli.evaluation.evaluate import evaluate
+from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.opening import open_recording
@@ -112,9 +113,10 @@ def test_tracks_the_hand(recording: Path, tmp_path: Path) -> None:
     leaves room for the seed and still is far below what a hand that does not move would get wrong."""
     output = tmp_path / "r.mcap"
     assert run(["hand", "run", str(recording), "-o", str(output), "--init", str(recording)]) == 0
-    errors = joint_errors(output)
-    assert errors.unmatched == 0 and not errors.lost.any()
-    assert errors.distances_mm.mean() < 40.0
+    measured = evaluate(output)
+    errors = measured.metrics["joint_error_mm"]
+    assert measured.coverage.share == 1.0
+    assert isinstance(errors, Statistics) and errors.mean < 40.0
 
 
 def test_two_runs_give_the_same_bytes_and_another_seed_others(
