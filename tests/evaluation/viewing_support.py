@@ -49,6 +49,7 @@ def make_result(
     *,
     side: str = "right",
     with_truth: bool = False,
+    keep: Callable[[Estimate], bool] = lambda estimate: True,
 ) -> Path:
     """A result of a recording, with the run record that ``hand run`` writes."""
     camera = recording.cameras[0]
@@ -58,7 +59,7 @@ def make_result(
     with ResultWriter(path, subject, camera, record, overwrite=True) as writer:
         for message in recording.truth() if with_truth else ():
             writer.add_truth(message)
-        for estimate in truth_of(recording):
+        for estimate in filter(keep, truth_of(recording)):
             writer.write(change(replace(estimate, confidence=0.75)))
         writer.finish({})
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from posetrack_cli.evaluation.track import Track
 
 EXPECTED = "all, numbers and ranges such as 0:300:5,420 or 7, spread:6, or worst:8"
 APART_NS = 1_000_000_000
+_LARGEST = 2**62
 _PART = re.compile(r"(?P<number>\d+)|(?P<start>\d*):(?P<stop>\d*)(?::(?P<step>\d*))?", re.ASCII)
 _MANY = re.compile(r"(spread|worst):(\d+)", re.ASCII)
 
@@ -54,14 +56,16 @@ def worst_rows(track: Track, errors: FloatArray | None, count: int) -> IntArray:
         errors: (N,) mm, NaN for frames without truth, which then are not chosen; None without truth.
         count: how many at most; a short recording gives fewer.
     """
-    order = _worst_first(track, errors)
     chosen: list[int] = []
-    for row in order:
-        stamp = track.stamp_ns[row]
-        if all(abs(int(stamp - track.stamp_ns[other])) >= APART_NS for other in chosen):
-            chosen.append(int(row))
+    stamps: list[int] = []  # of these, sorted
+    for row in _worst_first(track, errors).tolist():
         if len(chosen) == count:
             break
+        stamp = int(track.stamp_ns[row])
+        place = bisect(stamps, stamp)
+        if all(abs(stamp - near) >= APART_NS for near in stamps[max(0, place - 1) : place + 1]):
+            stamps.insert(place, stamp)
+            chosen.append(row)
     return np.array(chosen, dtype=np.int64)
 
 
@@ -88,11 +92,12 @@ def _named(part: str, frame_index: IntArray) -> BoolArray:
     if found is None or found["step"] == "0":
         raise _unknown(part)
     if found["number"] is not None:
-        named = np.isin(frame_index, int(found["number"]))
+        first = _bounded(found["number"], 0)
+        last, step = first + 1, 1
     else:
-        first, step = int(found["start"] or 0), int(found["step"] or 1)
-        last = int(found["stop"]) if found["stop"] else int(frame_index.max()) + 1
-        named = np.isin(frame_index, np.arange(first, min(last, int(frame_index.max()) + 1), step))
+        first, step = _bounded(found["start"], 0), _bounded(found["step"], 1)
+        last = _bounded(found["stop"], _LARGEST)
+    named = (frame_index >= first) & (frame_index < last) & ((frame_index - first) % step == 0)
     if not named.any():
         raise UsageError(
             "frame is not in the result",
@@ -100,6 +105,11 @@ def _named(part: str, frame_index: IntArray) -> BoolArray:
             expected=f"some of {frame_index.min()} to {frame_index.max()}",
         )
     return named
+
+
+def _bounded(digits: str | None, usual: int) -> int:
+    """A number that 64 bits hold; the usual one where none is given."""
+    return min(int(digits), _LARGEST) if digits else usual
 
 
 def _unknown(choice: str) -> UsageError:
