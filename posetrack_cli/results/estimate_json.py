@@ -116,8 +116,12 @@ def estimate_to_json(estimate: Estimate) -> bytes:
         raise ResultError("estimate is not finite", where=f"frame {estimate.frame_index}") from error
 
 
-def estimate_from_json(data: bytes) -> Estimate:
+def estimate_from_json(data: bytes, where: object = "") -> Estimate:
     """Decode what ``estimate_to_json`` wrote.
+
+    Args:
+        data: the message.
+        where: it lies, for errors.
 
     Raises:
         ResultError: the bytes are not a ``posetrack.Estimate``.
@@ -140,7 +144,7 @@ def estimate_from_json(data: bytes) -> Estimate:
             milliseconds=fields.get("milliseconds"),
         )
     except (ValueError, KeyError, TypeError) as error:
-        raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", found=error) from error
+        raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error
 
 
 def parse_fields(data: bytes) -> dict[str, Any]:

@@ -119,8 +119,9 @@ class Result:
         Raises:
             ResultError: there is no such topic, or a message on it is no estimate.
         """
-        for _, _, message in self._messages([self.topic_of_estimates(topic)]):
-            yield estimate_from_json(message.data)
+        topic = self.topic_of_estimates(topic)
+        for _, _, message in self._messages([topic]):
+            yield estimate_from_json(message.data, where=f"{self.path}, {topic} at {message.log_time} ns")
 
     def column_blocks(
         self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES
@@ -202,7 +203,12 @@ def read_result(path: Path | str) -> Result:
     with opened(path):
         metadata = {r.name: r.metadata for r in read_extras(path, losses) if isinstance(r, Metadata)}
     if RUN_RECORD not in metadata or SUBJECT_RECORD not in metadata:
-        raise ResultError("is no result of posetrack", where=path, expected=f"metadata {RUN_RECORD}")
+        raise ResultError(
+            "is no result of posetrack",
+            where=path,
+            found=loss_line(losses.losses),
+            expected=f"metadata {RUN_RECORD}",
+        )
     subject = subject_from_record(metadata[SUBJECT_RECORD])
     truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
     return Result(path, subject, metadata[RUN_RECORD], metadata.get(SUMMARY_RECORD, {}), truncated, losses)
