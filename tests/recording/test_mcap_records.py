@@ -35,7 +35,7 @@ compressions = st.sampled_from(list(CompressionType))
 def written(
     of: list[tuple[int, int, bytes]], compression: CompressionType = CompressionType.NONE, **options: object
 ) -> bytes:
-    """A file of messages (channel, time, data) on three topics, metadata before and after, in chunks of four."""
+    """A file of messages (channel, time, data) on three topics, metadata before and after, chunks of four."""
     stream = io.BytesIO()
     writer = Writer(stream, compression=compression, **options)
     writer.start()
