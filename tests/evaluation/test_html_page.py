@@ -324,7 +324,10 @@ def test_pictures_beyond_the_room_are_left_out_and_the_page_says_how_many(
 
 
 def test_without_pictures_the_page_says_why() -> None:
-    assert "No pictures: the recording was not at hand" in Outline(page(hand_evaluation(frames=3))).words
+    assert (
+        "No pictures: the recording that the result was made from"
+        in Outline(page(hand_evaluation(frames=3))).words
+    )
 
 
 @pytest.mark.parametrize("name", ["page.txt", "page", "folder.html"])

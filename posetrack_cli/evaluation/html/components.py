@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
@@ -53,14 +53,25 @@ def components(evaluation: Evaluation) -> Iterator[Component]:
     yield from _velocities(evaluation, body)
 
 
-def matched_truth(evaluation: Evaluation, field: Callable[[Track], FloatArray | None]) -> FloatArray | None:
-    """Return a field of the truth, (N, ...), at the estimate's frames: NaN where no truth belongs to one."""
+def matched_truth(
+    evaluation: Evaluation, field: Callable[[Track], FloatArray | None], rows: IntArray | None = None
+) -> FloatArray | None:
+    """Return a field of the truth at the estimate's frames, NaN where no truth belongs to one.
+
+    Args:
+        evaluation: has the truth.
+        field: which of its (N, ...) arrays.
+        rows: (R,) frames of the estimate; None for all.
+    """
     truth, pairs = evaluation.truth, evaluation.pairs
     values = None if truth is None else field(truth)
     if values is None or pairs is None:
         return None
-    placed = np.full((len(evaluation.track), *values.shape[1:]), np.nan)
-    placed[pairs.estimate] = values[pairs.truth]
+    true_rows = np.full(len(evaluation.track), -1, dtype=np.int64)
+    true_rows[pairs.estimate] = pairs.truth
+    asked = true_rows if rows is None else true_rows[rows]
+    placed = np.full((len(asked), *values.shape[1:]), np.nan)
+    placed[asked >= 0] = values[asked[asked >= 0]]
     return placed
 
 

@@ -24,7 +24,8 @@ def envelope_rows(lines: FloatArray, limit: int) -> IntArray:
     count = lines.shape[1]
     if count <= limit:
         return np.arange(count, dtype=np.int64)
-    intervals = max(1, (limit - 2) // (3 * len(lines)))
+    per_interval = 2 * len(lines) + int((~np.isfinite(lines)).any(axis=1).sum())
+    intervals = max(1, (limit - 2) // per_interval)
     size = -(-count // intervals)
     chosen = [np.array([0, count - 1], dtype=np.int64)]
     for line in lines:

@@ -10,9 +10,15 @@ from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.markup import element, text
 from posetrack_cli.evaluation.pictures import Picture
 
-MOST_BYTES = 4_000_000
-"""Of all pictures of a page together; the rest of the 10 MB is for the plots."""
+MOST_BYTES = 3_500_000
+"""Of all pictures of a page together; base64 makes them 4.7 MB, and half of 10 MB is for the plots."""
 
+
+NO_FRAMES = "No pictures: there are no frames."
+NO_RECORDING = (
+    "No pictures: the recording that the result was made from was not at hand when this page was written. "
+    "They are drawn where it lies beside the result or is named with --recording."
+)
 
 Pictures: TypeAlias = Mapping[str, Sequence[Picture]]
 
@@ -38,21 +44,17 @@ def fitting(evaluations: Sequence[Evaluation], pictures: Pictures) -> tuple[Pict
 def gallery(evaluations: Sequence[Evaluation], pictures: Pictures, dropped: int) -> str:
     """Return one group of figures per result; scripts show the group of the chosen one."""
     groups = [
-        element("div", _group(pictures.get(one.name, ())), class_="gallery", data_result=place)
+        element("div", _group(one, pictures.get(one.name, ())), class_="gallery", data_result=place)
         for place, one in enumerate(evaluations)
     ]
     note = f"{dropped} more pictures were left out to keep the page small." if dropped else ""
     return "".join(groups) + (element("p", text(note), class_="remark") if note else "")
 
 
-def _group(pictures: Sequence[Picture]) -> str:
+def _group(evaluation: Evaluation, pictures: Sequence[Picture]) -> str:
     if not pictures:
-        return element(
-            "p",
-            "No pictures: the recording was not at hand when this page was written, or no frame has an error "
-            "to rank it by. They are drawn where the recording lies beside the result or is named.",
-            class_="missing",
-        )
+        why = NO_RECORDING if evaluation.coverage.frames else NO_FRAMES
+        return element("p", text(why), class_="missing")
     return "".join(_figure(place, one) for place, one in enumerate(pictures))
 
 

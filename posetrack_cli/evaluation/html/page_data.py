@@ -40,7 +40,7 @@ class Budget:
 def budget_for(results: int) -> Budget:
     """Return the budget of each of so many results."""
     share = max(1, results)
-    return Budget(max(300, 4000 // share), max(100, 1500 // share), max(100, 2500 // share))
+    return Budget(max(300, 6000 // share), max(100, 2500 // share), max(100, 5000 // share))
 
 
 def page_data(evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence[Picture]]) -> dict[str, Any]:

@@ -36,14 +36,12 @@ def scene(
         wanted_ns: stamps of frames to show in any case.
     """
     track = evaluation.track
-    estimate = _drawn(track, track.position, track.quaternion, track.points)
-    if estimate is None or not len(track):
+    if not len(track) or (track.points is None and not _has_axes(track)):
         return None
-    truth = _true_drawn(evaluation, estimate.shape)
     rows, step = _rows(evaluation, limit, wanted_ns)
-    shown = estimate[rows] if truth is None else np.concatenate([estimate[rows], truth[rows]])
-    origin, grid = quantisation(shown)
-    count = 0 if track.points is None else len(track.point_names)
+    estimate, truth = _estimate(track, rows), _truth(evaluation, rows)
+    origin, grid = quantisation(estimate if truth is None else np.concatenate([estimate, truth]))
+    count = _point_count(track)
     return {
         "points": len(rows),
         "at": table.add(rows),
@@ -53,44 +51,52 @@ def scene(
         "pointCount": count,
         "names": [readable(name) for name in track.point_names] if count else [],
         "edges": _edges(track.point_parents) if count else [],
-        "axes": estimate.shape[1] > count,
-        "axisMm": AXIS_MM,
-        "estimate": quantised(estimate[rows], origin, grid),
-        "truth": None if truth is None else quantised(truth[rows], origin, grid),
+        "axes": _has_axes(track),
+        "estimate": quantised(estimate, origin, grid),
+        "truth": None if truth is None else quantised(truth, origin, grid),
         "readings": _readings(evaluation, rows),
     }
 
 
-def _drawn(
-    track: Track, position: FloatArray | None, quaternion: FloatArray | None, points: FloatArray | None
-) -> FloatArray | None:
-    """Return what is drawn, (N, D, 3): points; then of a head, or without points, origin and axis ends."""
-    has_axes = position is not None and quaternion is not None and (track.subject == "head" or points is None)
-    parts = [] if points is None else [points]
-    if has_axes:
-        assert position is not None
-        assert quaternion is not None
-        ends = position[:, None] + rotations.rotate(quaternion[:, None], AXIS_MM * np.eye(3))
-        parts.append(np.concatenate([position[:, None], ends], axis=1))
-    return np.concatenate(parts, axis=1) if parts else None
+def _point_count(track: Track) -> int:
+    return 0 if track.points is None else track.points.shape[1]
 
 
-def _true_drawn(evaluation: Evaluation, shape: tuple[int, ...]) -> FloatArray | None:
-    """The same of the truth at the estimate's frames; what it does not know is NaN."""
-    points = matched_truth(evaluation, lambda other: other.points)
-    position = matched_truth(evaluation, lambda other: other.position)
-    quaternion = matched_truth(evaluation, lambda other: other.quaternion)
-    if points is None and position is None:
-        return None
+def _has_axes(track: Track) -> bool:
+    """Whether axes are drawn: of a head, and of what has no points."""
+    known = track.position is not None and track.quaternion is not None
+    return known and (track.subject == "head" or track.points is None)
+
+
+def _estimate(track: Track, rows: IntArray) -> FloatArray:
+    """Return what is drawn of the estimate, (R, D, 3): points, then origin and ends of the axes."""
+    parts = [] if track.points is None else [track.points[rows]]
+    if _has_axes(track):
+        assert track.position is not None
+        assert track.quaternion is not None
+        parts.append(_axes(track.position[rows], track.quaternion[rows]))
+    return np.concatenate(parts, axis=1)
+
+
+def _truth(evaluation: Evaluation, rows: IntArray) -> FloatArray | None:
+    """The same of the truth; what it does not know is NaN, and None if it knows nothing of it."""
+    points = matched_truth(evaluation, lambda other: other.points, rows)
+    position = matched_truth(evaluation, lambda other: other.position, rows)
+    quaternion = matched_truth(evaluation, lambda other: other.quaternion, rows)
     track = evaluation.track
-    drawn = np.full(shape, np.nan)
-    count = 0 if track.points is None else track.points.shape[1]
+    count, has_axes = _point_count(track), _has_axes(track)
+    drawn = np.full((len(rows), count + (4 if has_axes else 0), 3), np.nan)
     if points is not None and points.shape[1] == count:
         drawn[:, :count] = points
-    if shape[1] > count and position is not None and quaternion is not None:
-        ends = position[:, None] + rotations.rotate(quaternion[:, None], AXIS_MM * np.eye(3))
-        drawn[:, count:] = np.concatenate([position[:, None], ends], axis=1)
-    return drawn
+    if has_axes and position is not None and quaternion is not None:
+        drawn[:, count:] = _axes(position, quaternion)
+    return drawn if np.isfinite(drawn).any() else None
+
+
+def _axes(position: FloatArray, quaternion: FloatArray) -> FloatArray:
+    """Return (R, 4, 3) origin and ends of the axes of poses."""
+    ends = position[:, None] + rotations.rotate(quaternion[:, None], AXIS_MM * np.eye(3))
+    return np.concatenate([position[:, None], ends], axis=1)
 
 
 def _rows(evaluation: Evaluation, limit: int, wanted_ns: Sequence[int]) -> tuple[IntArray, int]:

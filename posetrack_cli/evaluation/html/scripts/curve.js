@@ -18,4 +18,6 @@ function showCurve(store, parent) {
     xDomain: () => [0, last || 1], yDomain: [0, 102], yText: (tick) => `${tick}`, xTitle: "D, mm", yTitle: "frames, %",
     title: (x) => `D = ${formatValue(x, "mm")}`,
   });
+  parent.append(makeElement("p", { class: "remark" },
+    "Share of the frames due whose largest joint error is below D. Frames that the result left out count as not below."));
 }

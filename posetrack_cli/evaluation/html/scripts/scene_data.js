@@ -52,17 +52,18 @@ class SceneData {
     });
   }
 
-  /** How far the outermost point is from the centroid; estimates that are far off do not count in full. */
+  /** The radius to show; estimates that are far off do not count in full. */
   handRadius() {
     const reference = this.reach(this.truth ? ["truth"] : ["estimate"]) || this.reach(["estimate"]);
     return Math.min(this.reach(["truth", "estimate"]), MOST_REACH * reference) || 100;
   }
 
-  /** The largest distance of a point from its frame's centroid. */
+  /** The largest distance of a point from its frame's centroid; estimates that are lost do not count. */
   reach(which) {
     const radii = this.sample().map((frame) => {
       const centre = this.centroid(frame);
-      const known = which.flatMap((one) => this.points(one, frame)).filter((point) => point);
+      const lost = this.result.state(this.at[frame]) === "lost";
+      const known = which.flatMap((one) => (lost && this.truth && one === "estimate" ? [] : this.points(one, frame))).filter((point) => point);
       return Math.max(0, ...known.map((point) => Math.hypot(...point.map((value, axis) => value - centre[axis]))));
     });
     return Math.max(0, ...radii);

@@ -48,7 +48,7 @@ class Trajectories {
     const key = (kind, text) => makeElement("span", {}, makeSwatch(kind, result.index), text);
     this.legend.replaceChildren(...(shown.length ? [
       key("", "estimate"),
-      ...(shown.some((one) => one.truth) ? [key("truth", "truth")] : [makeElement("span", {}, "no truth of it")]),
+      ...(shown.some((one) => one.truth) ? [key("truth", "truth")] : [makeElement("span", {}, "no truth of these")]),
       ...(shown.some((one) => one.halfWidth) ? [key("band", "90 % band")] : [makeElement("span", {}, "no variance stated")]),
       ...(result.lost.length ? [key("lost", "lost")] : []),
     ] : []));
