@@ -78,6 +78,12 @@ def test_a_hole_without_truth_is_not_held_against_the_run() -> None:
     assert coverage(frames(0, 1, 2, 7, 8), frames(0, 1, 2, 7, 8)).missed == 0
 
 
+def test_truths_right_beside_the_ends_of_a_hole_are_no_missed_frames() -> None:
+    # truth at 120 Hz has the hole, too, but for 2 1/4 and 6 3/4
+    truths = [i * FRAME_NS // 4 for i in (*range(10), *range(27, 33))]
+    assert coverage(frames(0, 1, 2, 7, 8), truths).missed == 0
+
+
 def test_truths_before_and_after_were_not_asked_for() -> None:
     found = coverage(frames(3, 4, 5), frames(*range(10)))
     assert (found.missed, found.outside, found.share) == (0, 7, 1.0)
