@@ -104,7 +104,7 @@ def _named(part: str, frame_index: IntArray) -> BoolArray:
             where=f"--frames {part}",
             expected=f"some of {frame_index.min()} to {frame_index.max()}",
         )
-    return named
+    return np.asarray(named, dtype=np.bool_)
 
 
 def _bounded(digits: str | None, usual: int) -> int:

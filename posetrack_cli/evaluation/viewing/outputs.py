@@ -18,6 +18,7 @@ VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
 CODEC = "mp4v"
 """MPEG-4 Part 2: the only one that OpenCV's wheels can write into MP4 everywhere, and fast."""
 SLOWEST_HZ, FASTEST_HZ = 0.1, 240.0
+FAST = 1
 _SHEET_WIDTH, _SHEET_GAP = 2400, 6
 _NUMBERED = re.compile(r"frame_\d{6,}\.png", re.ASCII)
 
@@ -136,7 +137,7 @@ class PictureFolder:
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
         """Write the picture of a frame."""
-        (self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}").write_bytes(png_of(picture))
+        (self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}").write_bytes(png_of(picture, FAST))
 
     def close(self) -> None:
         """Nothing is left to do."""
@@ -189,9 +190,9 @@ def sheet_of(pictures: list[ImageArray]) -> ImageArray:
     return sheet
 
 
-def png_of(picture: ImageArray) -> bytes:
-    """A picture as PNG."""
-    return cv2.imencode(PICTURE_SUFFIX, picture)[1].tobytes()
+def png_of(picture: ImageArray, level: int = 9) -> bytes:
+    """A picture as PNG; level 9 is small, 1 fast."""
+    return cv2.imencode(PICTURE_SUFFIX, picture, [cv2.IMWRITE_PNG_COMPRESSION, level])[1].tobytes()
 
 
 def is_sheet(path: Path) -> bool:
