@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from results_support import write_result
+from results_support import CAMERA, RUN, SUBJECT, make_estimate, write_result
 
 from posetrack_cli.cli.export import FORMATS, export
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_USAGE
-from posetrack_cli.results import load_arrays
+from posetrack_cli.evaluation.csv_track import load_csv_track
+from posetrack_cli.results import ResultWriter, Status, load_arrays
 from posetrack_cli.results.export import export as library
 
 FRAMES = 26
@@ -140,6 +142,26 @@ def test_a_damaged_chunk_is_left_out_with_exit_3(path: Path, capfd: pytest.Captu
     captured = capfd.readouterr()
     assert 0 < len(rows(captured.out)) < FRAMES
     assert "chunk is damaged, its messages are lost: 1" in captured.err
+
+
+@pytest.mark.parametrize("name", ["hand", "head"])
+def test_an_exported_table_is_a_truth_for_eval(tmp_path: Path, name: str) -> None:
+    """It comes back to the last bit, but for the axes of a head's points: there and back again."""
+    subject = replace(SUBJECT, name=name, triangles=None)
+    with ResultWriter(tmp_path / "r.mcap", subject, CAMERA, RUN) as writer:
+        for index in range(FRAMES):
+            writer.write(make_estimate(index))
+        writer.finish({})
+    assert run(["export", str(tmp_path / "r.mcap"), "-o", str(tmp_path / "r.csv"), "--no-lost"]) == EXIT_DONE
+    track = load_csv_track(tmp_path / "r.csv", subject)
+    tracked = [e for i in range(FRAMES) if (e := make_estimate(i)).status is not Status.LOST]
+    assert track.stamp_ns.tolist() == [e.stamp_ns for e in tracked]
+    np.testing.assert_array_equal(track.position, [e.position for e in tracked])
+    np.testing.assert_allclose(track.quaternion, [e.quaternion for e in tracked], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(track.points, [e.points for e in tracked], rtol=0, atol=1e-9)
+    if name == "hand":
+        np.testing.assert_array_equal(track.shape, [e.shape for e in tracked])
+        np.testing.assert_array_equal(track.twist, [e.twist for e in tracked])
 
 
 def test_a_reader_that_stops_early_is_no_stack_trace(path: Path) -> None:
