@@ -75,8 +75,8 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
 
-    Two results of one recording are drawn beside each other. Lost frames have a red border, found ones an
-    orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
+    Two results of one recording are drawn beside each other. Lost frames have a red border, those found anew
+    an orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
     error of its points. Images of a camera with lens distortion are drawn without it.
 
     Videos are MPEG-4 Part 2: VLC, mpv, ffplay and QuickTime play them; for browsers, convert with ffmpeg -i
@@ -156,11 +156,12 @@ def _close(output: Path, count: int, drawn: View, results: Sequence[Result], *, 
 
     context, asked = click.get_current_context(), len(drawn.rows)
     if interrupted:
-        click.echo(f"interrupted after {count} of {asked} frames: {output}", err=True)
+        what = f"after {count} of {asked} frames: {output}" if count else "before the first frame"
+        click.echo(f"interrupted {what}", err=True)
         context.exit(EXIT_INTERRUPTED)
     if not count:
         raise _nothing(drawn)
-    click.echo(f"{count} frames: {output}")
+    click.echo(f"{count} {'frame' if count == 1 else 'frames'}: {output}")
     losses = [(str(result.path), loss_line(result.losses)) for result in results if result.losses]
     losses += [(f"{drawn.recording_path}", loss_line(drawn.losses))] if drawn.losses else []
     for where, line in losses:

@@ -351,10 +351,10 @@ def test_an_empty_result_and_one_of_a_single_frame(
 
 
 def test_ctrl_c_leaves_a_video_of_what_was_drawn(tmp_path: Path) -> None:
-    recording = make_recording(tmp_path / "long.mcap", 200)
+    recording = make_recording(tmp_path / "long.mcap", 60)
     result = make_result(tmp_path / "result.mcap", open_recording(recording))
     out, part = tmp_path / "v.mp4", tmp_path / "v.part.mp4"
-    arguments = ["view", str(result), "-o", str(out), "--scale", "2"]
+    arguments = ["view", str(result), "-o", str(out), "--scale", "4"]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (part.exists() and part.stat().st_size > 0) and time.monotonic() < deadline:
@@ -363,5 +363,5 @@ def test_ctrl_c_leaves_a_video_of_what_was_drawn(tmp_path: Path) -> None:
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
     drawn = len(pictures_of(out))
-    assert 0 < drawn < 200 and f"interrupted after {drawn} of 200 frames: {out}" in said
+    assert 0 < drawn < 60 and f"interrupted after {drawn} of 60 frames: {out}" in said
     assert not part.exists()

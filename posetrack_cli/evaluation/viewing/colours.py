@@ -22,6 +22,7 @@ TONES = (SKIN, SECOND)
 # A hand and what is near behind it get most colours; a body further back is dark blue.
 _IN_FRONT_MM, _BEHIND_MM = 90.0, 330.0
 _USUAL_MM = (450.0, 1100.0)
+_BLUEST = 14.0  # of 255: the colour map's lowest end is nearly black, which means no reading
 _STEEPEST = 2.0  # mm per pixel at scale 1: steeper surfaces are as dark
 _AMBIENT, _SLOPE_LIGHT = 0.75, 0.25
 
@@ -45,8 +46,8 @@ class DepthRange:
 
 def false_colour(depth: Float32Array, depths: DepthRange) -> ImageArray:
     """Depth (h, w), mm, as a picture (h, w, 3): near is red, far is blue, no reading is black."""
-    gain = 255.0 / (depths.far - depths.near)
-    value = np.clip((depths.far - depth) * gain, 0.0, 255.0).astype(np.uint8)
+    gain = (255.0 - _BLUEST) / (depths.far - depths.near)
+    value = np.clip(_BLUEST + (depths.far - depth) * gain, _BLUEST, 255.0).astype(np.uint8)
     picture: ImageArray = cv2.applyColorMap(value, cv2.COLORMAP_TURBO)
     picture[depth <= 0] = 0
     return picture

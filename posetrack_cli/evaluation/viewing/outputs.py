@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 import cv2
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.recording.output import check_folder, check_not_written, whole_or_nothing
+from posetrack_cli.recording.output import check_folder, check_not_written, lock, whole_or_nothing
 
 VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
 CODEC = "mp4v"
@@ -52,6 +52,7 @@ class VideoFile:
         self._part = path.with_name(f"{path.stem}.part{path.suffix}")
         check_not_written(self._part)
         self._writer: Any = None
+        self._lock: IO[bytes] | None = None
         self._size, self._count = (0, 0), 0
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
@@ -66,7 +67,8 @@ class VideoFile:
     def _open(self) -> Any:
         code = cv2.VideoWriter.fourcc(*CODEC)
         try:
-            self._part.open("wb").close()  # FFmpeg does not say why it cannot
+            self._lock = self._part.open("wb")  # FFmpeg would not say why it cannot
+            lock(self._lock)
         except OSError as error:
             raise ResultError("cannot be written", where=self._path, found=error.strerror or error) from error
         writer = cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, code, self._rate, self._size)
@@ -84,8 +86,7 @@ class VideoFile:
         """Finish the file and give it its name, once it is sure that it plays."""
         if self._writer is None:
             return
-        self._writer.release()
-        self._writer = None
+        self._release()
         if not _plays(self._part, self._size, self._count):
             self.discard()
             raise ResultError("video does not play back", where=self._path, hint="is the disk full?")
@@ -93,9 +94,15 @@ class VideoFile:
 
     def discard(self) -> None:
         """Delete what was written."""
+        self._release()
+        self._part.unlink(missing_ok=True)
+
+    def _release(self) -> None:
         if self._writer is not None:
             self._writer.release()
-        self._part.unlink(missing_ok=True)
+        if self._lock is not None:
+            self._lock.close()
+        self._writer = self._lock = None
 
 
 def playable_rate(rate_hz: float) -> float:

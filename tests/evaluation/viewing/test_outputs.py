@@ -95,6 +95,16 @@ def test_a_video_that_was_cut_short_is_not_taken_for_one(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_video_that_another_process_writes_is_left_alone(tmp_path: Path) -> None:
+    first = VideoFile(tmp_path / "v.mp4", RATE)
+    first.add(0, plain(100))
+    with pytest.raises(UsageError, match="is being written by another process"):
+        VideoFile(tmp_path / "v.mp4", RATE)
+    first.close()
+    assert len(pictures_of(tmp_path / "v.mp4")) == 1
+    VideoFile(tmp_path / "v.mp4", RATE).close()
+
+
 def test_an_unwritable_place_is_one_line(tmp_path: Path) -> None:
     video = VideoFile(tmp_path / "nowhere" / "v.mp4", RATE)
     with pytest.raises(ResultError, match=r"v.mp4: cannot be written, found No such file or directory"):
