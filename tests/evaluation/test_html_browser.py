@@ -58,6 +58,10 @@ class Page:
         self.settle()
         return result
 
+    def run_async(self, script: str, *arguments: Any) -> Any:
+        """Run a script that calls its last argument when it is done."""
+        return self.driver.execute_async_script(script, *arguments)
+
     def find(self, selector: str) -> Any:
         return self.driver.find_element("css selector", selector)
 
@@ -168,7 +172,7 @@ def test_a_page_is_silent_and_asks_for_nothing(make: Make) -> None:
 
 def test_connections_are_refused(make: Make) -> None:
     page = make(hand_evaluation(frames=5))
-    refused = page.driver.execute_async_script(
+    refused = page.run_async(
         "const done = arguments[0]; fetch('data:text/plain,x').then(() => done(false), () => done(true));"
     )
     assert refused
@@ -187,7 +191,7 @@ def test_plots_are_drawn(make: Make) -> None:
         assert len(page.all(f"{section} text")) > 6
     assert len(page.all("#trajectory-plots path.band")) == 3
     assert len(page.all("#parts-plot line.bar")) == 1  # the made-up evaluation has one joint of its own
-    assert len(page.all("#over-time-plot rect.lost")) == 1
+    assert len(page.all("#over-time-plot .plot rect.lost")) == 1
     assert page.path_of("#over-time-plot path.line").count("M") == 2, (
         "the line breaks where frames are missing"
     )
@@ -258,29 +262,32 @@ def test_keys_step_jump_turn_and_play(make: Make) -> None:
     assert np.abs(page.joints() - before).max() > 1
     page.press(canvas, "0", "\ue011")  # reset, home
     assert page.reading[0] == "frame 0"
-    page.choose(".scene select", "4")
+    page.choose(".scene select", "0.25")  # 16 s for all frames: it will not end meanwhile
     page.press(canvas, " ")
-    page.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 400)")
+    page.run_async(
+        "const [slider, done] = arguments;"
+        "const wait = () => (Number(slider.value) > 3 ? done() : requestAnimationFrame(wait)); wait();",
+        page.find(".scene input[type=range]"),
+    )
     page.press(canvas, " ")
-    shown = page.find(".scene input[type=range]").get_attribute("value")
-    assert int(shown) > 3, "it plays"
-    page.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 150)")
-    assert page.find(".scene input[type=range]").get_attribute("value") == shown, "it pauses"
+    shown = page.reading
+    page.run_async("setTimeout(arguments[0], 150)")
+    assert page.reading == shown, "it pauses"
 
 
 def test_nothing_plays_by_itself(make: Make) -> None:
     page = make(hand_evaluation(frames=FRAMES))
-    page.driver.execute_async_script("const done = arguments[0]; setTimeout(done, 200)")
+    page.run_async("setTimeout(arguments[0], 200)")
     assert page.find(".scene input[type=range]").get_attribute("value") == "0"
 
 
 def test_hovering_reads_time_frame_and_value_of_that_frame(make: Make) -> None:
     evaluation = hand_evaluation(frames=FRAMES)
     page = make(evaluation)
-    page.mouse("mouseMoved", "#over-time-plot svg", 0.5)
+    page.mouse("mouseMoved", "#over-time-plot .plot svg", 0.5)
     frame = int(page.find("#over-time-plot .tip .unit").text.removeprefix("frame "))
     assert 40 < frame < 80
-    assert page.find("#over-time-plot .tip div").text == f"{frame * FRAME_NS / 1e9:.3f} s"
+    assert page.find("#over-time-plot .tip div").text.startswith(f"{frame * FRAME_NS / 1e9:.3f} s")
     value, unit = page.find("#over-time-plot .tip b").text.split()
     assert unit == "mm"
     shown = 0.5e-2 if float(value) >= 10 else 0.5e-3  # places of the read-out
@@ -299,7 +306,7 @@ def test_the_cursor_moves_by_keys(make: Make) -> None:
 
 def test_a_click_in_the_plot_shows_that_frame(make: Make) -> None:
     page = make(hand_evaluation(frames=FRAMES))
-    page.click("#over-time-plot svg", 0.75)
+    page.click("#over-time-plot .plot svg", 0.75)
     assert page.find("#over-time-plot .tip .unit").text == page.reading[0] != "frame 0"
     assert page.find("#trajectory-plots .now").get_attribute("visibility") == "visible"
 
@@ -313,9 +320,9 @@ def test_a_worst_frame_leads_to_its_place(make: Make) -> None:
 def test_dragging_shows_a_shorter_time_everywhere_and_a_button_the_whole(make: Make) -> None:
     page = make(hand_evaluation(frames=FRAMES))
     before = page.path_of("#over-time-plot path.line"), page.path_of("#trajectory-plots path.line")
-    page.mouse("mousePressed", "#over-time-plot svg", 0.4, button="left", clickCount=1)
-    page.mouse("mouseMoved", "#over-time-plot svg", 0.6, button="left", buttons=1)
-    page.mouse("mouseReleased", "#over-time-plot svg", 0.6, button="left", clickCount=1)
+    page.mouse("mousePressed", "#over-time-plot .plot svg", 0.4, button="left", clickCount=1)
+    page.mouse("mouseMoved", "#over-time-plot .plot svg", 0.6, button="left", buttons=1)
+    page.mouse("mouseReleased", "#over-time-plot .plot svg", 0.6, button="left", clickCount=1)
     after = page.path_of("#over-time-plot path.line"), page.path_of("#trajectory-plots path.line")
     assert all(new.count("L") < 0.4 * old.count("L") for new, old in zip(after, before, strict=True))
     page.find("#over-time-plot .reset").click()
@@ -343,7 +350,7 @@ def test_several_results_are_overlaid_and_one_is_shown_in_detail(make: Make) -> 
     evaluations = [some_lost(hand_evaluation(name, FRAMES, 3.0 + i)) for i, name in enumerate("ab")]
     page = make(*evaluations, b=[picture()])
     assert len(page.all("#over-time-plot path.line")) == 4
-    assert len(page.all("#over-time-plot rect.lost")) == 2
+    assert len(page.all("#over-time-plot .plot rect.lost")) == 2
     assert len(page.all("#curve-plot path.line")) == 2
     first, shown = page.joints(), page.path_of("#trajectory-plots path.line:not(.truth)")
     assert not page.find("#worst figure").is_displayed()
@@ -413,9 +420,9 @@ def test_the_page_does_not_scroll_sideways(make: Make, width: int) -> None:
 def test_controls_have_names_and_can_be_reached(make: Make) -> None:
     page = make(hand_evaluation("a", FRAMES), hand_evaluation("b", FRAMES), a=[picture()])
     nameless = page.run(
-        "return [...document.querySelectorAll('button, select, input, canvas, svg, img')].filter((one) =>"
-        " !(one.getAttribute('aria-label') || one.textContent.trim() || one.alt || one.labels?.length)"
-        ").map((one) => one.outerHTML.slice(0, 90))"
+        "const all = 'button, select, input, canvas, svg:not([aria-hidden]), img';"
+        "const named = (one) => one.getAttribute('aria-label') || one.textContent.trim() || one.alt;"
+        "return [...document.querySelectorAll(all)].filter((one) => !named(one) && !one.labels?.length).map((one) => one.outerHTML.slice(0, 90))"
     )
     assert nameless == []
     page.run("document.querySelector('.scene canvas').focus()")
@@ -429,7 +436,7 @@ def test_names_of_users_run_nothing(make: Make) -> None:
     assert console_lines(page.driver) == []
     assert not page.all("img")
     assert page.find("#result-choice option").get_attribute("textContent") == NASTY
-    page.mouse("mouseMoved", "#over-time-plot svg", 0.5)
+    page.mouse("mouseMoved", "#over-time-plot .plot svg", 0.5)
     assert "<img src=x onerror=alert(2)>" in page.find("#over-time-plot .tip").text
 
 
@@ -449,7 +456,7 @@ def lost_everywhere(evaluation: Evaluation) -> Evaluation:
         (dataclasses.replace(without_truth(shortened(hand_evaluation(frames=9), 0))), "There are no frames"),
         (without_truth(hand_evaluation(frames=30)), "No truth with joints"),
         (lost_everywhere(hand_evaluation(frames=30)), "lost"),
-        (head_evaluation(frames=30), "position, mm"),
+        (head_evaluation(frames=30), "position error, mm"),
     ],
     ids=["one frame", "empty", "no truth", "lost everywhere", "head"],
 )

@@ -264,7 +264,7 @@ def test_a_head_is_shown_with_points_and_axes() -> None:
     assert result["scene"]["pointCount"] == 10
     assert result["scene"]["axes"] is True
     assert {"Head position", "Head rotation", "Shape"} <= {one["group"] for one in result["components"]}
-    assert [one["label"] for one in result["scene"]["readings"]] == ["position", "rotation"]
+    assert [one["label"] for one in result["scene"]["readings"]] == ["position error", "rotation error"]
 
 
 def test_a_long_result_is_reduced_and_the_page_says_so() -> None:

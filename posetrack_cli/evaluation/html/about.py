@@ -6,8 +6,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from posetrack_cli import __version__
-from posetrack_cli.evaluation.html.markup import listed, text
+from posetrack_cli.evaluation.html.markup import details, listed, text
 from posetrack_cli.geometry.euler import EULER_ORDER
+
+MOST_LISTED = 4
+"""How many results are described without being asked for."""
 
 
 def plot_remark(data: Mapping[str, Any]) -> str:
@@ -22,10 +25,12 @@ def component_remark(data: Mapping[str, Any]) -> str:
 
 def about(data: Mapping[str, Any]) -> str:
     """Return what made the page and how its data are reduced and stored."""
+    results = [_of_result(result) for result in data["results"]]
     lines = [
         f"Written by posetrack {text(__version__)}. Everything is in this file; it loads nothing.",
-        "Tables are made from all frames. Lines hold 32-bit numbers.",
-        *(_of_result(result) for result in data["results"]),
+        "Tables are made from all frames, plots and the 3-D view from these; lines hold 32-bit numbers.",
+        "What the page holds of each result: "
+        + (listed(results) if len(results) <= MOST_LISTED else details("show", listed(results))),
         f"Times are stored in steps of {data['tickSeconds'] * 1e3:.3g} ms. {_origins(data)}",
         f"Euler angles: {text(EULER_ORDER)}; of a head, the turn away from looking at the camera.",
     ]

@@ -17,7 +17,7 @@ MOST_BYTES = 3_500_000
 NO_FRAMES = "No pictures: there are no frames."
 NO_RECORDING = (
     "No pictures: the recording that the result was made from was not at hand when this page was written. "
-    "They are drawn where it lies beside the result or is named with --recording."
+    'They are drawn where it lies beside the result or is named: <code class="option">--recording</code>.'
 )
 
 Pictures: TypeAlias = Mapping[str, Sequence[Picture]]
@@ -54,7 +54,7 @@ def gallery(evaluations: Sequence[Evaluation], pictures: Pictures, dropped: int)
 def _group(evaluation: Evaluation, pictures: Sequence[Picture]) -> str:
     if not pictures:
         why = NO_RECORDING if evaluation.coverage.frames else NO_FRAMES
-        return element("p", text(why), class_="missing")
+        return element("p", why, class_="missing")
     return "".join(_figure(place, one) for place, one in enumerate(pictures))
 
 

@@ -14,6 +14,12 @@ _SPOKEN = {
     "frames_per_s": "frame rate",
     "inside_90": "inside 90 % interval",
     "velocity_inside_90": "velocity inside 90 % interval",
+    "wrist_position_mm": "wrist position error",
+    "wrist_rotation_deg": "wrist rotation error",
+    "position_mm": "position error",
+    "rotation_deg": "rotation error",
+    **{f"{axis}_mm": f"{axis} error" for axis in ("x", "y", "z")},
+    **{f"{angle}_deg": f"{angle} error" for angle in ("roll", "pitch", "yaw")},
 }
 
 

@@ -28,8 +28,18 @@ function dashes(index) {
   return [null, "7 3", "2 3", "8 3 2 3"][Math.floor(index / 6) % 4];
 }
 
+/** Many results are too many colours: all but the one shown in detail step back. */
+function stepsBack(store, result) {
+  return store.results.length > 6 && result !== store.result;
+}
+
+/** A sample of a line, or of an area that is called band, lost or gap. */
 function makeSwatch(kind, index) {
-  return makeElement("span", { class: `swatch ${kind} ${index === undefined ? "" : colourClass(index)}`, "aria-hidden": "true" });
+  const isArea = ["band", "lost", "gap"].includes(kind);
+  const sample = isArea
+    ? makeSvg("rect", { class: kind, width: 22, height: 10 })
+    : makeSvg("line", { class: `line ${kind}`, x1: 1, x2: 21, y1: 5, y2: 5, "stroke-dasharray": kind ? null : dashes(index) });
+  return makeSvg("svg", { class: `swatch ${colourClass(index)}`, "aria-hidden": "true" }, sample);
 }
 
 /** A paragraph that says what is missing and why. */

@@ -9,6 +9,7 @@ function showReport() {
   const find = (id) => document.getElementById(id);
   new OverTime(store, find("quantity-choice"), find("over-time-plot"));
   showCurve(store, find("curve-plot"));
+  if (results.length && results.every((result) => result.subject === "head")) find("parts-title").textContent = "Error by point";
   new Parts(store, find("parts-plot"));
   new Trajectories(store, find("component-choice"), find("trajectory-legend"), find("trajectory-plots"));
   new Player(store, find("scene-view"), find("scene-remark"));

@@ -20,6 +20,7 @@ class OverTime {
     select.addEventListener("change", () => this.show());
     this.legend = makeElement("div", { class: "legend" });
     parent.append(this.legend);
+    store.on("result", () => this.show());
     this.show();
   }
 
@@ -68,7 +69,7 @@ class OverTime {
     const alone = this.store.results.length === 1;
     return [{
       x: result.times(one), y: unpack(one.value), unit: one.unit, index: result.index, gaps: result.gaps,
-      kind: both && place ? "thin" : "",
+      kind: both && place ? "thin" : "", faded: stepsBack(this.store, result),
       name: [alone ? "" : result.name, both ? kinds[name] : alone ? one.label : ""].filter(Boolean).join(", "),
       frameOf: (i) => result.frame(at[i]),
     }];

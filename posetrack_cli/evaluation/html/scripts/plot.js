@@ -2,7 +2,12 @@
 
 const PLOT_MARGIN = { top: 24, right: 14, bottom: 36 };
 const DRAG_PIXELS = 5;
+const MOST_TIP_ROWS = 10;
 let plotCount = 0;
+
+function frameText(frame) {
+  return makeElement("span", { class: "unit" }, `frame ${frame}`);
+}
 
 /**
  * Options: label (for screen readers), xTitle, yTitle, height, fromZero, xDomain (a function), yDomain, yText,
@@ -144,7 +149,8 @@ class Plot {
 
   lineShapes() {
     const bands = [], paths = [];
-    for (const line of this.options.lines) {  // the first line ends up on top
+    const faded = this.options.lines.filter((line) => line.faded);
+    for (const line of [...this.options.lines.filter((one) => !one.faded), ...faded]) {  // the first ends up on top
       const wide = (line.gaps ?? []).filter(([from, to]) => this.xs.at(to) - this.xs.at(from) >= 2);
       const runs = unbrokenRuns(line.x, line.y, visibleRange(line.x, this.xs.domain), wide);
       const colour = colourClass(line.index ?? 0);
@@ -153,7 +159,7 @@ class Plot {
         bands.push(makeSvg("path", { class: `band ${colour}`, d }));
       }
       const d = linePath(this.xs, this.ys, line.x, line.y, runs);
-      paths.unshift(makeSvg("path", { class: `line ${line.kind ?? ""} ${colour}`, d, "stroke-dasharray": line.kind === "truth" ? null : dashes(line.index ?? 0) }));
+      paths.unshift(makeSvg("path", { class: `line ${line.kind ?? ""} ${line.faded ? "faded" : ""} ${colour}`, d, "stroke-dasharray": line.kind === "truth" ? null : dashes(line.index ?? 0) }));
     }
     return [...bands, ...paths];
   }
@@ -184,13 +190,17 @@ class Plot {
   press(event) {
     this.pressed = event.pointerType === "touch" ? undefined : { x: this.valueAt(event), at: event.clientX };
     if (this.pressed && this.options.store) this.svg.setPointerCapture(event.pointerId);
-    this.showTip(this.valueAt(event));
+    this.showTip(this.valueAt(event), this.heightOf(event));
+  }
+
+  heightOf(event) {
+    return event.clientY - this.svg.getBoundingClientRect().top;
   }
 
   move(event) {
     const value = this.valueAt(event);
     const dragged = this.pressed && Math.abs(event.clientX - this.pressed.at) > DRAG_PIXELS;
-    if (!dragged || !this.options.store) return this.showTip(value);
+    if (!dragged || !this.options.store) return this.showTip(value, this.heightOf(event));
     const [from, to] = [this.pressed.x, value].sort((a, b) => a - b).map((x) => this.xs.at(x));
     this.selection.setAttribute("x", from);
     this.selection.setAttribute("width", to - from);
@@ -240,35 +250,45 @@ class Plot {
     return places[0];
   }
 
-  showTip(value) {
+  /** Reads out the values at a place; of many lines those nearest the pointer, if it has a height. */
+  showTip(value, height) {
     const at = this.nearest(value);
     if (at === undefined || !this.xs) return;
     this.cursorAt = at;
+    const hits = this.options.lines.map((line) => ({ line, i: nearestIndex(line.x, at) })).filter(({ i }) => i >= 0);
+    const shown = this.chosenHits(hits, height);
     const x = this.xs.at(at);
-    const marks = [makeSvg("line", { class: "cursor", x1: x, x2: x, y1: this.ys.range[1], y2: this.ys.range[0] })];
-    const rows = [];
-    for (const line of this.options.lines) {
-      const i = nearestIndex(line.x, at);
-      if (i < 0) continue;
-      rows.push(this.tipRow(line, i));
-      if (Number.isFinite(line.y[i])) {
-        marks.push(makeSvg("circle", {
-          class: `spot ${line.kind ?? ""} ${colourClass(line.index ?? 0)}`, r: 3.5, cx: this.xs.at(line.x[i]), cy: this.ys.at(line.y[i]),
-        }));
-      }
-    }
-    this.cursor.replaceChildren(...marks);
+    const cursor = makeSvg("line", { class: "cursor", x1: x, x2: x, y1: this.ys.range[1], y2: this.ys.range[0] });
+    this.cursor.replaceChildren(cursor, ...shown.filter(({ line, i }) => Number.isFinite(line.y[i])).map((hit) => this.spot(hit)));
     this.cursor.setAttribute("visibility", "visible");
-    this.tip.replaceChildren(makeElement("div", {}, this.options.title(at)), ...rows);
+    const rest = hits.length - shown.length;
+    const frames = [...new Set(shown.flatMap(({ line, i }) => (line.frameOf ? [line.frameOf(i)] : [])))];
+    this.tip.replaceChildren(makeElement("div", {}, this.options.title(at), ...(frames.length === 1 ? [frameText(frames[0])] : [])),
+      ...shown.map((hit) => this.tipRow(hit, frames.length > 1)),
+      ...(rest ? [makeElement("div", { class: "unit" }, `and ${rest} more`)] : []));
     this.tip.hidden = false;
     this.placeTip(x);
   }
 
-  tipRow(line, i) {
+  chosenHits(hits, height) {
+    if (hits.length <= MOST_TIP_ROWS) return hits;
+    const away = ({ line, i }) => (height === undefined ? 0 : Math.abs(this.ys.at(line.y[i]) - height));
+    const nearest = [...hits].sort((a, b) => away(a) - away(b)).slice(0, MOST_TIP_ROWS);
+    return hits.filter((hit) => nearest.includes(hit));
+  }
+
+  spot({ line, i }) {
+    return makeSvg("circle", {
+      class: `spot ${line.kind ?? ""} ${colourClass(line.index ?? 0)}`, r: 3.5, cx: this.xs.at(line.x[i]), cy: this.ys.at(line.y[i]),
+    });
+  }
+
+  tipRow({ line, i }, withFrame) {
     const half = line.half && Number.isFinite(line.half[i]) ? ` ± ${formatNumber(line.half[i])}` : "";
     const text = `${formatNumber(line.y[i])}${half}${line.unit ? ` ${line.unit}` : ""}`;
-    const frame = line.frameOf ? makeElement("span", { class: "unit" }, `frame ${line.frameOf(i)}`) : "";
-    return makeElement("div", {}, makeSwatch(line.kind ?? "", line.index ?? 0), line.name, frame, makeElement("b", {}, text));
+    const frame = withFrame && line.frameOf ? frameText(line.frameOf(i)) : "";
+    const name = makeElement("bdi", {}, line.name);
+    return makeElement("div", {}, makeSwatch(line.kind ?? "", line.index ?? 0), name, frame, makeElement("b", {}, text));
   }
 
   placeTip(x) {

@@ -144,7 +144,8 @@ class Skeleton {
     AXIS_NAMES.forEach((name, axis) => {
       const [right, down] = this.view.turned([0, 1, 2].map((other) => (other === axis ? 1 : 0)));
       this.line([x, y], [x + 24 * right, y + 24 * down], this.colours.soft, 1.5);
-      this.label(name, x + 33 * right - 3, y + 33 * down + 4, this.colours.soft);
+      const seen = Math.hypot(right, down) > 0.2;  // one that points at the viewer has its name beside it
+      this.label(name, x + (seen ? 33 * right : -9) - 3, y + (seen ? 33 * down : -9) + 4, this.colours.soft);
     });
   }
 }
