@@ -292,6 +292,8 @@ def test_hovering_reads_time_frame_and_value_of_that_frame(make: Make) -> None:
     assert unit == "mm"
     shown = 0.5e-2 if float(value) >= 10 else 0.5e-3  # places of the read-out
     assert float(value) == pytest.approx(evaluation.series["joint_error_mm"][frame], abs=1.01 * shown)
+    inside = "const [tip] = arguments; return tip.scrollWidth <= tip.clientWidth && tip.clientWidth < 400"
+    assert page.run(inside, page.find("#over-time-plot .tip"))
     page.mouse("mouseMoved", "h1", 0.5)
     assert not page.find("#over-time-plot .tip").is_displayed()
 
@@ -422,7 +424,8 @@ def test_controls_have_names_and_can_be_reached(make: Make) -> None:
     nameless = page.run(
         "const all = 'button, select, input, canvas, svg:not([aria-hidden]), img';"
         "const named = (one) => one.getAttribute('aria-label') || one.textContent.trim() || one.alt;"
-        "return [...document.querySelectorAll(all)].filter((one) => !named(one) && !one.labels?.length).map((one) => one.outerHTML.slice(0, 90))"
+        "const nameless = (one) => !named(one) && !one.labels?.length;"
+        "return [...document.querySelectorAll(all)].filter(nameless).map((one) => one.outerHTML.slice(0, 90))"
     )
     assert nameless == []
     page.run("document.querySelector('.scene canvas').focus()")
