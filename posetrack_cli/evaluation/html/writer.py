@@ -28,6 +28,8 @@ SCRIPTS = (
     "elements",
     "scale",
     "paths",
+    "axes",
+    "readout",
     "plot",
     "over_time",
     "curve",

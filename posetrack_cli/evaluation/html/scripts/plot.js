@@ -1,13 +1,7 @@
 /* A plot of lines over one axis: axes, bands, spans, a cursor with its read-out, and the choice of a shorter time. */
 
-const PLOT_MARGIN = { top: 24, right: 14, bottom: 36 };
 const DRAG_PIXELS = 5;
-const MOST_TIP_ROWS = 10;
 let plotCount = 0;
-
-function frameText(frame) {
-  return makeElement("span", { class: "unit" }, `frame ${frame}`);
-}
 
 /**
  * Options: label (for screen readers), xTitle, yTitle, height, fromZero, xDomain (a function), yDomain, yText,
@@ -75,10 +69,12 @@ class Plot {
     const { height } = this.options;
     const [yTicks, yTexts] = this.prepareY(height);
     const left = 16 + 7 * Math.max(...yTexts.map((text) => text.length));
-    this.xs = new Scale(this.xDomain, [left, width - PLOT_MARGIN.right]);
+    const right = width - PLOT_MARGIN.right;
+    this.xs = new Scale(this.xDomain, [left, right]);
     this.svg.replaceChildren(
       this.clipPath(left, width, height),
-      ...this.axes(left, width, height, yTicks, yTexts),
+      ...yAxis(this.ys, left, right, yTicks, yTexts, this.options.yTitle),
+      ...xAxis(this.xs, height, this.options.xTitle),
       makeSvg("g", { "clip-path": `url(#${this.clip})` }, ...this.spanShapes(), ...this.lineShapes()),
     );
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
@@ -107,28 +103,6 @@ class Plot {
       height: height - PLOT_MARGIN.top - PLOT_MARGIN.bottom + 2,
     });
     return makeSvg("clipPath", { id: this.clip }, rect);
-  }
-
-  axes(left, width, height, yTicks, yTexts) {
-    const bottom = height - PLOT_MARGIN.bottom, right = width - PLOT_MARGIN.right;
-    const shapes = [];
-    yTicks.forEach((tick, i) => {
-      const y = this.ys.at(tick);
-      shapes.push(makeSvg("line", { class: "grid", x1: left, x2: right, y1: y, y2: y }));
-      shapes.push(makeSvg("text", { x: left - 7, y: y + 4, "text-anchor": "end" }, yTexts[i]));
-    });
-    const xTicks = niceTicks(...this.xs.domain, (right - left) / 62);
-    tickTexts(xTicks).forEach((text, i) => {
-      const x = this.xs.at(xTicks[i]);
-      shapes.push(makeSvg("line", { class: "axis", x1: x, x2: x, y1: bottom, y2: bottom + 4 }));
-      shapes.push(makeSvg("text", { x, y: bottom + 16, "text-anchor": "middle" }, text));
-    });
-    shapes.push(makeSvg("line", { class: "axis", x1: left, x2: right, y1: bottom, y2: bottom }));
-    shapes.push(makeSvg("text", { class: "axis-title", x: 0, y: 12 }, this.options.yTitle));
-    shapes.push(
-      makeSvg("text", { class: "axis-title", x: right, y: height - 4, "text-anchor": "end" }, this.options.xTitle),
-    );
-    return shapes;
   }
 
   spanShapes() {
@@ -256,46 +230,11 @@ class Plot {
     if (at === undefined || !this.xs) return;
     this.cursorAt = at;
     const hits = this.options.lines.map((line) => ({ line, i: nearestIndex(line.x, at) })).filter(({ i }) => i >= 0);
-    const shown = this.chosenHits(hits, height);
-    const x = this.xs.at(at);
-    const cursor = makeSvg("line", { class: "cursor", x1: x, x2: x, y1: this.ys.range[1], y2: this.ys.range[0] });
-    this.cursor.replaceChildren(cursor, ...shown.filter(({ line, i }) => Number.isFinite(line.y[i])).map((hit) => this.spot(hit)));
+    const shown = nearestHits(hits, this.ys, height);
+    this.cursor.replaceChildren(...cursorShapes(shown, this.xs, this.ys, this.xs.at(at)));
     this.cursor.setAttribute("visibility", "visible");
-    const rest = hits.length - shown.length;
-    const frames = [...new Set(shown.flatMap(({ line, i }) => (line.frameOf ? [line.frameOf(i)] : [])))];
-    this.tip.replaceChildren(makeElement("div", {}, this.options.title(at), ...(frames.length === 1 ? [frameText(frames[0])] : [])),
-      ...shown.map((hit) => this.tipRow(hit, frames.length > 1)),
-      ...(rest ? [makeElement("div", { class: "unit" }, `and ${rest} more`)] : []));
-    this.tip.hidden = false;
-    this.placeTip(x);
-  }
-
-  chosenHits(hits, height) {
-    if (hits.length <= MOST_TIP_ROWS) return hits;
-    const away = ({ line, i }) => (height === undefined ? 0 : Math.abs(this.ys.at(line.y[i]) - height));
-    const nearest = [...hits].sort((a, b) => away(a) - away(b)).slice(0, MOST_TIP_ROWS);
-    return hits.filter((hit) => nearest.includes(hit));
-  }
-
-  spot({ line, i }) {
-    return makeSvg("circle", {
-      class: `spot ${line.kind ?? ""} ${colourClass(line.index ?? 0)}`, r: 3.5, cx: this.xs.at(line.x[i]), cy: this.ys.at(line.y[i]),
-    });
-  }
-
-  tipRow({ line, i }, withFrame) {
-    const half = line.half && Number.isFinite(line.half[i]) ? ` ± ${formatNumber(line.half[i])}` : "";
-    const text = `${formatNumber(line.y[i])}${half}${line.unit ? ` ${line.unit}` : ""}`;
-    const frame = withFrame && line.frameOf ? frameText(line.frameOf(i)) : "";
-    const name = makeElement("bdi", {}, line.name);
-    return makeElement("div", {}, makeSwatch(line.kind ?? "", line.index ?? 0), name, frame, makeElement("b", {}, text));
-  }
-
-  placeTip(x) {
-    const width = this.tip.offsetWidth;
-    const left = x + 14 + width <= this.width ? x + 14 : x - 14 - width;
-    this.tip.style.left = `${Math.max(0, Math.min(left, this.width - width))}px`;
-    this.tip.style.top = `${PLOT_MARGIN.top + 4}px`;
+    fillReadout(this.tip, this.options.title(at), shown, hits.length - shown.length);
+    placeReadout(this.tip, this.xs.at(at), this.width);
   }
 
   hideTip() {

@@ -1,0 +1,51 @@
+/* What a plot's cursor reads out: a line, spots on the curves, a box with time, frame and values. */
+
+const MOST_READOUT_ROWS = 10;
+const READOUT_DISTANCE = 14;
+
+/** Of many hits {line, i} those nearest a height, px, in their own order; the first ones if there is none. */
+function nearestHits(hits, scale, height) {
+  if (hits.length <= MOST_READOUT_ROWS) return hits;
+  const away = ({ line, i }) => (height === undefined ? 0 : Math.abs(scale.at(line.y[i]) - height));
+  const nearest = [...hits].sort((a, b) => away(a) - away(b)).slice(0, MOST_READOUT_ROWS);
+  return hits.filter((hit) => nearest.includes(hit));
+}
+
+/** The cursor's line and a spot on each curve that has a value there. */
+function cursorShapes(hits, xs, ys, x) {
+  const spots = hits.filter(({ line, i }) => Number.isFinite(line.y[i])).map(({ line, i }) => makeSvg("circle", {
+    class: `spot ${line.kind ?? ""} ${colourClass(line.index ?? 0)}`, r: 3.5, cx: xs.at(line.x[i]), cy: ys.at(line.y[i]),
+  }));
+  return [makeSvg("line", { class: "cursor", x1: x, x2: x, y1: ys.range[1], y2: ys.range[0] }), ...spots];
+}
+
+/** Title, a row for each hit, and how many are not shown. A frame that all have in common is in the title. */
+function fillReadout(box, title, hits, rest) {
+  const frames = [...new Set(hits.flatMap(({ line, i }) => (line.frameOf ? [line.frameOf(i)] : [])))];
+  box.replaceChildren(
+    makeElement("div", {}, title, ...(frames.length === 1 ? [frameText(frames[0])] : [])),
+    ...hits.map((hit) => readoutRow(hit, frames.length > 1)),
+    ...(rest ? [makeElement("div", { class: "unit" }, `and ${rest} more`)] : []),
+  );
+  box.hidden = false;
+}
+
+function readoutRow({ line, i }, withFrame) {
+  const half = line.half && Number.isFinite(line.half[i]) ? ` ± ${formatNumber(line.half[i])}` : "";
+  const value = `${formatNumber(line.y[i])}${half}${line.unit ? ` ${line.unit}` : ""}`;
+  const frame = withFrame && line.frameOf ? frameText(line.frameOf(i)) : "";
+  const swatch = makeSwatch(line.kind ?? "", line.index ?? 0);
+  return makeElement("div", {}, swatch, makeElement("bdi", {}, line.name), frame, makeElement("b", {}, value));
+}
+
+function frameText(frame) {
+  return makeElement("span", { class: "unit" }, `frame ${frame}`);
+}
+
+/** Beside the cursor, on the side where there is room. */
+function placeReadout(box, x, width) {
+  const own = box.offsetWidth;
+  const left = x + READOUT_DISTANCE + own <= width ? x + READOUT_DISTANCE : x - READOUT_DISTANCE - own;
+  box.style.left = `${Math.max(0, Math.min(left, width - own))}px`;
+  box.style.top = `${PLOT_MARGIN.top + 4}px`;
+}
