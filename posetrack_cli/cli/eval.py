@@ -199,8 +199,8 @@ def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
     write_html(path, found.evaluations, found.comparison, pictures, title)
 
 
-def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture]:
-    """The worst frames; none, and a line that says why, where they cannot be drawn."""
+def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:
+    """The worst frames; where they cannot be drawn, why, which is also told here."""
     from posetrack_cli.errors import RenderingError
     from posetrack_cli.evaluation.pictures import worst_frame_pictures
     from posetrack_cli.evaluation.recording_of import search_recording
@@ -214,7 +214,7 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture]:
         except RenderingError as error:
             reason = str(error)
     click.echo(f"{evaluation.name}: no pictures of the worst frames: {reason}", err=True)
-    return []
+    return reason
 
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:

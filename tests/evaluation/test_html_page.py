@@ -324,10 +324,18 @@ def test_pictures_beyond_the_room_are_left_out_and_the_page_says_how_many(
 
 
 def test_without_pictures_the_page_says_why() -> None:
-    assert (
-        "No pictures: the recording that the result was made from"
-        in Outline(page(hand_evaluation(frames=3))).words
-    )
+    evaluation = hand_evaluation(frames=3)
+    told = page(evaluation, pictures={"a": "there is no <recording>"})
+    assert "No pictures: there is no <recording>." in Outline(told).words
+    assert "No pictures were drawn." in page(evaluation)
+    assert "No pictures: there are no frames." in page(shortened(evaluation, 0))
+
+
+def test_a_result_whose_pictures_find_no_room_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gallery, "MOST_BYTES", len(PNG))
+    given = {"a": [picture()], "b": [picture()]}
+    text = page(hand_evaluation("a", 9), hand_evaluation("b", 9), pictures=given)
+    assert gallery.NO_ROOM in text and "1 more pictures" in text
 
 
 @pytest.mark.parametrize("name", ["page.txt", "page", "folder.html"])

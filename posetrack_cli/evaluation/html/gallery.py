@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from posetrack_cli.evaluation.evaluation import Evaluation
@@ -15,47 +16,69 @@ MOST_BYTES = 3_500_000
 
 
 NO_FRAMES = "No pictures: there are no frames."
-NO_RECORDING = (
-    "No pictures: the recording that the result was made from was not at hand when this page was written. "
-    'They are drawn where it lies beside the result or is named: <code class="option">--recording</code>.'
-)
+NOT_DRAWN = "No pictures were drawn."
+NO_ROOM = "No pictures: those of the other results take all the room there is."
 
-Pictures: TypeAlias = Mapping[str, Sequence[Picture]]
-
-
-def fitting(evaluations: Sequence[Evaluation], pictures: Pictures) -> tuple[Pictures, int]:
-    """Return the pictures that fit into ``MOST_BYTES``, the first of each result first; how many do not."""
-    kept: dict[str, list[Picture]] = {one.name: [] for one in evaluations}
-    rest, dropped = MOST_BYTES, 0
-    longest = max((len(pictures.get(name, ())) for name in kept), default=0)
-    for place in range(longest):
-        for name in kept:
-            given = pictures.get(name, ())
-            if place >= len(given):
-                continue
-            if len(given[place].png) > rest:
-                dropped += 1
-            else:
-                kept[name].append(given[place])
-                rest -= len(given[place].png)
-    return kept, dropped
+Pictures: TypeAlias = Mapping[str, Sequence[Picture] | str]
+"""Of each result, by name, the pictures, the worst first; or a text that says why there are none."""
 
 
-def gallery(evaluations: Sequence[Evaluation], pictures: Pictures, dropped: int) -> str:
+@dataclass(frozen=True, eq=False)
+class Gallery:
+    """What a page shows of the pictures it was given.
+
+    Attributes:
+        pictures: of each result, by name.
+        missing: why there are none, by the name of each result without any.
+        dropped: how many found no room.
+    """
+
+    pictures: Mapping[str, Sequence[Picture]]
+    missing: Mapping[str, str]
+    dropped: int
+
+
+def fitting(evaluations: Sequence[Evaluation], pictures: Pictures) -> Gallery:
+    """Choose the pictures that fit into ``MOST_BYTES``, the first of each result first."""
+    given = {one.name: pictures.get(one.name, ()) for one in evaluations}
+    drawn = {name: () if isinstance(found, str) else found for name, found in given.items()}
+    kept: dict[str, list[Picture]] = {name: [] for name in drawn}
+    rest = MOST_BYTES
+    for _, name, picture in sorted(
+        ((place, name, one) for name, found in drawn.items() for place, one in enumerate(found)),
+        key=lambda entry: entry[0],
+    ):
+        if len(picture.png) <= rest:
+            kept[name].append(picture)
+            rest -= len(picture.png)
+    missing = {one.name: _reason(one, given[one.name]) for one in evaluations if not kept[one.name]}
+    return Gallery(kept, missing, sum(map(len, drawn.values())) - sum(map(len, kept.values())))
+
+
+def _reason(evaluation: Evaluation, given: Sequence[Picture] | str) -> str:
+    if isinstance(given, str):
+        return f"No pictures: {given.rstrip('.')}."
+    if given:
+        return NO_ROOM
+    return NOT_DRAWN if evaluation.coverage.frames else NO_FRAMES
+
+
+def gallery_section(evaluations: Sequence[Evaluation], gallery: Gallery) -> str:
     """Return one group of figures per result; scripts show the group of the chosen one."""
     groups = [
-        element("div", _group(one, pictures.get(one.name, ())), class_="gallery", data_result=place)
+        element("div", _group(gallery, one.name), class_="gallery", data_result=place)
         for place, one in enumerate(evaluations)
     ]
-    note = f"{dropped} more pictures were left out to keep the page small." if dropped else ""
-    return "".join(groups) + (element("p", text(note), class_="remark") if note else "")
+    if gallery.dropped:
+        note = f"{gallery.dropped} more pictures were left out to keep the page small."
+        groups.append(element("p", text(note), class_="remark"))
+    return "".join(groups)
 
 
-def _group(evaluation: Evaluation, pictures: Sequence[Picture]) -> str:
-    if not pictures:
-        why = NO_RECORDING if evaluation.coverage.frames else NO_FRAMES
-        return element("p", why, class_="missing")
-    return "".join(_figure(place, one) for place, one in enumerate(pictures))
+def _group(gallery: Gallery, name: str) -> str:
+    if name in gallery.missing:
+        return element("p", text(gallery.missing[name]), class_="missing")
+    return "".join(_figure(place, one) for place, one in enumerate(gallery.pictures[name]))
 
 
 def _figure(place: int, picture: Picture) -> str:

@@ -13,7 +13,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.about import about, component_remark, plot_remark
-from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery
+from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
 from posetrack_cli.evaluation.html.markup import text
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
@@ -62,7 +62,7 @@ def write_html(
         path: ``*.html``.
         evaluations: their names are unique.
         comparison: paired differences of several results; None shows none.
-        pictures: of each result, by its name, the worst frames first.
+        pictures: of each result, by its name, the worst frames first; or why there are none, as text.
         title: heading of the page.
 
     Raises:
@@ -98,8 +98,8 @@ def html_page(
     """Return the page's text, see ``write_html``."""
     style = _asset("report.css")
     script = '"use strict";\n' + "\n".join(_asset(f"scripts/{name}.js") for name in SCRIPTS)
-    shown, dropped = fitting(evaluations, pictures)
-    data = page_data(evaluations, shown)
+    gallery = fitting(evaluations, pictures)
+    data = page_data(evaluations, gallery.pictures)
     return Template(_asset("report.html")).substitute(
         policy=_policy(style, script),
         version=text(__version__),
@@ -113,7 +113,7 @@ def html_page(
         comparison=comparison_section(comparison),
         plot_remark=plot_remark(data),
         component_remark=component_remark(data),
-        gallery=gallery(evaluations, shown, dropped),
+        gallery=gallery_section(evaluations, gallery),
         provenance=provenance(evaluations),
         about=about(data),
         data=json_text(data),
