@@ -100,7 +100,7 @@ def _table(table: Table, caption: str) -> str:
     heading = row(
         [
             element("th", "", scope="col"),
-            *(element("th", f"<bdi>{text(name)}</bdi>", scope="col") for name in table.columns),
+            *(element("th", f"<bdi>{text(name)}</bdi>", scope="col", title=name) for name in table.columns),
         ]
     )
     bodies = "".join(_section(section, len(table.columns)) for section in table.sections)
