@@ -26,24 +26,21 @@ from posetrack_cli.configuration import load_settings
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.start import centre_pose, scattered_poses
+from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.hand.synthesis.frames import synthesise
 from posetrack_cli.hand.synthesis.options import SynthOptions
 from posetrack_cli.hand.synthesis.sensor import CAMERA
-from posetrack_cli.hand.tracker import HandState, HandTracker
-from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.benchmark import scoring_milliseconds
 from posetrack_cli.rendering.context import describe, open_context
+from stepping import FRAME_NS, Walker, in_turn
 
 PARTICLES = 512
 SWEEP = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
-FRAME_NS = 33_333_333
 
 
 @dataclass(frozen=True)
@@ -160,44 +157,19 @@ class Stopwatch:
 
 def velocity_ratio(context: Any, recorded: list[Any]) -> Iterator[Row]:
     """Frame time of the RBPF over that of the PF: both step through the same frames in turn."""
-    walkers = {kind: Walker(context, {"filter.kind": kind}, recorded[0]) for kind in ("rbpf", "pf")}
-    ratios: list[float] = []
-    times: dict[str, list[float]] = {"rbpf": [], "pf": []}
-    for index, depth in enumerate(recorded):
-        order = ("rbpf", "pf") if index % 2 else ("pf", "rbpf")
-        took = {kind: walkers[kind].step(index, depth) for kind in order}
-        if index >= 5:
-            ratios.append(took["rbpf"] / took["pf"])
-            for kind in times:
-                times[kind].append(took[kind])
+    configs = {kind: load_settings(HandConfig, None, {"filter.kind": kind}) for kind in ("rbpf", "pf")}
+    walkers = {kind: Walker(context, config, recorded[0]) for kind, config in configs.items()}
+    times = in_turn(walkers, recorded, warm_up=5)
+    ratios = np.divide(times["rbpf"], times["pf"])
     for kind in times:
         yield Row(f"step of the {kind}", 1e3 * float(np.median(times[kind])), "ms")
     yield Row("RBPF / PF frame time, median of pairs", float(np.median(ratios)), "", 1.03)
 
 
-class Walker:
-    """A tracker that is timed step by step."""
-
-    def __init__(self, context: Any, options: dict[str, Any], first: Any) -> None:
-        config = load_settings(HandConfig, None, options)
-        anatomy = make_anatomy()
-        scorer = RenderedCosts(context, anatomy, CAMERA, config.observation, config.filter.particles)
-        self.tracker = HandTracker(config, anatomy, CAMERA, scorer)
-        self.rng = np.random.default_rng(0)
-        pose = centre_pose(first, CAMERA, anatomy, None)
-        self.state: HandState = self.tracker.start(pose, 0, self.rng)
-
-    def step(self, index: int, depth: Any) -> float:
-        """Track one frame; return the seconds it took."""
-        frame = Frame(index, index * FRAME_NS, (depth,))
-        began = time.perf_counter()
-        self.state, _ = self.tracker.step(self.state, frame, self.rng)
-        return time.perf_counter() - began
-
-
 def against_particles(context: Any, recorded: list[Any], repeats: int) -> Iterator[Row]:
     """Time of a step against N, and how far it is from a straight line (the paper's figure 10)."""
-    walkers = [Walker(context, {"filter.particles": n}, recorded[0]) for n in SWEEP]
+    configs = [load_settings(HandConfig, None, {"filter.particles": n}) for n in SWEEP]
+    walkers = [Walker(context, config, recorded[0]) for config in configs]
     taken: list[list[float]] = [[] for _ in SWEEP]
     for repeat in range(max(5, repeats // 3) + 1):
         for walker, times in zip(walkers, taken, strict=True):

@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from study import CONDITIONS, Condition
-from unit import Unit
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.paired import Paired, paired
 from posetrack_cli.evaluation.statistics import Statistics
+from reproduction.study import CONDITIONS, Condition
+from reproduction.unit import Unit
 
 METRICS = ("joint_error_mm", "velocity_error_mm_s")
+"""What entrants are compared by."""
+RELIABILITY = ("coverage", "nees", "inside_90")
+"""What is told of every entrant besides."""
 SIGNIFICANCE = 0.05
 Figures = Mapping[str, float]
 
@@ -45,16 +48,18 @@ class Comparison:
 
 def measure(units: Sequence[Unit], entrants: Sequence[str], folder: Path) -> dict[tuple[str, str], Figures]:
     """Return by unit and entrant the mean over the recording of every metric that it has."""
-    measured: dict[tuple[str, str], Figures] = {}
-    for unit in units:
-        for entrant in entrants:
-            if (path := unit.result(folder, entrant)).exists():
-                metrics = evaluate(path, EvalOptions()).metrics
-                values = {name: metrics[name] for name in METRICS if name in metrics}
-                measured[unit.name, entrant] = {
-                    name: value.mean for name, value in values.items() if isinstance(value, Statistics)
-                }
-    return measured
+    return {
+        (unit.name, entrant): _means(path)
+        for unit in units
+        for entrant in entrants
+        if (path := unit.result(folder, entrant)).exists()
+    }
+
+
+def _means(path: Path) -> Figures:
+    metrics = evaluate(path).metrics
+    values = {name: metrics[name] for name in (*METRICS, *RELIABILITY) if name in metrics}
+    return {name: value.mean if isinstance(value, Statistics) else value for name, value in values.items()}
 
 
 def compare(

@@ -92,9 +92,8 @@ def times(path: Path, particles: Sequence[int], milliseconds: Mapping[str, Seque
         for kind, values in milliseconds.items():
             panel.loglog(particles, values, "o-", color=COLOURS[kind], label=NAMES[kind], lw=1.2, ms=4)
         panel.axhline(1000.0 / 30.0, color="#888888", lw=0.8, ls="--")
-        panel.annotate(
-            "sensor interval, 33 ms", (particles[0], 1000.0 / 30.0), (0, 3), textcoords="offset points"
-        )
+        at = (particles[-1], 1000.0 / 30.0)
+        panel.annotate("sensor interval, 33 ms", at, (0, 3), textcoords="offset points", ha="right")
         panel.set_xticks(particles, [str(n) for n in particles])
         panel.minorticks_off()
         panel.set_xlabel("particles")
@@ -103,22 +102,28 @@ def times(path: Path, particles: Sequence[int], milliseconds: Mapping[str, Seque
         _save(figure, path)
 
 
-def differences(path: Path, title: str, unit: str, compared: Mapping[str, tuple[Any, Paired]]) -> None:
+def differences(
+    path: Path, title: str, unit: str, linear_to: float, compared: Mapping[str, tuple[Any, Paired]]
+) -> None:
     """The study: every recording's difference, and the mean with its 95 % interval, a row per condition.
 
     Args:
         path: PNG to write.
         title: what is subtracted from what.
         unit: of the differences.
+        linear_to: up to here the axis is linear, logarithmic beyond.
         compared: per condition the paired differences (n,) and what they say together.
     """
     with plt.rc_context(STYLE | {"axes.grid.axis": "x"}):
         figure, panel = plt.subplots(figsize=(6.4, 0.36 * len(compared) + 1.1))
         for row, (values, summary) in enumerate(compared.values()):
-            panel.plot(values, np.full(len(values), row), "o", color="#9ecae1", ms=3.5, mew=0)
+            spread = row + 0.2 * np.linspace(-1.0, 1.0, len(values))
+            panel.plot(values, spread, "o", color="#9ecae1", ms=3.5, mew=0)
             panel.plot([summary.low, summary.high], [row, row], color="#08519c", lw=2.5)
             panel.plot(summary.difference, row, "|", color="#08306b", ms=11, mew=2)
         panel.axvline(0.0, color="#444444", lw=0.8)
+        panel.set_xscale("symlog", linthresh=linear_to, linscale=1.5)  # a lost hand is far off, most are not
+        panel.xaxis.set_major_formatter("{x:g}")
         panel.set_yticks(range(len(compared)), list(compared))
         panel.invert_yaxis()
         panel.set_xlabel(f"difference, {unit}")

@@ -12,20 +12,15 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import analysis
 import click
-import figures
-import report
-import study
-import timing
-from unit import ENTRANTS, Unit, run_unit
 
 from posetrack_cli import __version__
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.cli.recording_options import recording_options
 from posetrack_cli.rendering.context import describe, open_context
+from reproduction import analysis, figures, report, study, timing
+from reproduction.unit import ENTRANTS, Unit, run_unit
 
-LINE = 110
 FIGURE_SEED = 201
 CONFIGURATIONS = {"paper's values": "printed", "hand.toml": "union"}
 PAIRS = {
@@ -33,6 +28,7 @@ PAIRS = {
     "The paper's cost against the union cost": (("pf-paper", "pf-union"), ("rbpf-paper", "rbpf-union")),
 }
 UNITS = {"joint_error_mm": "mm", "velocity_error_mm_s": "mm/s"}
+LINEAR = {"joint_error_mm": 5.0, "velocity_error_mm_s": 50.0}
 TITLES = {
     "joint_error_mm": "mean error of the 21 joints",
     "velocity_error_mm_s": "mean error of the wrist's velocity",
@@ -178,8 +174,8 @@ def _time(output: Path, context: Any) -> Iterator[str]:
     yield ""
     yield from report.time_table(timing.PARTICLES, milliseconds)
     yield (
-        f"Medians over {timing.ROUNDS * (timing.RECORDING.frames - timing.WARM_UP)} frames of motion B with "
-        "the paper's values, the two filters in turn."
+        f"Medians over {timing.RECORDING.frames - timing.WARM_UP} frames of motion B with the paper's "
+        "values; the two filters take turns, frame by frame."
     )
     yield ""
 
@@ -201,6 +197,7 @@ def _study(output: Path, seeds: int, frames: int, jobs: int) -> Iterator[str]:
         "Benjamini and Hochberg over the table's rows. Motion A is a random walk without velocity."
     )
     yield ""
+    yield from report.reliability_table(measured, study.STUDIED)
     for metric in analysis.METRICS:
         for title, pairs in PAIRS.items():
             yield from _compared(output, measured, units, metric, title, pairs)
@@ -226,7 +223,7 @@ def _compared(
         )
         for c in compared
     }
-    figures.differences(output / name, f"{title}: {TITLES[metric]}", UNITS[metric], labels)
+    figures.differences(output / name, f"{title}: {TITLES[metric]}", UNITS[metric], LINEAR[metric], labels)
     yield f"### {title}: {TITLES[metric]}"
     yield ""
     yield f"![Differences per recording]({name})"

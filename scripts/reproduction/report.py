@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from analysis import Comparison, adjusted, verdict
-from figures import TRUTH, Component
 
 from posetrack_cli.results import load_arrays
+from reproduction.analysis import Comparison, Figures, adjusted, verdict
+from reproduction.figures import TRUTH, Component
 
 SAID = {
     "A": "For small changes without velocity both methods give nearly right estimates for some parts of "
@@ -26,6 +27,12 @@ SAID = {
     "cost function may be the reason (8).",
 }
 """The paper's statements, in our words."""
+
+RELIABILITY_ROWS: tuple[tuple[str, str, Callable[[Any], Any], str], ...] = (
+    ("coverage, mean", "coverage", np.mean, ".3f"),
+    ("NEES, median over recordings (21 is consistent)", "nees", np.median, ".0f"),
+    ("truth inside 90 % intervals, mean share", "inside_90", np.mean, ".2f"),
+)
 
 
 def quoted(key: str) -> Iterator[str]:
@@ -61,6 +68,17 @@ def time_table(particles: Sequence[int], milliseconds: Mapping[str, Sequence[flo
     yield "| PF, ms | " + " | ".join(f"{value:.1f}" for value in pf) + " |"
     yield "| RBPF, ms | " + " | ".join(f"{value:.1f}" for value in rbpf) + " |"
     yield "| RBPF / PF | " + " | ".join(f"{b / a:.2f}" for a, b in zip(pf, rbpf, strict=True)) + " |"
+    yield ""
+
+
+def reliability_table(measured: Mapping[tuple[str, str], Figures], entrants: Sequence[str]) -> Iterator[str]:
+    """A table: how far each entrant kept track, and whether the truth lies inside its stated covariance."""
+    yield "| over all recordings | " + " | ".join(entrants) + " |"
+    yield "|---|" + "---|" * len(entrants)
+    for title, metric, summary, digits in RELIABILITY_ROWS:
+        values = [[m[metric] for (_, name), m in measured.items() if name == entrant] for entrant in entrants]
+        shown = [format(float(summary(own)), digits) if own else "-" for own in values]
+        yield f"| {title} | {' | '.join(shown)} |"
     yield ""
 
 

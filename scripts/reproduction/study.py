@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
-from unit import Unit
+
+from reproduction.unit import Unit
 
 STUDIED = ("pf-paper", "rbpf-paper", "pf-union", "rbpf-union")
 MOTIONS, SPEEDS = ("A", "B", "C"), (1.0, 2.0)
@@ -56,10 +57,11 @@ def _track(unit: Unit, entrants: Sequence[str], out: Path) -> str:
         "entrants": ",".join(entrants),
         "out": out,
     }
-    command = [sys.executable, str(Path(__file__).with_name("unit.py"))]
+    command = [sys.executable, "-m", "reproduction.unit"]
     command += [part for name, value in arguments.items() for part in (f"--{name}", str(value))]
     one_core = dict.fromkeys(("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    ended = subprocess.run(command, env=os.environ | one_core, capture_output=True, text=True)
+    found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    ended = subprocess.run(command, env=os.environ | one_core | found, capture_output=True, text=True)
     if ended.returncode == 0:
         return ""
     said = ended.stderr.strip().splitlines()

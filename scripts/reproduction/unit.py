@@ -1,6 +1,7 @@
 """One unit of the study: a synthetic recording, tracked by every entrant. Run as a process of its own.
 
-Usage: .venv/bin/python scripts/reproduction/unit.py --motion C --speed 1 --seed 101 --frames 150 --out DIR
+Usage: PYTHONPATH=scripts .venv/bin/python -m reproduction.unit --motion C --speed 1 --seed 101 \\
+    --frames 150 --entrants pf-union,rbpf-union --out DIR
 
 A result that is there already is left alone, so a study that was stopped goes on where it was. The recording
 itself is deleted in the end: the same options make the same one again.

@@ -1,0 +1,1 @@
+"""The papers' experiments, redone: run by scripts/reproduce."""

@@ -1,0 +1,59 @@
+"""Trackers that are timed step by step, in turn, so that a drifting clock rate touches all alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.start import centre_pose
+from posetrack_cli.hand.synthesis.sensor import CAMERA
+from posetrack_cli.hand.tracker import HandState, HandTracker
+from posetrack_cli.recording.base import Frame
+
+FRAME_NS = 33_333_333
+
+
+class Walker:
+    """A tracker that is timed step by step.
+
+    Args:
+        context: GL context.
+        config: of the tracker.
+        first: depth image that it starts in the middle of.
+    """
+
+    def __init__(self, context: Any, config: HandConfig, first: Any) -> None:
+        anatomy = make_anatomy()
+        scorer = RenderedCosts(context, anatomy, CAMERA, config.observation, config.filter.particles)
+        self.tracker = HandTracker(config, anatomy, CAMERA, scorer)
+        self.rng = np.random.default_rng(0)
+        pose = centre_pose(first, CAMERA, anatomy, config.init.depth_mm)
+        self.state: HandState = self.tracker.start(pose, 0, self.rng)
+
+    def step(self, index: int, depth: Any) -> float:
+        """Track one frame; return the seconds it took."""
+        frame = Frame(index, index * FRAME_NS, (depth,))
+        began = time.perf_counter()
+        self.state, _ = self.tracker.step(self.state, frame, self.rng)
+        return time.perf_counter() - began
+
+
+def in_turn(walkers: Mapping[str, Walker], recorded: Sequence[Any], warm_up: int) -> dict[str, list[float]]:
+    """Let walkers track the same images, frame by frame in turn and in both orders.
+
+    Returns:
+        For each the seconds of every frame after the first ``warm_up``.
+    """
+    times: dict[str, list[float]] = {name: [] for name in walkers}
+    for index, depth in enumerate(recorded):
+        for name in list(walkers)[:: 1 if index % 2 else -1]:
+            seconds = walkers[name].step(index, depth)
+            if index >= warm_up:
+                times[name].append(seconds)
+    return times
