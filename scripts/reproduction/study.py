@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from reproduction.unit import Unit
 
-STUDIED = ("pf-paper", "rbpf-paper", "pf-union", "rbpf-union")
+STUDIED = ("pf-printed", "rbpf-printed", "pf-paper", "rbpf-paper", "pf-union", "rbpf-union")
 MOTIONS, SPEEDS = ("A", "B", "C"), (1.0, 2.0)
 FIRST_SEED = 201
 """Seeds from here on were not used for tuning or elsewhere."""

@@ -3,12 +3,14 @@
 Usage: PYTHONPATH=scripts .venv/bin/python -m reproduction.unit --motion C --speed 1 --seed 101 \\
     --frames 150 --entrants pf-union,rbpf-union --out DIR
 
-A result that is there already is left alone, so a study that was stopped goes on where it was. The recording
+A result that is there already is left alone if it is of this version and configuration, so a study that was
+stopped goes on where it was. The recording
 itself is deleted in the end: the same options make the same one again.
 """
 
 from __future__ import annotations
 
+import json
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,7 @@ from typing import Any
 
 import click
 
+from posetrack_cli import __version__
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import INIT_CENTRE, HandRun, RunOptions
@@ -23,6 +26,7 @@ from posetrack_cli.hand.synthesis.options import Switches, SynthOptions
 from posetrack_cli.hand.synthesis.writing import write_synthetic
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.context import open_context
+from posetrack_cli.results import read_result
 
 
 @dataclass(frozen=True)
@@ -52,8 +56,8 @@ class Unit:
 
     @property
     def name(self) -> str:
-        """What its files are called by, such as ``C-2x-101``."""
-        return f"{self.motion}-{self.speed:g}x-{self.seed:03d}"
+        """What its files are called by, such as ``C-2x-101-150``."""
+        return f"{self.motion}-{self.speed:g}x-{self.seed:03d}-{self.frames}"
 
     def result(self, folder: Path, entrant: str) -> Path:
         """Where an entrant's result lies."""
@@ -79,7 +83,7 @@ def main(motion: str, speed: float, seed: int, frames: int, entrants: str, out: 
 
 def run_unit(unit: Unit, entrants: list[str], out: Path) -> None:
     """Track a unit by the entrants whose results are not there yet."""
-    missing = [entrant for entrant in entrants if not unit.result(out, entrant).exists()]
+    missing = [entrant for entrant in entrants if not is_current(unit.result(out, entrant), entrant)]
     if not missing:
         return
     with tempfile.TemporaryDirectory() as folder:
@@ -90,14 +94,28 @@ def run_unit(unit: Unit, entrants: list[str], out: Path) -> None:
             track(recording, unit, entrant, unit.result(out, entrant), context)
 
 
+def configuration(entrant: str) -> HandConfig:
+    """An entrant's resolved configuration; nobody looks at the mesh, so none is written."""
+    chosen = ENTRANTS[entrant]
+    changes = chosen.changes | {"output.mesh": "none"}
+    return load_settings(HandConfig, find_configuration(chosen.configuration), changes)
+
+
+def is_current(result: Path, entrant: str) -> bool:
+    """Whether a finished result of this version and of the entrant's configuration is there."""
+    if not result.exists():
+        return False
+    run = read_result(result).run
+    stated = json.dumps(configuration(entrant).model_dump(mode="json"))
+    return (run["version"], run["configuration"]) == (__version__, stated)
+
+
 def track(recording: Path, unit: Unit, entrant: str, result: Path, context: Any) -> None:
     """Track a recording; C starts as ``--init center``, A and B from the true pose, which is anywhere.
 
     The tracker's seed is the unit's: entrants over the same recording are pairs.
     """
-    chosen = ENTRANTS[entrant]
-    changes = chosen.changes | {"output.mesh": "none"}
-    config = load_settings(HandConfig, find_configuration(chosen.configuration), changes)
+    config = configuration(entrant)
     init = INIT_CENTRE if unit.motion == "C" else str(recording)
     options = RunOptions(result, seed=unit.seed, init=init, overwrite=True)
     HandRun(open_recording(recording), config, options, context).track(lambda estimate: None)

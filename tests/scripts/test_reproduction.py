@@ -10,7 +10,7 @@ import pytest
 from posetrack_cli.results import load_arrays, read_result
 from reproduction import analysis, report, study
 from reproduction.study import CONDITIONS, Condition
-from reproduction.unit import ENTRANTS, Unit
+from reproduction.unit import ENTRANTS, Unit, is_current
 
 PAIR = ("pf-union", "rbpf-union")
 UNITS = {condition: condition.units(8, 150) for condition in CONDITIONS}
@@ -80,6 +80,7 @@ def test_a_unit_is_tracked_as_its_entrant_says(entrant: str, tmp_path: Path) -> 
     before = path.stat().st_mtime_ns
     assert study.run_units([unit], [entrant], tmp_path, jobs=1) == []
     assert path.stat().st_mtime_ns == before  # what is there is kept
+    assert is_current(path, entrant) and not is_current(path, "pf-printed")
 
 
 def test_a_unit_that_fails_is_named_and_the_others_go_on(tmp_path: Path) -> None:
