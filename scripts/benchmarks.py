@@ -21,6 +21,7 @@ from typing import Any
 import click
 import numpy as np
 
+from long_result import write_long_result
 from posetrack_cli import __version__
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.hand.anatomy import make_anatomy
@@ -65,8 +66,13 @@ class Row:
 @click.option(
     "--memory-frames", default=5000, show_default=True, help="Frames of the long run; 0 leaves it out."
 )
+@click.option(
+    "--eval-frames", default=100_000, show_default=True, help="Frames of the long result; 0 leaves it out."
+)
 @click.option("--repeats", default=31, show_default=True, help="Repeats of each timing of the renderer.")
-def main(json_path: Path, device: int | None, frames: int, memory_frames: int, repeats: int) -> None:
+def main(
+    json_path: Path, device: int | None, frames: int, memory_frames: int, eval_frames: int, repeats: int
+) -> None:
     """Measure posetrack on this machine."""
     context = open_context(device)
     machine = describe_machine(context)
@@ -83,6 +89,7 @@ def main(json_path: Path, device: int | None, frames: int, memory_frames: int, r
         lambda: against_particles(context, recorded[:1], repeats),
         start_up,
         lambda: memory(recorded[:50], memory_frames) if memory_frames else iter(()),
+        lambda: evaluation(eval_frames) if eval_frames else iter(()),
     )
     for part in parts:
         for row in part():
@@ -217,6 +224,22 @@ def memory(recorded: list[Any], frames: int) -> Iterator[Row]:
             peaks.append(usage_of(command + output)[1])
             yield Row(f"peak memory, {end} frames", peaks[-1], "MiB", 400.0)
         yield Row("  of the long run over the short one", peaks[1] / peaks[0], "", 1.05)
+
+
+def evaluation(frames: int) -> Iterator[Row]:
+    """Time and peak memory of eval over a long result, and the size of the HTML page of a tenth of it."""
+    command = [sys.executable, "-m", "posetrack_cli.cli.main", "eval"]
+    with tempfile.TemporaryDirectory() as folder:
+        long, short, page = (Path(folder, name) for name in ("long.mcap", "short.mcap", "page.html"))
+        write_long_result(long, frames)
+        write_long_result(short, frames // 10)
+        began = time.perf_counter()
+        seconds, mebibytes = usage_of([*command, str(long)])
+        yield Row(f"eval, {frames} frames with truth", time.perf_counter() - began, "s", 20.0)
+        yield Row("  of it CPU time", seconds, "s")
+        yield Row("  peak memory", mebibytes, "MiB", 476.8)  # 500 MB
+        usage_of([*command, str(short), "--html", str(page)])
+        yield Row(f"HTML page, {frames // 10} frames", page.stat().st_size * 1e-6, "MB", 10.0)
 
 
 def write_recording(path: Path, depths: list[Any], frames: int) -> None:
