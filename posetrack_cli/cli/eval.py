@@ -26,7 +26,7 @@ OUTPUT = click.Path(path_type=Path, allow_dash=True)
 def _list_metrics(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
     """Print the catalogue and end."""
     if asked:
-        from posetrack_cli.evaluation.table import catalogue_lines
+        from posetrack_cli.evaluation.reports.table import catalogue_lines
 
         click.echo("\n".join(catalogue_lines()))
         context.exit()
@@ -115,9 +115,9 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     """Everything that can be refused is refused here, before the first result is read."""
     from posetrack_cli.evaluation.assessment import Request
     from posetrack_cli.evaluation.baseline import read_baseline
+    from posetrack_cli.evaluation.comparing.group_patterns import expand_groups
     from posetrack_cli.evaluation.evaluate import EvalOptions
     from posetrack_cli.evaluation.gates import parse_gate, read_gates
-    from posetrack_cli.evaluation.group_patterns import expand_groups
 
     groups = expand_groups(options["groups"])
     if not (results or groups):
@@ -139,7 +139,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
 
 
 def _check_reports(request: Request, options: dict[str, Any]) -> None:
-    from posetrack_cli.evaluation.report_files import check_reports
+    from posetrack_cli.evaluation.reports.report_files import check_reports
 
     reports = [options[name] for name in ("json_path", "csv_path", "html_path") if options[name] is not None]
     if reports.count(STANDARD_OUTPUT) > 1:
@@ -169,8 +169,8 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
     """Write what was asked for, also when a gate failed."""
     from posetrack_cli.evaluation.assessment import stated_options
-    from posetrack_cli.evaluation.csv_report import csv_report
-    from posetrack_cli.evaluation.json_report import json_report
+    from posetrack_cli.evaluation.reports.csv_report import csv_report
+    from posetrack_cli.evaluation.reports.json_report import json_report
 
     stated = stated_options(request.options)
     if options["json_path"] is not None:
@@ -183,7 +183,7 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
 
 
 def _write(path: Path, text: str) -> None:
-    from posetrack_cli.evaluation.report_files import write_report
+    from posetrack_cli.evaluation.reports.report_files import write_report
 
     if path == STANDARD_OUTPUT:
         click.echo(text, nl=False)
@@ -219,9 +219,9 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     """Print the tables, unless a report goes where they would."""
-    from posetrack_cli.evaluation.comparison_table import comparison_lines, comparison_tables
-    from posetrack_cli.evaluation.table import closing_lines, tables
-    from posetrack_cli.evaluation.terminal import print_tables
+    from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
+    from posetrack_cli.evaluation.reports.table import closing_lines, tables
+    from posetrack_cli.evaluation.reports.terminal import print_tables
 
     if STANDARD_OUTPUT in (options["json_path"], options["csv_path"]):
         return

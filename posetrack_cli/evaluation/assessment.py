@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.evaluation.baseline import StoredReport, check_baseline
-from posetrack_cli.evaluation.comparison import Comparison, compare
+from posetrack_cli.evaluation.comparing.comparison import Comparison, compare
+from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gates
-from posetrack_cli.evaluation.groups import compare_groups
 from posetrack_cli.evaluation.result_names import unique_names
 from posetrack_cli.evaluation.track import Track
 

@@ -13,8 +13,8 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import KEY_FIGURES, figure_of
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gate
-from posetrack_cli.evaluation.json_report import FORMAT
-from posetrack_cli.evaluation.metrics import Address, split_address
+from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
+from posetrack_cli.evaluation.reports.json_report import FORMAT
 
 FLOOR = 0.01
 """In a figure's own unit, mm or deg: differences as small as this are rounding, not regression."""

@@ -13,19 +13,19 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import associate, nearest_rows
-from posetrack_cli.evaluation.consistency import consistency_metrics
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Pairs, Value
-from posetrack_cli.evaluation.hand_metrics import hand_metrics
-from posetrack_cli.evaluation.head_metrics import head_metrics
-from posetrack_cli.evaluation.measures import Matched, Measures, rows_of
-from posetrack_cli.evaluation.metrics import BOTH, addresses, metric_of
+from posetrack_cli.evaluation.metrics.catalogue import BOTH, addresses, metric_of
+from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
+from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
+from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
+from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
+from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, run_metrics
 from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.run_metrics import EMPTY, run_metrics
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth import load_truth
+from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.results.reader import Result, read_result
 
@@ -199,7 +199,7 @@ def _without_truth(measures: Measures, result: Result, track: Track, options: Ev
 
 
 def _against_images(result: Result, recording: Path) -> dict[str, Value]:
-    from posetrack_cli.evaluation.image_consistency import image_consistency
+    from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
     from posetrack_cli.evaluation.recording_of import required_recording
 
     return image_consistency(result, required_recording(result, recording))

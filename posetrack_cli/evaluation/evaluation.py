@@ -48,7 +48,7 @@ class Evaluation:
         run: the result's run record, as written (configuration as JSON text, seed, renderer, ...).
         coverage: frames tracked, lost, unmatched.
         metrics: values by address without statistic: ``joint_error_mm``, ``joint_error_mm.index_tip``,
-            ``frames_within_20mm``; in the order of the catalogue (``evaluation.metrics.CATALOGUE``).
+            ``frames_within_20mm``; in the order of ``evaluation.metrics.catalogue``.
         absent: every other address of this subject, parts included, and why it has no value ("no truth").
         series: per-frame values (M,) over the matched frames, without truth over all, by metric without part,
             such as ``joint_error_mm`` (mean over the joints) and ``largest_joint_error_mm``; what comparisons

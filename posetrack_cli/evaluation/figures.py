@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics import Address, split_address
+from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
 from posetrack_cli.evaluation.statistics import Statistics
 
 KEY_FIGURES: dict[str, tuple[str, ...]] = {

@@ -12,7 +12,7 @@ from pathlib import Path
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import Figure, figure_of
-from posetrack_cli.evaluation.metrics import Address, split_address
+from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
 
 OPERATORS: dict[str, Callable[[float, float], bool]] = {

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.comparing.paired import Paired, paired
 from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.paired import Paired, paired
 from posetrack_cli.evaluation.statistics import Statistics
 from reproduction.study import CONDITIONS, Condition
 from reproduction.unit import Unit

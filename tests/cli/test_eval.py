@@ -15,7 +15,7 @@ from eval_support import CAMERA, truth_message, write_result
 from evaluation_support import hand_track
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.metrics import CATALOGUE
+from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
 

@@ -9,9 +9,9 @@ from hypothesis import settings
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Curve, Pairs
-from posetrack_cli.evaluation.hand_metrics import hand_metrics
-from posetrack_cli.evaluation.head_metrics import head_metrics
-from posetrack_cli.evaluation.measures import Matched, Measures
+from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
+from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
+from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations

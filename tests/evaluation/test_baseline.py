@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.baseline import FLOOR, check_baseline, read_baseline
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.json_report import json_report
+from posetrack_cli.evaluation.reports.json_report import json_report
 from posetrack_cli.evaluation.statistics import Statistics
 
 OPTIONS = {"tolerance_ms": 5.0, "time_offset_s": 0.0, "align": "none"}

@@ -12,11 +12,11 @@ import pytest
 from truth_support import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv, write_result
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.evaluation.errors import TruthError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation, Value
-from posetrack_cli.evaluation.metrics import CATALOGUE, addresses, metric_of
+from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, addresses, metric_of
 from posetrack_cli.evaluation.statistics import Statistics, statistics
+from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
@@ -173,7 +173,9 @@ def test_images_are_looked_at_when_the_recording_is_given(
         asked.append((result.path, recording))
         return answers[len(asked) - 1]
 
-    monkeypatch.setattr("posetrack_cli.evaluation.image_consistency.image_consistency", image_consistency)
+    monkeypatch.setattr(
+        "posetrack_cli.evaluation.metrics.image_consistency.image_consistency", image_consistency
+    )
     monkeypatch.setattr(
         "posetrack_cli.evaluation.recording_of.required_recording", lambda result, given: ("opened", given)
     )

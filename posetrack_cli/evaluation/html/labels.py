@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.metrics import metric_of
+from posetrack_cli.evaluation.metrics.catalogue import metric_of
 
 _UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_s")
 _SPOKEN = {

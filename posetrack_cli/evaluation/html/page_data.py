@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.html.packing import packed
 from posetrack_cli.evaluation.html.rows import RowTable
 from posetrack_cli.evaluation.html.scene import scene
 from posetrack_cli.evaluation.html.timebase import Timebase, gap_spans, state_spans, timebases
-from posetrack_cli.evaluation.metrics import CATALOGUE
+from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.evaluation.pictures import Picture
 from posetrack_cli.evaluation.statistics import Statistics
 

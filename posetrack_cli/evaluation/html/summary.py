@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.comparison import Comparison
-from posetrack_cli.evaluation.comparison_table import comparison_lines, comparison_tables
+from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.labels import quantity_label, readable
 from posetrack_cli.evaluation.html.markup import details, element, listed, row, scrolling, text
-from posetrack_cli.evaluation.metrics import metric_of
+from posetrack_cli.evaluation.metrics.catalogue import metric_of
+from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
+from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, shown, tables
 from posetrack_cli.evaluation.statistics import Statistics
-from posetrack_cli.evaluation.table import ABSENT, Row, Section, Table, shown, tables
 from posetrack_cli.recording.losses import loss_line
 
 

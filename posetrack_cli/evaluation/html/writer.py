@@ -10,7 +10,7 @@ from string import Template
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.comparison import Comparison
+from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.about import about, component_remark, plot_remark
 from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section

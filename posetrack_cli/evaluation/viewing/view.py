@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.result_names import unique_names
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth import load_truth
+from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.viewing.colours import TONES, TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows

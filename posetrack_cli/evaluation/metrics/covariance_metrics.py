@@ -1,0 +1,105 @@
+"""Whether a hidden truth lies inside the stated covariance.
+
+The error is taken in the tangent space of the estimate, where the variances are stated: mm in camera axes,
+rad in the body's axes, angles. Results state the diagonal only, so with e the error and P the covariance::
+
+    NEES = e^T diag(P)^-1 e = sum_i e_i^2 / P_ii
+
+Its mean is the number of entries D when the variances are right, whether errors are correlated or not: every
+term has mean 1. (Bar-Shalom, Li and Kirubarajan 2001, section 5.4, state its chi-square distribution, which
+holds only for independent Gaussian entries, and that of the mean only for independent frames: tracks have
+neither, so no interval is given.)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.evaluation.metrics import pose_errors
+from posetrack_cli.evaluation.metrics.catalogue import STATE_PARTS
+from posetrack_cli.evaluation.metrics.measures import Common, Matched, Measures, common_columns, shape_columns
+from posetrack_cli.evaluation.metrics.velocity_metrics import NO_VELOCITY, SHAPE, known_frames, velocity_lacks
+
+PART_COLUMNS = {"position": slice(0, 3), "rotation": slice(3, 6), "angles": slice(6, None)}
+POSE = ("nees", "inside_90")
+VELOCITY = ("velocity_nees", "velocity_inside_90")
+NO_SHAPE = Common((), (), (), ())
+"""A head's deformations are left out: their axes belong to the model, and a truth's is another."""
+
+
+def covariance_metrics(measures: Measures, matched: Matched) -> None:
+    """Add NEES and the share inside 90 % intervals, of poses and of velocities."""
+    shapes = NO_SHAPE
+    if matched.estimate.subject == "hand":
+        shapes = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
+    reason = _state_lacks(matched, shapes)
+    _pose(measures, matched, shapes, reason)
+    _velocity(measures, matched, shapes, reason or velocity_lacks(matched))
+
+
+def _state_lacks(matched: Matched, shapes: Common) -> str:
+    """Why the state as a whole cannot be compared."""
+    hand = matched.estimate.subject == "hand"
+    if reason := matched.lacks("position", "quaternion", *(("shape",) if hand else ())):
+        return reason
+    return f"the truth has no angle {shapes.lacking[0]}" if shapes.lacking else ""
+
+
+def _pose(measures: Measures, matched: Matched, shapes: Common, reason: str) -> None:
+    if not reason and matched.estimate.pose_variance is None:
+        reason = "the result has no covariance"
+    if reason:
+        return measures.lack(reason, *POSE)
+    errors = pose_errors.pose_difference(
+        matched.of_estimate("position"),
+        matched.of_estimate("quaternion"),
+        matched.of_truth("position"),
+        matched.of_truth("quaternion"),
+    )
+    errors = np.hstack([errors, _difference(matched, "shape", shapes, 0)])
+    normalised = pose_errors.normalised_squares(errors, _variances(matched, "pose_variance", shapes))
+    _add(measures, matched, POSE, normalised, np.ones(len(matched), dtype=np.bool_))
+
+
+def _velocity(measures: Measures, matched: Matched, shapes: Common, reason: str) -> None:
+    if not reason and matched.estimate.twist_variance is None:
+        reason = "the result has no covariance of velocities"
+    if reason:
+        return measures.lack(reason, *VELOCITY)
+    rigid = slice(0, SHAPE)
+    mine, theirs = matched.of_estimate("twist", rigid), matched.of_truth("twist", rigid)
+    turns = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
+    errors = pose_errors.twist_difference(mine, theirs, *turns)
+    errors = np.hstack([errors, _difference(matched, "twist", shapes, SHAPE)])
+    known = known_frames(errors)
+    if len(known) and not known.any():
+        return measures.lack(NO_VELOCITY, *VELOCITY)
+    normalised = pose_errors.normalised_squares(errors, _variances(matched, "twist_variance", shapes))
+    _add(measures, matched, VELOCITY, normalised, known)
+
+
+def _difference(matched: Matched, name: str, shapes: Common, first: int) -> FloatArray:
+    """True minus estimated shape entries (M, K), which begin at column ``first`` of the array."""
+    if not shapes.names:
+        return np.empty((len(matched), 0))
+    mine, theirs = shape_columns(matched, name, shapes, first)
+    return theirs - mine
+
+
+def _variances(matched: Matched, name: str, shapes: Common) -> FloatArray:
+    """The stated variances (M, D) of the entries that are compared."""
+    variances: FloatArray = matched.of_estimate(name)[:, [*range(6), *(6 + k for k in shapes.estimate)]]
+    return variances
+
+
+def _add(
+    measures: Measures, matched: Matched, names: tuple[str, str], normalised: FloatArray, known: BoolArray
+) -> None:
+    """Add NEES and the shares inside, of the frames (M,) whose normalised squares (M, D) are known."""
+    nees, inside_90 = names
+    measures.add(nees, normalised.sum(axis=1), known)
+    inside = pose_errors.inside_interval(normalised[known])
+    measures.share(inside_90, inside)
+    for part in STATE_PARTS[matched.estimate.subject]:
+        measures.share(f"{inside_90}.{part}", inside[:, PART_COLUMNS[part]])

@@ -1,0 +1,55 @@
+"""What a result says about its run: time, particles, weights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+import numpy as np
+
+from posetrack_cli.evaluation.metrics.measures import Measures
+from posetrack_cli.evaluation.track import Track
+
+NO_TIMINGS = "the run recorded no timings; posetrack hand run --timings does"
+EMPTY = "the result holds no estimate"
+
+
+def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> None:
+    """Add time per frame, frames/s, effective sample size, resampling rate and particles."""
+    _timings(measures, track)
+    sizes = track.effective_sample_size
+    measures.summarise("ess", np.empty(0) if sizes is None else sizes, EMPTY)
+    resampled = np.empty(0) if track.resampled is None else track.resampled
+    if resampled.size:
+        measures.metrics["resampling_rate"] = float(resampled.mean())
+    else:
+        measures.lack(EMPTY, "resampling_rate")
+    particles = particle_count(run)
+    if particles is None:
+        measures.lack("the run record names no number of particles", "particles")
+    else:
+        measures.metrics["particles"] = float(particles)
+
+
+def _timings(measures: Measures, track: Track) -> None:
+    """Time of the frames that were timed; frames per second is their number over their time together."""
+    recorded = np.empty(0) if track.milliseconds is None else track.milliseconds
+    timed = recorded[np.isfinite(recorded)]
+    if not timed.size:
+        return measures.lack(NO_TIMINGS if len(track) else EMPTY, "ms_per_frame", "frames_per_s")
+    measures.summarise("ms_per_frame", timed)
+    if len(timed) < len(recorded):
+        measures.notes.append(f"times of the {len(timed)} of {len(recorded)} frames that were timed")
+    total_s = 1e-3 * float(timed.sum())
+    if total_s > 0.0:
+        measures.metrics["frames_per_s"] = len(timed) / total_s
+    else:
+        measures.lack("the recorded times are 0", "frames_per_s")
+
+
+def particle_count(run: Mapping[str, str]) -> int | None:
+    """Return ``filter.particles`` of the configuration in a run record; None where it has none."""
+    try:
+        return int(json.loads(run["configuration"])["filter"]["particles"])
+    except (KeyError, ValueError, TypeError):
+        return None

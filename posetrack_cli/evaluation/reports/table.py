@@ -1,0 +1,197 @@
+"""Evaluations as tables of text, for the terminal and the HTML report alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from posetrack_cli.evaluation.evaluation import Evaluation, Value
+from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, GROUP_TITLES, metric_of
+from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
+from posetrack_cli.recording.losses import loss_line
+
+ORDER = {metric.name: place for place, metric in enumerate(CATALOGUE)}
+ABSENT = "-"
+SPREAD = ("median", "p95", "max")
+SHOWN = tuple(name for name in STATISTIC_NAMES if name != "count")
+THESIS_COLUMNS = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table.
+
+    Attributes:
+        label: what it is about.
+        cells: one text per column.
+        address: the metric's address without statistic, or empty.
+        indent: 0 for a metric, 1 for what belongs to the metric above.
+    """
+
+    label: str
+    cells: tuple[str, ...]
+    address: str = ""
+    indent: int = 0
+
+
+@dataclass(frozen=True)
+class Section:
+    """Rows under a title of their own, which may be empty."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, headings of the columns (without that of the labels), and sections."""
+
+    title: str
+    columns: tuple[str, ...]
+    sections: tuple[Section, ...]
+
+
+def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Table]:
+    """Make the tables of results beside each other, in the catalogue's order, coverage always first.
+
+    One result has a column for each statistic; of several each has a column with mean and sd, and below it
+    median, 95th percentile and largest. Metrics without a value are left out: see ``closing_lines``.
+
+    Args:
+        evaluations: at least one.
+        parts: also a row for every joint, finger, angle or point.
+    """
+    thesis = thesis_table(evaluations)
+    main = _of_one(evaluations[0], parts) if len(evaluations) == 1 else _of_several(evaluations, parts)
+    return [main] if thesis is None else [main, thesis]
+
+
+def catalogue_lines() -> Iterator[str]:
+    """Yield every metric's address, unit and direction, and below it its meaning, for people to read."""
+    for metric in CATALOGUE:
+        part = f"[.{metric.part.upper()}]" if metric.part else ""
+        statistic = "" if metric.scalar else ".STATISTIC"
+        better = "" if metric.better == "neither" else f", {metric.better} is better"
+        unit = f", {metric.unit}" if metric.unit else ""
+        yield f"{metric.name}{part}{statistic}{unit}{better}"
+        yield f"    {metric.meaning}"
+    yield f"STATISTIC is one of {', '.join(STATISTIC_NAMES)}"
+
+
+def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
+    """Mean and sd of a head's six absolute errors side by side, or None where no result has them."""
+    heads = [one for one in evaluations if all(name in one.metrics for name in THESIS_COLUMNS)]
+    if not heads:
+        return None
+    rows = tuple(_thesis_row(one, name, len(heads)) for one in heads for name in ("mean", "sd"))
+    columns = tuple(name.replace("_", " ") for name in THESIS_COLUMNS)
+    return Table("Absolute errors of the pose", columns, (Section("", rows),))
+
+
+def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:
+    """What belongs under the tables: renderer, notes, metrics without a value and why, data lost.
+
+    What holds for all results is said once, else with the result's name.
+    """
+    said = [(one.name, _lines(one)) for one in evaluations]
+    common = {line for line in said[0][1] if all(line in lines for _, lines in said)}
+    lines = [line if line in common else f"{name}: {line}" for name, own in said for line in own]
+    return list(dict.fromkeys(lines))
+
+
+def shown(value: float) -> str:
+    """Show four digits without exponent; what looks exact is: 1 is 1, and 0.99999 is 1.0000."""
+    if not math.isfinite(value):
+        return str(value)
+    size = abs(value)
+    if value == int(value) and size < 1e15:
+        return str(int(value))
+    if size < 1e-3 or size >= 1e15:
+        return f"{value:.3g}"
+    return f"{value:.{max(0, min(4, 3 - math.floor(math.log10(size))))}f}"
+
+
+def mean_and_sd(mean: float, sd: float) -> str:
+    """Show both in one cell."""
+    return f"{shown(mean)} \u00b1 {shown(sd)}"
+
+
+def _of_one(evaluation: Evaluation, parts: bool) -> Table:
+    def rows(base: str) -> list[Row]:
+        return [_row(base, _statistics_cells(evaluation.metrics[base]))]
+
+    return Table(evaluation.name, ("mean/value", *SHOWN[1:]), _sections([evaluation], parts, rows))
+
+
+def _of_several(evaluations: Sequence[Evaluation], parts: bool) -> Table:
+    def rows(base: str) -> list[Row]:
+        values = [one.metrics.get(base) for one in evaluations]
+        main = _row(base, tuple(_mean_cell(value) for value in values))
+        if main.indent or not any(isinstance(value, Statistics) for value in values):
+            return [main]
+        return [main, Row(" / ".join(SPREAD), tuple(_spread_cell(value) for value in values), base, 1)]
+
+    return Table("Results", tuple(one.name for one in evaluations), _sections(evaluations, parts, rows))
+
+
+def _sections(
+    evaluations: Sequence[Evaluation], parts: bool, rows: Callable[[str], list[Row]]
+) -> tuple[Section, ...]:
+    bases = [base for base in _bases(evaluations) if parts or "." not in base]
+    grouped = {
+        title: tuple(row for base in bases if metric_of(base).group == group for row in rows(base))
+        for group, title in GROUP_TITLES.items()
+    }
+    return tuple(Section(title, made) for title, made in grouped.items() if made)
+
+
+def _bases(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Every address that a result has, in the catalogue's order; parts as they come."""
+    found = dict.fromkeys(base for one in evaluations for base in one.metrics)
+    return sorted(found, key=lambda base: ORDER[base.split(".")[0]])
+
+
+def _row(base: str, cells: tuple[str, ...]) -> Row:
+    name, _, part = base.partition(".")
+    return Row(part or name, cells, base, 1 if part else 0)
+
+
+def _statistics_cells(value: Value) -> tuple[str, ...]:
+    if isinstance(value, Statistics):
+        return tuple(shown(getattr(value, name)) for name in SHOWN)
+    return (shown(value), *[""] * (len(SHOWN) - 1))
+
+
+def _mean_cell(value: Value | None) -> str:
+    if value is None:
+        return ABSENT
+    return mean_and_sd(value.mean, value.sd) if isinstance(value, Statistics) else shown(value)
+
+
+def _spread_cell(value: Value | None) -> str:
+    if not isinstance(value, Statistics):
+        return ABSENT
+    return " / ".join(shown(getattr(value, name)) for name in SPREAD)
+
+
+def _thesis_row(evaluation: Evaluation, statistic: str, heads: int) -> Row:
+    values = [evaluation.metrics[name] for name in THESIS_COLUMNS]
+    label = statistic if heads == 1 else f"{evaluation.name} {statistic}"
+    return Row(label, tuple(shown(getattr(value, statistic, float("nan"))) for value in values))
+
+
+def _lines(evaluation: Evaluation) -> list[str]:
+    renderer = evaluation.run.get("renderer")
+    lines = [f"renderer: {renderer}"] if renderer else []
+    lines += [f"note: {note}" for note in evaluation.notes]
+    lines += [f"data lost: {loss_line((loss,))}" for loss in evaluation.losses]
+    return [*lines, *_absent_lines(evaluation.absent)]
+
+
+def _absent_lines(absent: Mapping[str, str]) -> Iterator[str]:
+    """One line for each reason; a part is left out where its whole is absent too."""
+    wholes = [base for base in absent if base.partition(".")[0] == base or base.split(".")[0] not in absent]
+    for reason in dict.fromkeys(absent[base] for base in wholes):
+        names = ", ".join(base for base in wholes if absent[base] == reason)
+        yield f"not measured ({reason}): {names}"

@@ -1,0 +1,99 @@
+"""Tables of text on a terminal, in a pipe or in a log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import IO, TYPE_CHECKING
+
+from posetrack_cli.evaluation.reports.table import Table
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+PIPE_WIDTH = 1_000_000
+"""Nothing is broken or cut where no terminal says how much it shows."""
+BETWEEN = 2
+
+
+def print_tables(
+    tables: Iterable[Table], lines: Iterable[str], file: IO[str], width: int | None = None
+) -> None:
+    """Print tables and the lines below them; colours only on a terminal.
+
+    Columns that do not fit beside each other on a terminal go below each other; nothing is left out.
+
+    Args:
+        tables: what to show.
+        lines: closing lines; the terminal breaks long ones.
+        file: where to.
+        width: columns of text; by default the terminal's, or no limit.
+    """
+    from rich.console import Console
+
+    limit = width if width is not None else None if file.isatty() else PIPE_WIDTH
+    console = Console(file=file, width=limit, markup=False, emoji=False, highlight=False)
+    plain = console.encoding.lower() not in ("utf-8", "utf8")
+    for table in tables:
+        for piece in _pieces(table, console.width):
+            with console.capture() as capture:
+                console.print(_rendered(piece, plain))
+            console.out("\n".join(line.rstrip() for line in capture.get().splitlines()), highlight=False)
+            console.out()
+    for line in lines:
+        console.print(_encoded(line, plain), soft_wrap=True)
+
+
+def _pieces(table: Table, width: int) -> Iterator[Table]:
+    """The table, or tables of some of its columns each that fit."""
+    first = 0
+    while first < len(table.columns):
+        last = first + 1
+        while last < len(table.columns) and _width(table, range(first, last + 1)) <= width:
+            last += 1
+        yield _columns(table, slice(first, last))
+        first = last
+
+
+def _columns(table: Table, wanted: slice) -> Table:
+    sections = tuple(
+        replace(section, rows=tuple(replace(row, cells=row.cells[wanted]) for row in section.rows))
+        for section in table.sections
+    )
+    return replace(table, columns=table.columns[wanted], sections=sections)
+
+
+def _width(table: Table, places: Sequence[int]) -> int:
+    from rich.cells import cell_len
+
+    rows = [row for section in table.sections for row in section.rows]
+    labels = [cell_len(_label(row.label, row.indent)) for row in rows]
+    titles = [cell_len(section.title) for section in table.sections]
+    cells = [max(map(cell_len, [table.columns[at], *(row.cells[at] for row in rows)])) for at in places]
+    return max([*labels, *titles, cell_len(table.title)]) + sum(BETWEEN + cell for cell in cells)
+
+
+def _rendered(table: Table, plain: bool) -> RichTable:
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    made = RichTable(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
+    made.add_column(Text(_encoded(table.title, plain)), no_wrap=True)
+    for column in table.columns:
+        made.add_column(Text(_encoded(column, plain)), justify="right", no_wrap=True)
+    for section in table.sections:
+        if section.title:
+            made.add_row(Text(_encoded(section.title, plain), style="bold cyan"))
+        for row in section.rows:
+            texts = (_label(row.label, row.indent), *row.cells)
+            made.add_row(*(Text(_encoded(text, plain)) for text in texts))
+    return made
+
+
+def _label(label: str, indent: int) -> str:
+    return "  " * indent + label
+
+
+def _encoded(text: str, plain: bool) -> str:
+    """Write +- where an output has no sign for it."""
+    return text.replace("\u00b1", "+-") if plain else text

@@ -1,0 +1,1 @@
+"""What a result is measured against: found, read and checked."""

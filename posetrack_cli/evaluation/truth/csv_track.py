@@ -1,0 +1,214 @@
+"""A trajectory from a CSV file: poses, points, shape and velocities, whichever it has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from textwrap import shorten
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth.checks import check_point_names, unit_quaternions
+from posetrack_cli.evaluation.truth.csv_table import NS_PER_UNIT, CsvHeader, CsvTable, read_header, read_table
+from posetrack_cli.evaluation.truth.errors import TruthError
+from posetrack_cli.geometry.rotations import matrices_from_quaternions
+from posetrack_cli.results.estimate import Subject
+
+HEAD = "head"
+POSITION = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qx", "qy", "qz", "qw")
+LINEAR = ("vx_mm_s", "vy_mm_s", "vz_mm_s")
+ANGULAR = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+
+
+def load_csv_track(path: Path, subject: Subject) -> Track:
+    """Read a trajectory from a CSV file with a header row; lines that begin with ``#`` are comments.
+
+    Columns, in any order, all but the stamps optional, unknown ones ignored:
+
+    - ``stamp_ns`` (integer), or ``t_s`` or ``time_s`` (seconds, rounded to ns);
+    - ``x_mm y_mm z_mm``: the object's origin in camera axes; ``qx qy qz qw``: ``camera_T_object``'s rotation;
+    - ``<point>_x_mm <point>_y_mm <point>_z_mm``: all of the subject's points or none; of a hand its joints in
+      camera axes, of a head its points **in the model frame**, which the pose takes to camera axes;
+    - ``<angle>_rad`` of a hand, ``<coefficient>`` of a head: all of the subject's or none;
+    - ``vx_mm_s vy_mm_s vz_mm_s`` in camera axes, ``wx_rad_s wy_rad_s wz_rad_s`` in the body's,
+      ``<angle>_rad_s`` or ``<coefficient>_per_s``: velocities; a cell that is empty or nan is unknown;
+    - ``status``: rows where it is ``lost`` are no truth and are left out.
+
+    An export of a result is such a file.
+
+    Args:
+        path: the file.
+        subject: of the result, whose names the columns have.
+
+    Returns:
+        A track without status; quaternions normalised; ``shape_names`` is empty if the file has no shape, and
+        an entry of ``twist`` that the file does not have is NaN.
+
+    Raises:
+        TruthError: names file, line and column of what cannot be used.
+    """
+    header = read_header(path)
+    layout = _Layout.of(header, subject)
+    table = read_table(header, layout.columns, layout.velocities)
+    name = f"{path.name} without its {table.lost} lost frames" if table.lost else path.name
+    position = table.of(POSITION) if layout.position else None
+    quaternion = _quaternions(table) if layout.quaternion else None
+    return Track(
+        name,
+        subject.name,
+        shape_names=subject.shape_names if layout.shape else (),
+        point_names=layout.points,
+        point_parents=subject.point_parents if layout.points else (),
+        stamp_ns=table.stamp_ns,
+        position=position,
+        quaternion=quaternion,
+        shape=table.of(shape_columns(subject)) if layout.shape else None,
+        twist=_twist(table, subject, layout),
+        points=_points(table, layout, position, quaternion) if layout.points else None,
+    )
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What a file has.
+
+    Attributes:
+        subject: name of the subject.
+        position, quaternion: whether it has them.
+        points: names of the points, () for none.
+        shape, velocities: columns.
+    """
+
+    subject: str
+    position: bool
+    quaternion: bool
+    points: tuple[str, ...]
+    shape: tuple[str, ...]
+    velocities: tuple[str, ...]
+
+    @classmethod
+    def of(cls, header: CsvHeader, subject: Subject) -> _Layout:
+        """Find the subject's columns in a header row."""
+        groups = (LINEAR, ANGULAR, rate_columns(subject))
+        layout = cls(
+            subject.name,
+            position=_has_all(header, POSITION),
+            quaternion=_has_all(header, QUATERNION),
+            points=_point_names(header, subject),
+            shape=shape_columns(subject) if _has_all(header, shape_columns(subject)) else (),
+            velocities=tuple(name for group in groups if _has_all(header, group) for name in group),
+        )
+        _check(header, subject, layout)
+        return layout
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns to read."""
+        pose = (POSITION if self.position else ()) + (QUATERNION if self.quaternion else ())
+        return pose + _point_columns(self.points) + self.shape + self.velocities
+
+
+def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
+    """Raise unless there are stamps and something to compare."""
+    if not layout.columns:
+        raise TruthError(
+            "no column is known",
+            where=header.path,
+            found=shorten(", ".join(header.columns), 100, placeholder=" ..."),
+            expected=_known(subject),
+        )
+    if header.stamp_column is None:
+        expected = " or ".join(NS_PER_UNIT)
+        raise TruthError("has no column of stamps", where=header.path, expected=expected)
+    if subject.name == HEAD and layout.points and not (layout.position and layout.quaternion):
+        raise TruthError(
+            "points of a head are in its model frame and need its pose",
+            where=header.path,
+            expected=", ".join((*POSITION, *QUATERNION)),
+        )
+
+
+def _has_all(header: CsvHeader, group: Sequence[str]) -> bool:
+    """Whether the file has the columns of a group.
+
+    Raises:
+        TruthError: it has only some of them.
+    """
+    missing = [name for name in group if name not in header.columns]
+    if missing and len(missing) < len(group):
+        expected = f"all or none of {', '.join(group)}"
+        raise TruthError(f"lacks {', '.join(missing)}", where=header.path, expected=expected)
+    return bool(group) and not missing
+
+
+def _point_names(header: CsvHeader, subject: Subject) -> tuple[str, ...]:
+    """Return the subject's point names if the file has its points, none if it has no points at all."""
+    begun = [name for name in subject.point_names if set(_point_columns([name])) & set(header.columns)]
+    found = {name.removesuffix("_x_mm") for name in header.columns if name.endswith("_x_mm")}
+    if not (begun or found) or not subject.point_names:
+        return ()
+    check_point_names(subject.point_names, sorted({*begun, *found}), header.path)
+    for name in subject.point_names:
+        _has_all(header, _point_columns([name]))
+    return subject.point_names
+
+
+def _known(subject: Subject) -> str:
+    """Return what columns a file of this subject may have."""
+    point, shape = "<point>", replace(subject, shape_names=("<name>",))
+    groups = [
+        "/".join(NS_PER_UNIT),
+        *(" ".join(group) for group in (POSITION, QUATERNION, LINEAR, ANGULAR)),
+        f"{' '.join(_point_columns([point]))} for {point} {' '.join(subject.point_names)}",
+    ]
+    if subject.shape_names:
+        columns = " ".join(shape_columns(shape) + rate_columns(shape))
+        groups.append(f"{columns} for <name> {' '.join(subject.shape_names)}")
+    return ", ".join(groups)
+
+
+def shape_columns(subject: Subject) -> tuple[str, ...]:
+    """Return the columns of the shape: angles of a hand, coefficients of a head."""
+    suffix = "" if subject.name == HEAD else "_rad"
+    return tuple(name + suffix for name in subject.shape_names)
+
+
+def rate_columns(subject: Subject) -> tuple[str, ...]:
+    """Return the columns of the rates of the shape."""
+    suffix = "_per_s" if subject.name == HEAD else "_rad_s"
+    return tuple(name + suffix for name in subject.shape_names)
+
+
+def _point_columns(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}_mm" for name in names for axis in "xyz")
+
+
+def _quaternions(table: CsvTable) -> FloatArray:
+    quaternions = table.of(QUATERNION)
+    return unit_quaternions(quaternions, lambda row: f"{table.where(row)}, columns {' '.join(QUATERNION)}")
+
+
+def _points(
+    table: CsvTable, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
+) -> FloatArray:
+    """Return the points (N, P, 3) in camera axes; those of a head come in its own."""
+    points = table.of(_point_columns(layout.points)).reshape(len(table.values), -1, 3)
+    if layout.subject != HEAD or position is None or quaternion is None:
+        return points
+    rotation = matrices_from_quaternions(quaternion)
+    in_camera: FloatArray = points @ np.swapaxes(rotation, 1, 2) + position[:, None]
+    return in_camera
+
+
+def _twist(table: CsvTable, subject: Subject, layout: _Layout) -> FloatArray | None:
+    """Return the velocities (N, 6 + K), NaN where the file has none; None if it has none at all."""
+    names = (*LINEAR, *ANGULAR, *(rate_columns(subject) if layout.shape else ()))
+    twist = np.full((len(table.values), len(names)), np.nan)
+    for column, name in enumerate(names):
+        if name in table.columns:
+            twist[:, column] = table.values[:, table.columns.index(name)]
+    return None if np.isnan(twist).all() else twist

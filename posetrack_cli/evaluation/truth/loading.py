@@ -1,0 +1,183 @@
+"""Find the truth of a result: what it carries itself, or a file that is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Metadata
+
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.result_track import MOTION_FIELDS, truth_of_columns
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth.checks import check_point_names
+from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.evaluation.truth.errors import TruthError
+from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track
+from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_stream import read_channels, read_extras, read_messages, read_summary
+from posetrack_cli.recording.opening import is_mcap
+from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.results.columns import column_blocks, empty_columns, joined
+from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
+from posetrack_cli.results.reader import Result, read_result
+
+NS_PER_S = 1e9
+
+
+def load_truth(
+    result: Result, path: Path | None = None, *, time_offset_s: float = 0.0, losses: LossLog | None = None
+) -> Track | None:
+    """Return what a result is to be measured against, its points in the result's order.
+
+    Without a path it is what the result carries on its topics ``/truth/<subject>/...``: complete estimates,
+    or else Odometry with or without JointStates (``mcap_truth``). With a path it is
+
+    - of another result its **own estimates**, such as a stereo track as the truth for a mono one, without
+      those that are lost; not the truth that it carries;
+    - of any other MCAP file, such as the recording, the ``/truth`` topics;
+    - of any other file what it has as CSV (``csv_track``).
+
+    Args:
+        result: to be measured.
+        path: a file; None for what the result carries.
+        time_offset_s: added to the stamps of the truth.
+        losses: gets what of an MCAP file given as ``path`` cannot be read; what is lost of the result itself
+            is in ``result.losses``.
+
+    Returns:
+        None if the result carries no truth and no path is given.
+
+    Raises:
+        UsageError: the path is the result itself, or the offset leads beyond 64 bits.
+        TruthError: the file cannot be used, or is of another subject or other points.
+        ResultError, RecordingError: an MCAP file cannot be read, or its stamps do not increase strictly.
+    """
+    log = LossLog() if losses is None else losses
+    if path is None:
+        truth = _topics_truth(result.path, result.subject, "truth", LossLog())
+    else:
+        truth = _given(result, path, log)
+    if truth is None:
+        return None
+    truth = _shifted(truth, time_offset_s)
+    return _arranged(truth, result.subject, path or result.path)
+
+
+def _given(result: Result, path: Path, losses: LossLog) -> Track:
+    if not path.is_file():
+        raise TruthError("is no file" if path.exists() else "does not exist", where=path)
+    if path.samefile(result.path):
+        raise UsageError(
+            "a result cannot be its own truth",
+            where=path,
+            hint="leave --truth out to use the truth that it carries",
+        )
+    if not is_mcap(path):
+        return load_csv_track(path, result.subject)
+    if _is_result(path):
+        return _estimates_of(path, result.subject, losses)
+    truth = _topics_truth(path, result.subject, path.name, losses)
+    if truth is None:
+        raise TruthError(
+            f"holds no truth of a {result.subject.name}",
+            where=path,
+            found=", ".join(_truth_topics(path)) or "no topic of truth",
+            expected=f"{_estimate_topic(result.subject.name)} or {odometry_topic(result.subject.name)}",
+        )
+    return truth
+
+
+def _is_result(path: Path) -> bool:
+    summary = read_summary(path)
+    if summary is not None:
+        return any(index.name == RUN_RECORD for index in summary.metadata_indexes)
+    return any(isinstance(r, Metadata) and r.name == RUN_RECORD for r in read_extras(path))
+
+
+def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
+    """Return the estimates of another result as truth."""
+    other = read_result(path)
+    if other.subject.name != subject.name:
+        raise TruthError("is of another subject", where=path, found=other.subject.name, expected=subject.name)
+    truth = truth_of_columns(other.columns(fields=MOTION_FIELDS), path.name, other.subject)
+    losses.include(other.losses)
+    return truth
+
+
+def _topics_truth(path: Path, subject: Subject, name: str, losses: LossLog) -> Track | None:
+    """Return the truth on an MCAP file's topics, None if there is none of this subject."""
+    schemas = {c.topic: s.name for s, c in read_channels(path, LossLog()) if s is not None}
+    if schemas.get(_estimate_topic(subject.name)) == ESTIMATE_SCHEMA_NAME:
+        return _estimates_truth(path, subject, name, losses)
+    if schemas.get(odometry_topic(subject.name)) == ODOMETRY_SCHEMA:
+        return odometry_track(path, subject.name, schemas, name, losses)
+    return None
+
+
+def _estimates_truth(path: Path, subject: Subject, name: str, losses: LossLog) -> Track:
+    """Return the truth of a topic of ``posetrack.Estimate``, which is of the result's subject."""
+    messages = read_messages(path, losses, [_estimate_topic(subject.name)])
+    columns = joined(column_blocks((message.data for _, _, message in messages), MOTION_FIELDS))
+    sizes = len(subject.shape_names), len(subject.point_names)
+    columns = columns or empty_columns(MOTION_FIELDS, *sizes)
+    found = columns["shape"].shape[1], columns["points"].shape[1]
+    if found != sizes:
+        raise TruthError(
+            "truth has other shape entries or points than the result",
+            where=f"{path}, {_estimate_topic(subject.name)}",
+            found=f"{found[0]} and {found[1]}",
+            expected=f"{sizes[0]} and {sizes[1]}",
+        )
+    return truth_of_columns(columns, name, subject)
+
+
+def _estimate_topic(subject: str) -> str:
+    return f"{TRUTH_PREFIX}{subject}/estimate"
+
+
+def _truth_topics(path: Path) -> Sequence[str]:
+    topics = (channel.topic for _, channel in read_channels(path, LossLog()))
+    return sorted(topic for topic in topics if topic.startswith(TRUTH_PREFIX))
+
+
+def _shifted(truth: Track, offset_s: float) -> Track:
+    """Return the truth with the offset added to its stamps."""
+    if offset_s == 0.0 or not len(truth):
+        return truth
+    offset = round(offset_s * NS_PER_S)
+    if max(abs(int(truth.stamp_ns[0]) + offset), abs(int(truth.stamp_ns[-1]) + offset)) > LATEST_NS:
+        raise UsageError("time offset leads beyond 64-bit stamps", found=f"{offset_s} s")
+    return replace(truth, stamp_ns=truth.stamp_ns + offset)
+
+
+def _arranged(truth: Track, subject: Subject, where: Path) -> Track:
+    """Return the truth with points and, if it has the same entries, its shape in the subject's order."""
+    return _with_shape_of(_with_points_of(truth, subject, where), subject)
+
+
+def _with_points_of(truth: Track, subject: Subject, where: Path) -> Track:
+    if truth.points is None or truth.point_names == subject.point_names:
+        return truth
+    check_point_names(subject.point_names, truth.point_names, where)
+    columns = [truth.point_names.index(name) for name in subject.point_names]
+    points = truth.points[:, columns] if columns else None
+    return replace(truth, point_names=subject.point_names, point_parents=subject.point_parents, points=points)
+
+
+def _with_shape_of(truth: Track, subject: Subject) -> Track:
+    if (
+        truth.shape is None
+        or truth.shape_names == subject.shape_names
+        or sorted(truth.shape_names) != sorted(subject.shape_names)
+    ):
+        return truth
+    columns = np.array([truth.shape_names.index(name) for name in subject.shape_names], dtype=np.int64)
+    twist = truth.twist
+    if twist is not None:
+        twist = np.hstack([twist[:, :6], twist[:, 6 + columns]])
+    return replace(truth, shape_names=subject.shape_names, shape=truth.shape[:, columns], twist=twist)

@@ -1,0 +1,175 @@
+"""True poses and shapes on the ``/truth`` topics of an MCAP file, in Foxglove's standard messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.evaluation.association import check_stamps
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth.checks import unit_quaternions
+from posetrack_cli.evaluation.truth.errors import TruthError
+from posetrack_cli.geometry.rotations import rotate
+from posetrack_cli.recording.base import TRUTH_PREFIX
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError, stamp_of
+from posetrack_cli.recording.mcap_stream import read_messages
+
+ODOMETRY_SCHEMA = "foxglove.Odometry"
+JOINT_STATES_SCHEMA = "foxglove.JointStates"
+WITHOUT_JOINT_STATES = "true pose without joint states of its stamp, left out"
+MM_PER_METRE = 1e3
+
+
+def odometry_topic(subject: str) -> str:
+    """Return the topic of a subject's true pose and velocity."""
+    return f"{TRUTH_PREFIX}{subject}/odometry"
+
+
+def joint_states_topic(subject: str) -> str:
+    """Return the topic of a subject's true shape entries."""
+    return f"{TRUTH_PREFIX}{subject}/joint_states"
+
+
+def odometry_track(path: Path, subject: str, schemas: Mapping[str, str], name: str, losses: LossLog) -> Track:
+    """Return the truth of a topic of Odometry and, if there is one, of JointStates; it has no points.
+
+    An Odometry gives the linear velocity in the body's axes, a track in camera axes: with R the rotation of
+    ``camera_T_object``, v = R v_body; metres become millimetres. A velocity that a message leaves out is NaN.
+    A pose without joint states of the same stamp is left out, and a loss.
+
+    Args:
+        path: an MCAP file with a topic ``/truth/<subject>/odometry``.
+        subject: its name.
+        schemas: names of the schemas of the file's topics.
+        name: what tables and errors call the track.
+        losses: gets what cannot be read.
+
+    Raises:
+        TruthError: a quaternion is no rotation, or joint states cannot be used.
+        ResultError: stamps do not increase strictly.
+    """
+    poses, joints = _Rows(), _Rows()
+    has_joints = schemas.get(joint_states_topic(subject)) == JOINT_STATES_SCHEMA
+    topics = {odometry_topic(subject), *([joint_states_topic(subject)] if has_joints else [])}
+    for topic, stamp_ns, message in _decoded(path, topics, losses):
+        if topic == odometry_topic(subject):
+            poses.add(stamp_ns, _POSE, _pose_row(message))
+        else:
+            joints.add(stamp_ns, tuple(joint.name for joint in message.joints), _joint_row(message))
+    check_stamps(poses.stamps, f"{name}, {odometry_topic(subject)}")
+    check_stamps(joints.stamps, f"{name}, {joint_states_topic(subject)}")
+    if has_joints:
+        poses, joints = _together(poses, joints, losses)
+    return _track(poses, joints, subject, name)
+
+
+_POSE = ("pose",)
+
+
+@dataclass
+class _Rows:
+    """Rows of numbers with their stamps, and what the numbers are called."""
+
+    names: tuple[str, ...] = ()
+    stamp_ns: list[int] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
+
+    def add(self, stamp_ns: int, names: tuple[str, ...], row: list[float]) -> None:
+        """Add a row; raises TruthError if it is called otherwise than the rows before."""
+        if self.rows and names != self.names:
+            raise TruthError(
+                "joint states change their names",
+                where=f"at {stamp_ns} ns",
+                found=", ".join(names),
+                expected=", ".join(self.names),
+            )
+        self.names = names
+        self.stamp_ns.append(stamp_ns)
+        self.rows.append(row)
+
+    @property
+    def stamps(self) -> IntArray:
+        """(N,) ns."""
+        return np.array(self.stamp_ns, dtype=np.int64)
+
+    def values(self, columns: int) -> FloatArray:
+        """(N, columns)."""
+        return np.array(self.rows, dtype=np.float64).reshape(len(self.rows), columns)
+
+    def of(self, chosen: IntArray) -> _Rows:
+        """Return some of the rows."""
+        kept = chosen.tolist()
+        return _Rows(self.names, [self.stamp_ns[i] for i in kept], [self.rows[i] for i in kept])
+
+
+def _decoded(path: Path, topics: set[str], losses: LossLog) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, stamp and message; one that does not decode is a loss."""
+    decoder = MessageDecoder()
+    for schema, channel, message in read_messages(path, losses, topics):
+        try:
+            decoded = decoder.decode(schema, channel, message)
+        except UndecodableMessageError as error:
+            losses.add(str(error), f"at {message.log_time} ns")
+            continue
+        yield channel.topic, stamp_of(decoded, message), decoded
+
+
+def _pose_row(message: Any) -> list[float]:
+    """Return position (mm), quaternion, velocities (mm/s and rad/s, body axes), 13 numbers."""
+    p, q = message.pose.position, message.pose.orientation
+    row = [MM_PER_METRE * p.x, MM_PER_METRE * p.y, MM_PER_METRE * p.z, q.x, q.y, q.z, q.w]
+    for name, unit in (("linear_velocity", MM_PER_METRE), ("angular_velocity", 1.0)):
+        velocity = getattr(message, name)
+        row += (
+            [unit * velocity.x, unit * velocity.y, unit * velocity.z]
+            if message.HasField(name)
+            else [math.nan] * 3
+        )
+    return row
+
+
+def _joint_row(message: Any) -> list[float]:
+    """Return the positions of the joints, then their velocities, NaN where one is not given."""
+    fields = ("position", "velocity")
+    return [
+        getattr(joint, name) if joint.HasField(name) else math.nan
+        for name in fields
+        for joint in message.joints
+    ]
+
+
+def _together(poses: _Rows, joints: _Rows, losses: LossLog) -> tuple[_Rows, _Rows]:
+    """Return the rows whose stamps both have; a pose without joint states is a loss."""
+    _, mine, theirs = np.intersect1d(poses.stamps, joints.stamps, return_indices=True)
+    for stamp_ns in np.setdiff1d(poses.stamps, joints.stamps).tolist():
+        losses.add(WITHOUT_JOINT_STATES, f"at {stamp_ns} ns")
+    return poses.of(mine), joints.of(theirs)
+
+
+def _track(poses: _Rows, joints: _Rows, subject: str, name: str) -> Track:
+    values = poses.values(13)
+    quaternion = unit_quaternions(values[:, 3:7], lambda row: f"{name}, pose at {poses.stamp_ns[row]} ns")
+    twist = np.hstack([rotate(quaternion, values[:, 7:10]), values[:, 10:]])
+    shape = None
+    if joints.names:
+        shape, rates = np.split(joints.values(2 * len(joints.names)), 2, axis=1)
+        twist = np.hstack([twist, rates])
+    return Track(
+        name,
+        subject,
+        shape_names=joints.names,
+        point_names=(),
+        point_parents=(),
+        stamp_ns=poses.stamps,
+        position=values[:, :3],
+        quaternion=quaternion,
+        shape=shape,
+        twist=None if np.isnan(twist).all() else twist,
+    )

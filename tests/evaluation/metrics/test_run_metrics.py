@@ -1,0 +1,82 @@
+"""What a run says about itself, and what it leaves out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_support import hand_track
+from metrics_support import figures, number
+
+from posetrack_cli.evaluation.metrics.measures import Measures
+from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, NO_TIMINGS, particle_count, run_metrics
+from posetrack_cli.evaluation.track import Track
+
+RUN = {"configuration": json.dumps({"filter": {"particles": 512}})}
+
+
+def measured(track: Track, run: dict[str, str] = RUN) -> Measures:
+    measures = Measures("")
+    run_metrics(measures, track, run)
+    return measures
+
+
+def test_a_run_by_hand() -> None:
+    track = replace(
+        hand_track("a", 4, 0.0),
+        milliseconds=np.array([10.0, 20.0, 20.0, 30.0]),
+        effective_sample_size=np.array([100.0, 200.0, 300.0, 400.0]),
+        resampled=np.array([True, False, False, False]),
+    )
+    measures = measured(track)
+    assert figures(measures, "ms_per_frame").median == 20.0
+    assert number(measures, "frames_per_s") == pytest.approx(4 / 0.08)
+    assert figures(measures, "ess").mean == 250.0
+    assert number(measures, "resampling_rate") == 0.25
+    assert number(measures, "particles") == 512.0
+    assert not measures.absent
+    assert not measures.notes
+
+
+@pytest.mark.parametrize("milliseconds", [None, np.full(4, np.nan)])
+def test_a_run_without_timings_says_how_to_get_them(milliseconds: np.ndarray | None) -> None:
+    measures = measured(replace(hand_track("a", 4, 0.0), milliseconds=milliseconds))
+    assert measures.absent == {"ms_per_frame": NO_TIMINGS, "frames_per_s": NO_TIMINGS}
+    assert "--timings" in NO_TIMINGS
+
+
+def test_frames_without_a_time_are_told() -> None:
+    measures = measured(replace(hand_track("a", 3, 0.0), milliseconds=np.array([10.0, np.nan, 30.0])))
+    assert figures(measures, "ms_per_frame").mean == 20.0
+    assert number(measures, "frames_per_s") == pytest.approx(2 / 0.04)
+    assert measures.notes == ["times of the 2 of 3 frames that were timed"]
+
+
+def test_no_time_at_all_is_no_infinite_speed() -> None:
+    measures = measured(replace(hand_track("a", 2, 0.0), milliseconds=np.zeros(2)))
+    assert measures.absent == {"frames_per_s": "the recorded times are 0"}
+
+
+def test_an_empty_result_has_reasons() -> None:
+    measures = measured(hand_track("a", 0, 0.0))
+    assert set(measures.absent) == {"ms_per_frame", "frames_per_s", "ess", "resampling_rate"}
+    assert set(measures.absent.values()) == {EMPTY}
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        {},
+        {"configuration": ""},
+        {"configuration": "{"},
+        {"configuration": "{}"},
+        {"configuration": "[1]"},
+        {"configuration": '{"filter": null}'},
+        {"configuration": '{"filter": {"particles": "many"}}'},
+    ],
+)
+def test_a_run_record_without_particles_is_no_failure(run: dict[str, str]) -> None:
+    assert particle_count(run) is None
+    assert "particles" in measured(hand_track("a", 2, 0.0), run).absent

@@ -1,0 +1,193 @@
+"""JSON and CSV of evaluations, and tables of comparisons."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_support import hand_evaluation
+
+from posetrack_cli.evaluation.comparing.comparison import compare
+from posetrack_cli.evaluation.comparing.groups import compare_groups
+from posetrack_cli.evaluation.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables, shown_p
+from posetrack_cli.evaluation.reports.csv_report import HEADER, csv_report
+from posetrack_cli.evaluation.reports.json_report import FORMAT, json_report
+from posetrack_cli.evaluation.statistics import Statistics, statistics
+from posetrack_cli.recording.base import Loss
+
+NAN = float("nan")
+OPTIONS = {"tolerance_ms": 5.0, "align": "none"}
+
+
+def with_run(name: str, recording: str = "aa", **changes: object):
+    return hand_evaluation(name, 120, run={"input.sha256": recording, "seed": "1"}, **changes)
+
+
+def loaded(*evaluations, **more):
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(json_report(evaluations, OPTIONS, **more), parse_constant=refuse)
+
+
+def test_json_holds_everything() -> None:
+    one = with_run("a", notes=("a note",), losses=(Loss("damaged chunks", 1, "byte 9"),))
+    report = loaded(one)
+    assert report["format"] == FORMAT == "posetrack.eval/1"
+    assert report["options"] == OPTIONS
+    (result,) = report["results"]
+    figures = one.metrics["joint_error_mm"]
+    assert isinstance(figures, Statistics)
+    assert result["metrics"]["joint_error_mm"] == {
+        "unit": "mm",
+        "mean": figures.mean,
+        "sd": figures.sd,
+        "median": figures.median,
+        "p95": figures.p95,
+        "max": figures.max,
+        "count": figures.count,
+    }
+    assert result["metrics"]["coverage"] == {"unit": "", "value": 1.0}
+    assert list(result["metrics"]) == list(one.metrics)
+    assert result["coverage"]["frames"] == 120 and result["coverage"]["share"] == 1.0
+    assert result["absent"] == one.absent and result["run"] == one.run
+    assert result["notes"] == ["a note"]
+    assert result["losses"] == [{"what": "damaged chunks", "count": 1, "first": "byte 9"}]
+    assert one.curve is not None
+    assert result["curve"]["share"] == one.curve.share.tolist()
+    assert (result["name"], result["file"], result["subject"]) == ("a", "a.mcap", "hand")
+
+
+def test_what_json_cannot_hold_is_null() -> None:
+    metrics = {"joint_error_mm": Statistics(NAN, 0.0, NAN, NAN, math.inf, 0), "coverage": NAN}
+    result = loaded(hand_evaluation("a", metrics=metrics, curve=None))["results"][0]
+    assert result["metrics"]["coverage"]["value"] is None
+    assert result["metrics"]["joint_error_mm"]["mean"] is result["metrics"]["joint_error_mm"]["max"] is None
+    assert result["curve"] is None
+
+
+def test_json_has_gates_and_comparison() -> None:
+    a, b = with_run("a"), with_run("b", error_mm=9.0)
+    comparison = compare([a, b])
+    gates = check_gates([parse_gate("coverage < 0.9"), parse_gate("nees.mean > 5")], [a])
+    report = loaded(a, b, comparison=comparison, gates=gates)
+    assert comparison is not None
+    difference = report["comparison"]["differences"][0]
+    expected = comparison.differences[0]
+    assert (difference["figure"], difference["first"], difference["second"]) == ("joint_error_mm", "a", "b")
+    assert difference["low"] == expected.paired.low and difference["count"] == 4
+    assert [(gate["failed"], gate["figure"]) for gate in report["gates"]] == [(False, 1.0), (True, None)]
+
+
+def test_the_same_results_give_the_same_bytes() -> None:
+    assert json_report([with_run("a")], OPTIONS) == json_report([with_run("a")], OPTIONS)
+
+
+def test_names_of_any_script_stay_readable() -> None:
+    text = json_report([with_run("\u624b")], OPTIONS)
+    assert "\u624b" in text
+    assert json.loads(text)["results"][0]["name"] == "\u624b"
+
+
+def test_a_name_of_bytes_that_are_no_text_is_still_json() -> None:
+    one = replace(with_run("a"), name="a\udcff")
+    text = json_report([one], OPTIONS).encode("utf-8", "backslashreplace")
+    assert json.loads(text)["results"][0]["name"] == "a\udcff"
+
+
+def rows(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_csv_has_one_figure_a_line() -> None:
+    one = with_run('a,"b"')
+    lines = rows(csv_report([one]))
+    assert tuple(lines[0]) == HEADER
+    found = {(r["metric"], r["part"], r["statistic"]): (float(r["value"]), r["unit"]) for r in lines}
+    tip = one.metrics["joint_error_mm.index_tip"]
+    assert isinstance(tip, Statistics)
+    assert found["joint_error_mm", "index_tip", "p95"] == (tip.p95, "mm")
+    assert found["joint_error_mm", "index_tip", "count"] == (120.0, "")
+    assert found["coverage", "", ""] == (1.0, "")
+    assert {r["result"] for r in lines} == {'a,"b"'}
+    statistics_found = sum(isinstance(value, Statistics) for value in one.metrics.values())
+    assert len(lines) == 6 * statistics_found + (len(one.metrics) - statistics_found)
+
+
+def test_csv_shows_what_is_no_number() -> None:
+    lines = rows(csv_report([hand_evaluation("a", metrics={"gaps": NAN, "largest_gap_s": math.inf})]))
+    assert [(r["metric"], r["value"]) for r in lines] == [("gaps", "nan"), ("largest_gap_s", "inf")]
+
+
+def test_csv_has_the_differences_too() -> None:
+    comparison = compare_groups({"rbpf": [with_run("a")], "pf": [with_run("b", error_mm=9.0)]})
+    lines = [r for r in rows(csv_report([], comparison)) if r["metric"] == "joint_error_mm"]
+    assert {r["result"] for r in lines} == {"pf - rbpf"}
+    found = {r["statistic"]: r["value"] for r in lines}
+    assert float(found["mean.difference"]) == comparison.differences[1].paired.difference
+    assert found["mean.pairs"] == "1" and found["mean.low"] == "nan"
+
+
+def test_the_table_of_differences() -> None:
+    values = np.zeros(120)
+    a = with_run("a", series={"joint_error_mm": values + 5.0})
+    b = with_run("b", series={"joint_error_mm": values + 7.5})
+    comparison = compare([a, b])
+    assert comparison is not None
+    (table,) = comparison_tables(comparison)
+    assert table.title == "b - a"
+    assert table.columns == ("difference", "95 % from", "to", "p", "pairs")
+    (row,) = table.sections[0].rows
+    assert (row.label, row.cells) == ("joint_error_mm", ("2.500", "2.500", "2.500", "0.12", "4"))
+    lines = comparison_lines(comparison)
+    assert lines[0].startswith("a pair is one second of a recording; p: Wilcoxon's signed-rank test")
+    assert lines[1] == "b - a: p cannot be below 0.125 with 4 different pairs"
+
+
+def test_differences_of_parts_are_shown_when_asked_for() -> None:
+    fine, coarse = np.linspace(1.0, 2.0, 120), np.linspace(3.0, 5.0, 120)
+    names = ("finger_error_mm", "finger_error_mm.thumb")
+    a = with_run("a", series=dict.fromkeys(names, fine))
+    b = with_run("b", series={names[0]: coarse, names[1]: fine})
+    comparison = compare([a, b])
+    assert comparison is not None
+    labels = [
+        [row.label for row in comparison_tables(comparison, parts=parts)[0].sections[0].rows]
+        for parts in (False, True)
+    ]
+    assert labels == [["finger_error_mm"], list(names)]
+    assert comparison_lines(comparison, parts=True)[1:3] == [
+        "b - a: p cannot be below 0.125 with 4 different pairs: finger_error_mm",
+        "b - a: no pair differs: finger_error_mm.thumb",
+    ]
+
+
+def test_groups_have_a_table_of_their_own() -> None:
+    def of(name: str, recording: str, error: float):
+        metrics = {"coverage": 1.0, "joint_error_mm": statistics([error])}
+        return with_run(name, recording, metrics=metrics, absent={})
+
+    comparison = compare_groups(
+        {"rbpf": [of("a", "p", 4.0), of("b", "q", 6.0)], "pf": [of("c", "p", 8.0), of("d", "q", 8.0)]}
+    )
+    groups, differences = comparison_tables(comparison)
+    assert groups.columns == ("rbpf", "pf")
+    shown = {row.label: row.cells for row in groups.sections[0].rows}
+    assert shown["results"] == ("2", "2")
+    assert shown["joint_error_mm.mean"] == ("5 \u00b1 1", "8 \u00b1 0")
+    assert list(shown)[1] == "coverage"
+    row = differences.sections[0].rows[1]
+    assert row.cells[0] == "3" and row.cells[4] == "2"
+
+
+@pytest.mark.parametrize(
+    ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (0.0001, "0.0001"), (9e-5, "<0.0001")]
+)
+def test_p_values(p: float, text: str) -> None:
+    assert shown_p(p) == text
