@@ -13,7 +13,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.evaluation import Pairs
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.evaluation import Pairs
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Which rows of an estimate and a truth belong together: (M,) row numbers each, increasing."""
+
+    estimate: IntArray
+    truth: IntArray
 
 
 def associate(estimate_ns: IntArray, truth_ns: IntArray, tolerance_ns: int) -> Pairs:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, IntArray
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
-
-if TYPE_CHECKING:
-    from posetrack_cli.evaluation.evaluation import Pairs
 
 HOLE_INTERVALS = 1.5
 """Two estimates that are farther apart than this many usual intervals lack a frame between them."""

@@ -12,9 +12,9 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.alignment import remove_constant_offset
-from posetrack_cli.evaluation.association import associate, nearest_rows
+from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Pairs, Value
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
 from posetrack_cli.evaluation.metrics.catalogue import BOTH, addresses, metric_of
 from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
 from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics

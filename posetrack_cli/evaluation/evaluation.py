@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
@@ -27,14 +28,6 @@ class Curve:
 
     thresholds_mm: FloatArray
     share: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """Which rows of an estimate and a truth belong together: (M,) row numbers each, increasing."""
-
-    estimate: IntArray
-    truth: IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Pairs
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations

@@ -8,8 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Evaluation, Pairs
+from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.pictures import Picture
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track

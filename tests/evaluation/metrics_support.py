@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import settings
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Curve, Pairs
+from posetrack_cli.evaluation.association import Pairs
+from posetrack_cli.evaluation.evaluation import Curve
 from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
 from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures

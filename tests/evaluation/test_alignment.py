@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.alignment import remove_constant_offset
-from posetrack_cli.evaluation.evaluation import Pairs
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 

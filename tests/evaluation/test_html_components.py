@@ -10,7 +10,8 @@ import pytest
 from evaluation_support import hand_evaluation
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.evaluation.evaluation import Evaluation, Pairs
+from posetrack_cli.evaluation.association import Pairs
+from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.components import (
     BAND,
     Component,

@@ -17,9 +17,10 @@ from evaluation_support import hand_evaluation
 from html_support import PNG, head_evaluation, picture
 
 from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Evaluation, Pairs
+from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html import gallery, write_html
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import html_page

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.evaluation.evaluation import Pairs, Value
+from posetrack_cli.evaluation.association import Pairs
+from posetrack_cli.evaluation.evaluation import Value
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 

@@ -76,7 +76,7 @@ def test_frames_that_err_alike_are_no_independent_samples(monkeypatch: pytest.Mo
     over blocks it rejects in 2 Phi(-1.96 / sqrt(1 + 2 r)) = 7.0 %. The counts are binomial: four of
     their sds.
     """
-    monkeypatch.setattr(paired_module, "RESAMPLES", 99)  # the interval is not looked at
+    monkeypatch.setattr(paired_module, "_interval", lambda differences, seed: (0.0, 0.0))  # not looked at
     count, frames, phi, b = 300, 1800, 0.8, 30
     # b frames in each second, to the nanosecond
     stamps = np.arange(frames, dtype=np.int64) * (SECOND // b) + np.arange(frames) // b * (SECOND % b)

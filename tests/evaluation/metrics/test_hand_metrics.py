@@ -13,7 +13,7 @@ from metrics_support import NOTHING, figures, measure, moved, number, random_han
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Pairs
+from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.metrics.catalogue import WITHIN_MM, addresses
 from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.track import Track
