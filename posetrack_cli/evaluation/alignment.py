@@ -16,6 +16,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.poses import in_object
 
 IDENTITY_NOTE = "no constant offset removed: no frame has a truth"
 
@@ -149,8 +150,8 @@ def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray)
 
 def _in_object(track: Track, rows: IntArray, point: int) -> FloatArray:
     """Return one point in the object's frame, (M, 3): R^T (p - t)."""
-    inverse = rotations.conjugate(_known(track.quaternion)[rows])
-    return rotations.rotate(inverse, _known(track.points)[rows, point] - _known(track.position)[rows])
+    pose = _known(track.position)[rows], _known(track.quaternion)[rows]
+    return in_object(_known(track.points)[rows, point], *pose)
 
 
 def _with_points_moved(track: Track, offsets: FloatArray) -> Track:

@@ -11,6 +11,7 @@ from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.evaluation.metrics.covariance_metrics import covariance_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, common_columns
 from posetrack_cli.evaluation.metrics.velocity_metrics import velocity_metrics
+from posetrack_cli.geometry.poses import in_object
 
 TABLE_ORDER = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 """Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
@@ -69,4 +70,4 @@ def _points(measures: Measures, matched: Matched) -> None:
 
 def _in_head(side: Callable[..., FloatArray], point: int) -> FloatArray:
     """A point (M, 3) in head coordinates, of the estimate or of the truth."""
-    return pose_errors.in_head_coordinates(side("points", point), side("position"), side("quaternion"))
+    return in_object(side("points", point), side("position"), side("quaternion"))

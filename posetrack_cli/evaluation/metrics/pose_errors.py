@@ -45,11 +45,6 @@ def euler_errors_deg(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     return np.abs(np.mod(difference + 180.0, 360.0) - 180.0)
 
 
-def in_head_coordinates(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """Return m = R^T (p - t), (M, 3), of points (M, 3) in camera axes."""
-    return rotations.rotate(rotations.conjugate(quaternion), points - position)
-
-
 def angular_velocity_errors_deg(
     estimate: FloatArray, truth: FloatArray, quaternion: FloatArray, true_quaternion: FloatArray
 ) -> FloatArray:

@@ -14,14 +14,18 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import check_point_names, unit_quaternions
 from posetrack_cli.evaluation.truth.csv_table import NS_PER_UNIT, CsvHeader, CsvTable, read_header, read_table
 from posetrack_cli.evaluation.truth.errors import TruthError
-from posetrack_cli.geometry.rotations import matrices_from_quaternions
+from posetrack_cli.geometry.poses import in_camera
 from posetrack_cli.results.estimate import Subject
-
-HEAD = "head"
-POSITION = ("x_mm", "y_mm", "z_mm")
-QUATERNION = ("qx", "qy", "qz", "qw")
-LINEAR = ("vx_mm_s", "vy_mm_s", "vz_mm_s")
-ANGULAR = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+from posetrack_cli.results.export.column_names import (
+    ANGULAR_VELOCITY,
+    HEAD,
+    LINEAR_VELOCITY,
+    POSITION,
+    QUATERNION,
+    point_columns,
+    rate_columns,
+    shape_columns,
+)
 
 
 def load_csv_track(path: Path, subject: Subject) -> Track:
@@ -93,7 +97,7 @@ class _Layout:
     @classmethod
     def of(cls, header: CsvHeader, subject: Subject) -> _Layout:
         """Find the subject's columns in a header row."""
-        groups = (LINEAR, ANGULAR, rate_columns(subject))
+        groups = (LINEAR_VELOCITY, ANGULAR_VELOCITY, rate_columns(subject))
         layout = cls(
             subject.name,
             position=_has_all(header, POSITION),
@@ -109,7 +113,7 @@ class _Layout:
     def columns(self) -> tuple[str, ...]:
         """The columns to read."""
         pose = (POSITION if self.position else ()) + (QUATERNION if self.quaternion else ())
-        return pose + _point_columns(self.points) + self.shape + self.velocities
+        return pose + point_columns(self.points) + self.shape + self.velocities
 
 
 def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
@@ -147,13 +151,13 @@ def _has_all(header: CsvHeader, group: Sequence[str]) -> bool:
 
 def _point_names(header: CsvHeader, subject: Subject) -> tuple[str, ...]:
     """Return the subject's point names if the file has its points, none if it has no points at all."""
-    begun = [name for name in subject.point_names if set(_point_columns([name])) & set(header.columns)]
+    begun = [name for name in subject.point_names if set(point_columns([name])) & set(header.columns)]
     found = {name.removesuffix("_x_mm") for name in header.columns if name.endswith("_x_mm")}
     if not (begun or found) or not subject.point_names:
         return ()
     check_point_names(subject.point_names, sorted({*begun, *found}), header.path)
     for name in subject.point_names:
-        _has_all(header, _point_columns([name]))
+        _has_all(header, point_columns([name]))
     return subject.point_names
 
 
@@ -162,29 +166,13 @@ def _known(subject: Subject) -> str:
     point, shape = "<point>", replace(subject, shape_names=("<name>",))
     groups = [
         "/".join(NS_PER_UNIT),
-        *(" ".join(group) for group in (POSITION, QUATERNION, LINEAR, ANGULAR)),
-        f"{' '.join(_point_columns([point]))} for {point} {' '.join(subject.point_names)}",
+        *(" ".join(group) for group in (POSITION, QUATERNION, LINEAR_VELOCITY, ANGULAR_VELOCITY)),
+        f"{' '.join(point_columns([point]))} for {point} {' '.join(subject.point_names)}",
     ]
     if subject.shape_names:
         columns = " ".join(shape_columns(shape) + rate_columns(shape))
         groups.append(f"{columns} for <name> {' '.join(subject.shape_names)}")
     return ", ".join(groups)
-
-
-def shape_columns(subject: Subject) -> tuple[str, ...]:
-    """Return the columns of the shape: angles of a hand, coefficients of a head."""
-    suffix = "" if subject.name == HEAD else "_rad"
-    return tuple(name + suffix for name in subject.shape_names)
-
-
-def rate_columns(subject: Subject) -> tuple[str, ...]:
-    """Return the columns of the rates of the shape."""
-    suffix = "_per_s" if subject.name == HEAD else "_rad_s"
-    return tuple(name + suffix for name in subject.shape_names)
-
-
-def _point_columns(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(f"{name}_{axis}_mm" for name in names for axis in "xyz")
 
 
 def _quaternions(table: CsvTable) -> FloatArray:
@@ -196,17 +184,15 @@ def _points(
     table: CsvTable, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
 ) -> FloatArray:
     """Return the points (N, P, 3) in camera axes; those of a head come in its own."""
-    points = table.of(_point_columns(layout.points)).reshape(len(table.values), -1, 3)
+    points = table.of(point_columns(layout.points)).reshape(len(table.values), -1, 3)
     if layout.subject != HEAD or position is None or quaternion is None:
         return points
-    rotation = matrices_from_quaternions(quaternion)
-    in_camera: FloatArray = points @ np.swapaxes(rotation, 1, 2) + position[:, None]
-    return in_camera
+    return in_camera(points, position[:, None], quaternion[:, None])
 
 
 def _twist(table: CsvTable, subject: Subject, layout: _Layout) -> FloatArray | None:
     """Return the velocities (N, 6 + K), NaN where the file has none; None if it has none at all."""
-    names = (*LINEAR, *ANGULAR, *(rate_columns(subject) if layout.shape else ()))
+    names = (*LINEAR_VELOCITY, *ANGULAR_VELOCITY, *(rate_columns(subject) if layout.shape else ()))
     twist = np.full((len(table.values), len(names)), np.nan)
     for column, name in enumerate(names):
         if name in table.columns:

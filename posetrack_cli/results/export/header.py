@@ -8,8 +8,9 @@ from typing import Any
 
 from posetrack_cli.geometry.euler import EULER_ORDER
 from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.results.export.column_names import HEAD
 from posetrack_cli.results.export.source import ExportSource
-from posetrack_cli.results.export.table import HEAD, table_of
+from posetrack_cli.results.export.table import table_of
 
 CAMERA_AXES = "x right, y down, z forward"
 _SHORT_RECORDS = ("tracker", "version", "seed", "input.name", "input.sha256")

@@ -10,12 +10,22 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
-from posetrack_cli.geometry.rotations import conjugate, rotate
+from posetrack_cli.geometry.poses import in_object
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.export.column_names import (
+    ANGULAR_VELOCITY,
+    HEAD,
+    LINEAR_VELOCITY,
+    POSITION,
+    QUATERNION,
+    point_columns,
+    rate_columns,
+    shape_columns,
+    shape_unit,
+)
 
 Values: TypeAlias = np.ndarray[Any, Any]
-HEAD = "head"
 
 
 @dataclass(frozen=True)
@@ -67,9 +77,9 @@ def _frame_groups() -> Iterable[ColumnGroup]:
 
 def _pose_groups(subject: Subject) -> Iterable[ColumnGroup]:
     angles = euler_angles(subject)
-    yield _part(("x_mm", "y_mm", "z_mm"), "mm", f"origin of the {subject.name} in camera axes", "position")
+    yield _part(POSITION, "mm", f"origin of the {subject.name} in camera axes", "position")
     yield _part(
-        ("qx", "qy", "qz", "qw"),
+        QUATERNION,
         "",
         f"rotation from {subject.name} to camera axes, unit quaternion, qw >= 0",
         "quaternion",
@@ -80,31 +90,28 @@ def _pose_groups(subject: Subject) -> Iterable[ColumnGroup]:
         "the same rotation in Euler angles",
         lambda block: np.degrees(angles(block["quaternion"])),
     )
-    unit = _shape_unit(subject)
+    unit = shape_unit(subject)
     meaning = "angles of the shape" if unit else "coefficients of the shape"
-    yield _part(_suffixed(subject.shape_names, unit), unit, meaning, "shape")
+    yield _part(shape_columns(subject), unit, meaning, "shape")
 
 
 def _velocity_groups(subject: Subject) -> Iterable[ColumnGroup]:
-    unit = _shape_unit(subject)
-    rates = _suffixed(subject.shape_names, f"{unit}_s" if unit else "per_s")
-    linear = tuple(f"v{axis}_mm_s" for axis in "xyz")
-    yield _part(linear, "mm/s", "velocity of the origin in camera axes", "twist")
+    yield _part(LINEAR_VELOCITY, "mm/s", "velocity of the origin in camera axes", "twist")
     yield _part(
-        tuple(f"w{axis}_rad_s" for axis in "xyz"),
+        ANGULAR_VELOCITY,
         "rad/s",
         f"angular velocity in the {subject.name}'s own axes",
         "twist",
         3,
     )
-    yield _part(rates, f"{unit or '1'}/s", "rate of the shape", "twist", 6)
+    unit = f"{shape_unit(subject) or '1'}/s"
+    yield _part(rate_columns(subject), unit, "rate of the shape", "twist", 6)
 
 
 def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
     """Standard deviations: roots of the diagonals of the covariances."""
-    unit = _shape_unit(subject)
-    suffix, rate = (f"sd_{unit}", f"sd_{unit}_s") if unit else ("sd", "sd_per_s")
-    yield _deviation(_suffixed("xyz", "sd_mm"), "mm", "of the position", "pose_variance", 0)
+    unit = shape_unit(subject)
+    yield _deviation(tuple(f"{axis}_sd_mm" for axis in "xyz"), "mm", "of the position", "pose_variance", 0)
     yield _deviation(
         tuple(f"r{axis}_sd_rad" for axis in "xyz"),
         "rad",
@@ -112,29 +119,28 @@ def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
         "pose_variance",
         3,
     )
-    shape, rates = _suffixed(subject.shape_names, suffix), _suffixed(subject.shape_names, rate)
-    yield _deviation(shape, unit, "of the shape", "pose_variance", 6)
+    yield _deviation(shape_columns(subject, "sd"), unit, "of the shape", "pose_variance", 6)
     yield _deviation(
         tuple(f"v{axis}_sd_mm_s" for axis in "xyz"), "mm/s", "of the velocity", "twist_variance", 0
     )
     yield _deviation(
         tuple(f"w{axis}_sd_rad_s" for axis in "xyz"), "rad/s", "of the angular velocity", "twist_variance", 3
     )
+    rates = rate_columns(subject, "sd")
     yield _deviation(rates, f"{unit or '1'}/s", "of the rate of the shape", "twist_variance", 6)
 
 
 def _point_group(subject: Subject) -> ColumnGroup:
     """Points in camera axes; of a head in its own, where a rigid one's stand still."""
-    names = tuple(f"{name}_{axis}_mm" for name in subject.point_names for axis in "xyz")
+    names = point_columns(subject.point_names)
     if subject.name != HEAD:
         return ColumnGroup(names, "mm", "points in camera axes", lambda block: _flat(block["points"]))
-    return ColumnGroup(names, "mm", "points in the head's own axes", lambda block: _flat(model_points(block)))
+    return ColumnGroup(names, "mm", "points in the head's own axes", lambda block: _flat(_in_head(block)))
 
 
-def model_points(block: Columns) -> FloatArray:
-    """Return the points (N, P, 3), mm, seen from the object: R^T (p - t) of ``camera_T_object`` = (R, t)."""
-    inverse = conjugate(block["quaternion"])[:, None, :]
-    return rotate(inverse, block["points"] - block["position"][:, None, :])
+def _in_head(block: Columns) -> FloatArray:
+    """The points (N, P, 3), mm, in the head's own axes."""
+    return in_object(block["points"], block["position"][:, None], block["quaternion"][:, None])
 
 
 def _filter_groups() -> Iterable[ColumnGroup]:
@@ -144,15 +150,6 @@ def _filter_groups() -> Iterable[ColumnGroup]:
         ("cost_mm",), "mm", "cost of the estimate against the image, empty where not evaluated", _one("cost")
     )
     yield _field("milliseconds", "ms", "time that the frame took, empty if the run recorded none")
-
-
-def _shape_unit(subject: Subject) -> str:
-    """A head's shape is coefficients, everything else's is angles."""
-    return "" if subject.name == HEAD else "rad"
-
-
-def _suffixed(names: Iterable[str], suffix: str) -> tuple[str, ...]:
-    return tuple(f"{name}_{suffix}" if suffix else name for name in names)
 
 
 def _field(name: str, unit: str, meaning: str) -> ColumnGroup:

@@ -80,13 +80,6 @@ def test_euler_errors_are_scipy_s(angles_deg: FloatArray) -> None:
     np.testing.assert_allclose(errors, np.abs(angles_deg[0] - angles_deg[1]), atol=1e-8)
 
 
-@relaxed
-@given(VECTORS, VECTORS, QUATERNIONS)
-def test_head_coordinates_are_scipy_s(points: FloatArray, position: FloatArray, q: FloatArray) -> None:
-    got = pose_errors.in_head_coordinates(points, position, unit(q))
-    np.testing.assert_allclose(got, Rotation.from_quat(q).inv().apply(points - position), atol=1e-9)
-
-
 def test_a_turning_body_s_velocity_does_not_depend_on_how_far_it_has_turned() -> None:
     """Both spin about the camera's z axis at 2 rad/s, a quarter turn apart, tipped over differently."""
     tipped = Rotation.from_euler("xy", [[20.0, -70.0], [130.0, 10.0]], degrees=True)
