@@ -9,9 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
-
-HOLE_INTERVALS = 1.5
-"""Two estimates that are farther apart than this many usual intervals lack a frame between them."""
+from posetrack_cli.recording.timeline import GAP_FACTOR
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def measure_coverage(
     """Count the frames of an estimate, and those of the truth that it should have had.
 
     A truth may come at another rate than the frames, and a run may have taken every second frame on purpose;
-    so a truth without an estimate is no missed frame by itself. Frames are missed where a hole between two
+    so a truth without an estimate is no missed frame by itself. Frames are missed where a gap between two
     estimates holds truths that are farther than half the usual interval (and than the tolerance) from both:
     as many as there are such truths, but no more than fit in at the usual interval.
 
@@ -85,13 +83,13 @@ def measure_coverage(
 
 
 def usual_interval(stamp_ns: IntArray) -> float:
-    """Return the mean interval, ns, between stamps (N,), N >= 2, that have no hole between them.
+    """Return the mean interval, ns, between stamps (N,), N >= 2, that have no gap between them.
 
-    The median tells the holes (at least half of the intervals are none); the mean of the rest is the frame
+    The median tells the gaps (at least half of the intervals are none); the mean of the rest is the frame
     rate's, also where jitter makes intervals long and short in turn, between which a median has to choose.
     """
     intervals = np.diff(stamp_ns)
-    return float(intervals[intervals <= HOLE_INTERVALS * np.median(intervals)].mean())
+    return float(intervals[intervals <= GAP_FACTOR * np.median(intervals)].mean())
 
 
 def _is_outside(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> BoolArray:
@@ -108,11 +106,11 @@ def _missed(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> int:
     if len(stamp_ns) < 2:
         return 0
     intervals, usual = np.diff(stamp_ns), usual_interval(stamp_ns)
-    hole = np.searchsorted(stamp_ns, true_ns, side="right") - 1  # between this estimate and the next
-    inside = (hole >= 0) & (hole < len(intervals))
-    hole, true_ns = hole[inside], true_ns[inside]
-    distance = np.minimum(true_ns - stamp_ns[hole], stamp_ns[hole + 1] - true_ns)
+    interval = np.searchsorted(stamp_ns, true_ns, side="right") - 1  # between this estimate and the next
+    inside = (interval >= 0) & (interval < len(intervals))
+    interval, true_ns = interval[inside], true_ns[inside]
+    distance = np.minimum(true_ns - stamp_ns[interval], stamp_ns[interval + 1] - true_ns)
     far = distance > max(0.5 * usual, tolerance_ns)
-    truths = np.bincount(hole[far], minlength=len(intervals))
-    room = np.where(intervals > HOLE_INTERVALS * usual, np.rint(intervals / usual) - 1.0, 0.0)
+    truths = np.bincount(interval[far], minlength=len(intervals))
+    room = np.where(intervals > GAP_FACTOR * usual, np.rint(intervals / usual) - 1.0, 0.0)
     return int(np.minimum(truths, room).sum())

@@ -7,6 +7,8 @@ from typing import Any
 
 from mcap.records import Channel, Message, Schema
 
+from posetrack_cli.recording.stamps import NS_PER_S
+
 RAW_IMAGE = "image"
 COMPRESSED_IMAGE = "compressed image"
 CALIBRATION = "calibration"
@@ -23,8 +25,6 @@ KINDS = {
     "sensor_msgs/msg/CameraInfo": CALIBRATION,
 }
 """What a message is, by its schema's name: decoded messages are dynamic classes, types say nothing."""
-
-NS_PER_S = 1_000_000_000
 
 
 class UndecodableMessageError(Exception):

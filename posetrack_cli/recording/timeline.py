@@ -5,9 +5,11 @@ from __future__ import annotations
 from array import array
 from statistics import median
 
+from posetrack_cli.recording.stamps import NS_PER_S
+
 GAP_FACTOR = 1.5
+"""An interval that is longer than this many usual ones lacks a frame."""
 LONGEST_NS = 2**64 - 1
-NS_PER_S = 1e9
 
 
 class Timeline:

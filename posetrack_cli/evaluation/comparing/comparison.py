@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from posetrack_cli.evaluation.comparing.blocks import neighbour_correlation, paired_blocks
 from posetrack_cli.evaluation.comparing.paired import Paired, paired
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
+from posetrack_cli.evaluation.metrics.catalogue import place_of
 from posetrack_cli.evaluation.statistics import Statistics
 
 RECORDING_KEY = "input.sha256"
@@ -81,9 +81,8 @@ def compare(evaluations: Sequence[Evaluation]) -> Comparison | None:
 
 def _differences(first: Evaluation, second: Evaluation) -> Iterator[Difference]:
     """Every series that both have, in the catalogue's order."""
-    order = {metric.name: place for place, metric in enumerate(CATALOGUE)}
     common = [name for name in first.series if name in second.series]
-    for figure in sorted(common, key=lambda name: order.get(name.split(".")[0], len(order))):
+    for figure in sorted(common, key=place_of):
         yield _difference(figure, first, second)
 
 

@@ -35,6 +35,9 @@ STATE_PARTS: dict[str, tuple[str, ...]] = {
 }
 """Parts of the state that the covariance metrics tell apart."""
 
+HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
+"""Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
+
 WITHIN_MM = (10, 20, 30, 40, 50, 80)
 """Thresholds D of the metrics ``frames_within_<D>mm``."""
 
@@ -264,6 +267,7 @@ CATALOGUE: tuple[Metric, ...] = (
 """Every metric, in the order of every table."""
 
 _BY_NAME = {metric.name: metric for metric in CATALOGUE}
+_PLACES = {metric.name: place for place, metric in enumerate(CATALOGUE)}
 
 
 @dataclass(frozen=True)
@@ -278,6 +282,11 @@ class Address:
     def base(self) -> str:
         """The address without statistic, a key of ``Evaluation.metrics``."""
         return self.metric.name if self.part is None else f"{self.metric.name}.{self.part}"
+
+
+def place_of(address: str) -> int:
+    """Return where in the catalogue an address's metric stands; behind all others if it is none."""
+    return _PLACES.get(address.split(".")[0], len(_PLACES))
 
 
 def metric_of(address: str) -> Metric:

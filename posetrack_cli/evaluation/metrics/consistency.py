@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.evaluation.coverage import HOLE_INTERVALS
 from posetrack_cli.evaluation.evaluation import Value
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
-
-S_PER_NS = 1e-9
+from posetrack_cli.recording.stamps import NS_PER_S
+from posetrack_cli.recording.timeline import GAP_FACTOR
 
 
 def consistency_metrics(track: Track) -> dict[str, Value]:
@@ -18,8 +17,8 @@ def consistency_metrics(track: Track) -> dict[str, Value]:
 
     - ``cost_mm``: over the frames that have a cost; ``confidence``: over all.
     - ``jitter_mm``: see ``jitter``; needs three frames in a row.
-    - ``gaps``: intervals longer than ``HOLE_INTERVALS`` medians; ``largest_gap_s``: the longest interval.
-      Both need two frames.
+    - ``gaps``: intervals longer than ``GAP_FACTOR`` medians, as ``posetrack info`` counts them;
+      ``largest_gap_s``: the longest interval. Both need two frames.
     - ``status_changes``: how often a frame's status differs from that of the frame before.
     """
     metrics: dict[str, Value] = {}
@@ -29,8 +28,8 @@ def consistency_metrics(track: Track) -> dict[str, Value]:
         if known is not None and known.size:
             metrics[name] = statistics(known)
     if len(track) >= 2:
-        metrics["gaps"] = float(_holes(track).sum())
-        metrics["largest_gap_s"] = float(np.diff(track.stamp_ns).max()) * S_PER_NS
+        metrics["gaps"] = float(_gaps(track).sum())
+        metrics["largest_gap_s"] = float(np.diff(track.stamp_ns).max()) / NS_PER_S
     if len(track) and track.lost is not None and track.reinitialised is not None:
         status = track.lost.astype(np.int64) + 2 * track.reinitialised
         metrics["status_changes"] = float((np.diff(status) != 0).sum())
@@ -68,16 +67,16 @@ def jitter(track: Track) -> FloatArray | None:
     return mean
 
 
-def _holes(track: Track) -> BoolArray:
+def _gaps(track: Track) -> BoolArray:
     """Return which intervals (N - 1,) lack at least one frame."""
     intervals = np.diff(track.stamp_ns)
     if not intervals.size:
         return np.zeros(0, dtype=np.bool_)
-    holes: BoolArray = intervals > HOLE_INTERVALS * np.median(intervals)
-    return holes
+    gaps: BoolArray = intervals > GAP_FACTOR * np.median(intervals)
+    return gaps
 
 
 def _first_of_three(track: Track) -> IntArray:
     """Return the rows that begin three frames with no gap between them."""
-    whole = ~_holes(track)
+    whole = ~_gaps(track)
     return np.flatnonzero(whole[:-1] & whole[1:])

@@ -8,15 +8,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.metrics import pose_errors
+from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
 from posetrack_cli.evaluation.metrics.covariance_metrics import covariance_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, common_columns
 from posetrack_cli.evaluation.metrics.velocity_metrics import velocity_metrics
 from posetrack_cli.geometry.poses import in_object
 
-TABLE_ORDER = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
-"""Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
-
-_POSITION, _ROTATION = (*TABLE_ORDER[:3], "position_mm"), (*TABLE_ORDER[3:], "rotation_deg")
+_POSITION, _ROTATION = (*HEAD_POSE[:3], "position_mm"), (*HEAD_POSE[3:], "rotation_deg")
 
 
 def head_metrics(measures: Measures, matched: Matched) -> None:
@@ -33,7 +31,7 @@ def _position(measures: Measures, matched: Matched) -> None:
     if reason := matched.lacks("position"):
         return measures.lack(reason, *_POSITION)
     mine, theirs = matched.of_estimate("position"), matched.of_truth("position")
-    for column, name in enumerate(TABLE_ORDER[:3]):
+    for column, name in enumerate(HEAD_POSE[:3]):
         measures.add(name, np.abs(mine[:, column] - theirs[:, column]))
     measures.add("position_mm", pose_errors.distances(mine, theirs))
 
@@ -44,7 +42,7 @@ def _rotation(measures: Measures, matched: Matched) -> None:
         return measures.lack(reason, *_ROTATION)
     mine, theirs = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
     errors = pose_errors.euler_errors_deg(mine, theirs)
-    for column, name in enumerate(TABLE_ORDER[3:]):
+    for column, name in enumerate(HEAD_POSE[3:]):
         measures.add(name, errors[:, column])
     measures.add("rotation_deg", pose_errors.rotation_errors_deg(mine, theirs))
 

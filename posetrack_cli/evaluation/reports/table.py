@@ -7,15 +7,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from posetrack_cli.evaluation.evaluation import Evaluation, Value
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, GROUP_TITLES, metric_of
+from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, GROUP_TITLES, HEAD_POSE, metric_of, place_of
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
 from posetrack_cli.recording.losses import loss_line
 
-ORDER = {metric.name: place for place, metric in enumerate(CATALOGUE)}
 ABSENT = "-"
 SPREAD = ("median", "p95", "max")
 SHOWN = tuple(name for name in STATISTIC_NAMES if name != "count")
-THESIS_COLUMNS = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 
 
 @dataclass(frozen=True)
@@ -81,11 +79,11 @@ def catalogue_lines() -> Iterator[str]:
 
 def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
     """Mean and sd of a head's six absolute errors side by side, or None where no result has them."""
-    heads = [one for one in evaluations if all(name in one.metrics for name in THESIS_COLUMNS)]
+    heads = [one for one in evaluations if all(name in one.metrics for name in HEAD_POSE)]
     if not heads:
         return None
     rows = tuple(_thesis_row(one, name, len(heads)) for one in heads for name in ("mean", "sd"))
-    columns = tuple(name.replace("_", " ") for name in THESIS_COLUMNS)
+    columns = tuple(name.replace("_", " ") for name in HEAD_POSE)
     return Table("Absolute errors of the pose", columns, (Section("", rows),))
 
 
@@ -149,7 +147,7 @@ def _sections(
 def _bases(evaluations: Sequence[Evaluation]) -> list[str]:
     """Every address that a result has, in the catalogue's order; parts as they come."""
     found = dict.fromkeys(base for one in evaluations for base in one.metrics)
-    return sorted(found, key=lambda base: ORDER[base.split(".")[0]])
+    return sorted(found, key=place_of)
 
 
 def _row(base: str, cells: tuple[str, ...]) -> Row:
@@ -176,7 +174,7 @@ def _spread_cell(value: Value | None) -> str:
 
 
 def _thesis_row(evaluation: Evaluation, statistic: str, heads: int) -> Row:
-    values = [evaluation.metrics[name] for name in THESIS_COLUMNS]
+    values = [evaluation.metrics[name] for name in HEAD_POSE]
     label = statistic if heads == 1 else f"{evaluation.name} {statistic}"
     return Row(label, tuple(shown(getattr(value, statistic, float("nan"))) for value in values))
 

@@ -16,12 +16,13 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.estimate import Status
 
 COMMENT = "#"
 STATUS = "status"
 BLOCK_ROWS = 4096  # as text a row takes ten times its numbers' memory
-NS_PER_UNIT = {"stamp_ns": 1, "t_s": 10**9, "time_s": 10**9}
+NS_PER_UNIT = {"stamp_ns": 1, "t_s": NS_PER_S, "time_s": NS_PER_S}
 """Columns of stamps, the first that a file has is taken, and what one of their units is in ns."""
 
 

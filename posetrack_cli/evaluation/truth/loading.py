@@ -21,12 +21,11 @@ from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_channels, read_extras, read_messages, read_summary
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
 from posetrack_cli.results.reader import Result, read_result
-
-NS_PER_S = 1e9
 
 
 def load_truth(

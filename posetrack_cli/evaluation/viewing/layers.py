@@ -15,7 +15,6 @@ from posetrack_cli.evaluation.viewing.drawing import Drawer, Shown
 
 TOLERANCE_NS = 5_000_000
 """How far apart the stamps of a frame and of an estimate of it may be."""
-NS_PER_S = 1e9
 
 
 @dataclass(frozen=True, eq=False)

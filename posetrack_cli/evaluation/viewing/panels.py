@@ -12,11 +12,12 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.evaluation.viewing.captions import caption
 from posetrack_cli.evaluation.viewing.colours import TEXT, TRUTH, Colour, DepthRange, false_colour
 from posetrack_cli.evaluation.viewing.drawing import SkeletonDrawer
-from posetrack_cli.evaluation.viewing.layers import NS_PER_S, Layer
+from posetrack_cli.evaluation.viewing.layers import Layer
 from posetrack_cli.evaluation.viewing.viewport import Viewport
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.rendering.window import Window
 
 LAYOUTS = ("beside", "over", "paper", "side-by-side")

@@ -22,13 +22,14 @@ from posetrack_cli.evaluation.viewing.colours import TONES, TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, anatomy_of
-from posetrack_cli.evaluation.viewing.layers import NS_PER_S, Layer, point_errors
+from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
 from posetrack_cli.evaluation.viewing.panels import Panels
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, largest_viewport, moved_to
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results.reader import Result
 

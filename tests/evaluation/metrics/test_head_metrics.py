@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from metrics_support import HEAD_POINTS, figures, measure, moved, random_head, relaxed
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.evaluation.metrics.catalogue import addresses
-from posetrack_cli.evaluation.metrics.head_metrics import TABLE_ORDER
+from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE, addresses
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
@@ -35,7 +34,7 @@ def test_a_table_of_the_thesis_by_hand() -> None:
     truth = facing([[0.0, 0, 700], [10, 0, 700]], [[0.0, 0, 0], [0, 0, 170]], "truth")
     estimate = facing([[1.0, -2, 710], [7, 6, 680]], [[1.0, -2, 5], [-3, 4, -175]], "estimate")
     measures, _ = measure(estimate, truth)
-    table = {name: (figures(measures, name).mean, figures(measures, name).sd) for name in TABLE_ORDER}
+    table = {name: (figures(measures, name).mean, figures(measures, name).sd) for name in HEAD_POSE}
     expected = {
         "x_mm": (2.0, 1.0),
         "y_mm": (4.0, 2.0),
