@@ -72,7 +72,7 @@ def nearest_rows(stamp_ns: IntArray, others_ns: IntArray) -> IntArray:
     after = np.searchsorted(others_ns, stamp_ns)
     before = np.maximum(after - 1, 0)
     after = np.minimum(after, len(others_ns) - 1)
-    is_before = np.abs(stamp_ns - others_ns[before]) <= np.abs(others_ns[after] - stamp_ns)
+    is_before = stamp_ns - others_ns[before] <= others_ns[after] - stamp_ns  # beyond an end both are the last
     return np.where(is_before, before, after)
 
 
@@ -83,7 +83,7 @@ def _disjoint(places: IntArray, count: int) -> IntArray:
         places: (C,) in the order in which they are taken.
         count: number of places.
     """
-    taken = [False] * (count + 1)
+    taken = [False] * count
     kept = []
     for place in places.tolist():
         if not (taken[place] or taken[place + 1]):

@@ -112,5 +112,5 @@ def _missed(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> int:
     distance = np.minimum(true_ns - stamp_ns[interval], stamp_ns[interval + 1] - true_ns)
     far = distance > max(0.5 * usual, tolerance_ns)
     truths = np.bincount(interval[far], minlength=len(intervals))
-    room = np.where(intervals > GAP_FACTOR * usual, np.rint(intervals / usual) - 1.0, 0.0)
+    room = np.maximum(np.rint(intervals / usual) - 1.0, 0.0)  # two frames may be nearer than usual
     return int(np.minimum(truths, room).sum())

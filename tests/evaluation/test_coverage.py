@@ -84,6 +84,22 @@ def test_truths_right_beside_the_ends_of_a_hole_are_no_missed_frames() -> None:
     assert coverage(frames(0, 1, 2, 7, 8), truths).missed == 0
 
 
+@pytest.mark.parametrize(
+    ("tenths", "missed"), [(21, 0), (24, 0), (26, 1), (30, 1), (34, 1), (36, 0), (39, 0)]
+)
+def test_a_truth_is_of_the_frame_that_is_nearest(tenths: int, missed: int) -> None:
+    # frame 3 is left out; up to half an interval from frame 2 or 4 a truth is of these
+    truths = sorted([*frames(0, 1, 2, 4, 5), tenths * FRAME_NS // 10])
+    assert coverage(frames(0, 1, 2, 4, 5), truths).missed == missed
+
+
+def test_frames_near_each_other_make_up_for_no_missed_ones() -> None:
+    # one frame comes 0.7 intervals late and 0.3 before the next; frame 7 is left out
+    late = [FRAME_NS * 27 // 10]
+    found = coverage([*frames(0, 1), *late, *frames(3, 4, 5, 6, 8, 9, 10)], frames(*range(11)))
+    assert found.missed == 2, "the one that came late, which no truth is near, and frame 7"
+
+
 def test_truths_before_and_after_were_not_asked_for() -> None:
     found = coverage(frames(3, 4, 5), frames(*range(10)))
     assert (found.missed, found.outside, found.share) == (0, 7, 1.0)
