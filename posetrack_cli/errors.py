@@ -61,6 +61,10 @@ class ResultError(PosetrackError):
     """A result that cannot be written or read."""
 
 
+class TruthError(PosetrackError):
+    """A truth that cannot be read, or is of something else than the result."""
+
+
 class RenderingError(PosetrackError):
     """No working GL, or a renderer asked for something it cannot do."""
 

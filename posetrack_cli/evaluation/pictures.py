@@ -49,7 +49,7 @@ def worst_frame_pictures(
 
     Args:
         evaluation: what was measured.
-        recording: what the result was made from (``find_recording``).
+        recording: what the result was made from (``search_recording``).
         count: how many at most. They are at least a second apart, so a short recording gives fewer.
         device: EGL device index, None for the default.
 
@@ -141,7 +141,7 @@ def _caption(evaluation: Evaluation, row: int, errors: FloatArray | None, name: 
     number = row if track.frame_index is None else int(track.frame_index[row])
     words = [f"frame {number}", f"{seconds:.3f} s"]
     if track.lost is not None:
-        words.append("lost" if track.lost[row] else "tracking")
+        words.append(track.status(row).value)
     if errors is not None:
         words.append(f"{name} {errors[row]:.1f} mm")
     elif track.cost is not None and np.isfinite(track.cost[row]):

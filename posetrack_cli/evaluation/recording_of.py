@@ -34,11 +34,6 @@ class Search:
     reason: str = ""
 
 
-def find_recording(result: Result, given: Path | None = None, **opening: Any) -> StoredRecording | None:
-    """The recording that a result was made from, None where it is not found; see ``search_recording``."""
-    return search_recording(result, given, **opening).recording
-
-
 def search_recording(
     result: Result, given: Path | None = None, *, any_recording: bool = False, **opening: Any
 ) -> Search:

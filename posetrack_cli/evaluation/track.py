@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.results.estimate import Status
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,3 +60,11 @@ class Track:
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+    def status(self, row: int) -> Status:
+        """The status of a frame; of a track that does not say, tracking."""
+        if self.lost is not None and self.lost[row]:
+            return Status.LOST
+        if self.reinitialised is not None and self.reinitialised[row]:
+            return Status.REINITIALISED
+        return Status.TRACKING

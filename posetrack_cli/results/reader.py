@@ -24,6 +24,7 @@ from posetrack_cli.recording.mcap_stream import (
     read_channels,
     read_extras,
     read_messages,
+    read_summary,
 )
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
@@ -212,6 +213,14 @@ def read_result(path: Path | str) -> Result:
     subject = subject_from_record(metadata[SUBJECT_RECORD])
     truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
     return Result(path, subject, metadata[RUN_RECORD], metadata.get(SUMMARY_RECORD, {}), truncated, losses)
+
+
+def is_result(path: Path) -> bool:
+    """Whether an MCAP file has a run record: a result has one, a recording has none."""
+    summary = read_summary(path)
+    if summary is not None:
+        return any(index.name == RUN_RECORD for index in summary.metadata_indexes)
+    return any(isinstance(r, Metadata) and r.name == RUN_RECORD for r in read_extras(path))
 
 
 def load_arrays(path: Path | str, topic: str | None = None) -> Columns:

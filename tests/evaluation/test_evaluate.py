@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from truth_support import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv, write_result
 
-from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.errors import PosetrackError, ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation, Value
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, addresses, metric_of
 from posetrack_cli.evaluation.statistics import Statistics, statistics
-from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,

@@ -12,7 +12,6 @@ from viewing_support import make_folder, make_recording, make_result, truth_of, 
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
 from posetrack_cli.evaluation.recording_of import (
     camera_of,
-    find_recording,
     required_recording,
     search_recording,
 )
@@ -50,7 +49,7 @@ def result_of(path: Path, recording: StoredRecording) -> Result:
 
 
 def found_at(result: Result) -> Path:
-    found = find_recording(result)
+    found = search_recording(result).recording
     assert found is not None
     return found.path.resolve()
 
@@ -79,7 +78,7 @@ def test_where_it_is_nowhere_the_reason_says_where_it_was_looked_for(
     recording.rename(recording.with_name("other.mcap"))
     monkeypatch.chdir(tmp_path)
     search = search_recording(result)
-    assert search.recording is None and find_recording(result) is None
+    assert search.recording is None
     looked = f"{tmp_path}/home/results, {tmp_path}/home, ."
     assert search.reason == f"no recording 'hand.mcap' in {looked}; pass it with --recording"
     with pytest.raises(RecordingError, match="no recording"):
@@ -103,7 +102,7 @@ def test_a_given_one_that_differs_is_refused_unless_any_will_do(recording: Path,
     with pytest.raises(
         RecordingError, match=r"is not the recording .* found SHA-256 .* expected .* hand.mcap"
     ):
-        find_recording(result, recording)
+        search_recording(result, recording)
     assert search_recording(result, recording, any_recording=True).recording is not None
 
 
@@ -116,27 +115,29 @@ def test_another_size_is_told_without_reading_it_all(
         stream.write(b"more")
     monkeypatch.setattr("posetrack_cli.recording.identity._feed", pytest.fail)
     with pytest.raises(RecordingError, match=f"found {size + 4} bytes, expected {size} bytes"):
-        find_recording(result, recording)
+        search_recording(result, recording)
 
 
 def test_a_name_with_folders_in_it_is_not_followed(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     bad = replace(result, run={**result.run, "input.name": "home/hand.mcap"})
-    assert find_recording(bad) is None
+    assert search_recording(bad).recording is None
 
 
 def test_a_result_that_names_no_input_says_so(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     bare = replace(result, run={})
     assert search_recording(bare).reason.endswith("does not say which recording it was made from")
-    assert find_recording(bare, recording) is not None, "what cannot be checked is taken when it is given"
+    assert search_recording(bare, recording).recording is not None, (
+        "what cannot be checked is taken when it is given"
+    )
 
 
 def test_a_folder_is_opened_as_the_run_opened_it(source: Path, tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "images", open_recording(source), mirror=True)
     opened = open_recording(folder, fps=RATE, mirror=True)
     result = result_of(tmp_path / "r.mcap", opened)
-    found = find_recording(result)
+    found = search_recording(result).recording
     assert found is not None
     same = zip(found.frames(), opened.frames(), open_recording(source).frames(), strict=True)
     for mine, theirs, unmirrored in same:
@@ -147,9 +148,9 @@ def test_a_folder_is_opened_as_the_run_opened_it(source: Path, tmp_path: Path) -
 def test_another_rate_than_the_run_s_is_refused(source: Path, tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "images", open_recording(source))
     result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE))
-    assert find_recording(result, fps=RATE) is not None
+    assert search_recording(result, fps=RATE).recording is not None
     with pytest.raises(UsageError, match=r"--fps is not that of the run, found 30, expected 20"):
-        find_recording(result, fps=30.0)
+        search_recording(result, fps=30.0)
 
 
 def test_a_folder_without_its_camera_file_needs_it_again(source: Path, tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ def test_a_folder_without_its_camera_file_needs_it_again(source: Path, tmp_path:
     folder = make_folder(tmp_path / "images", recording, camera=False)
     camera = write_camera(tmp_path / "camera.toml", recording.cameras[0])
     result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE, camera_file=camera))
-    assert find_recording(result, camera_file=camera) is not None
+    assert search_recording(result, camera_file=camera).recording is not None
     assert "pass --camera" in search_recording(result).reason
 
 
@@ -169,7 +170,7 @@ def test_an_mcap_tracked_with_a_camera_file_gets_the_run_s_camera(
     opened = open_recording(recording, camera_file=file, mirror=mirror)
     result = result_of(tmp_path / "home" / "r.mcap", opened)
     file.unlink()
-    found = find_recording(result)
+    found = search_recording(result).recording
     assert found is not None
     values = found.cameras[0].values(), opened.cameras[0].values()
     assert {k: v for k, v in values[0].items() if k != "name"} == {
@@ -181,7 +182,7 @@ def test_an_mcap_tracked_with_a_camera_file_gets_the_run_s_camera(
 def test_options_that_do_not_apply_are_wrong_usage(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "home" / "r.mcap", open_recording(recording))
     with pytest.raises(UsageError, match="--missing does not apply to an MCAP file"):
-        find_recording(result, missing=7)
+        search_recording(result, missing=7)
 
 
 def test_the_camera_of_a_run(recording: Path, tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def image_consistency(
 
     Args:
         result: of a hand.
-        recording: what it was made from (``find_recording``); every frame is read once.
+        recording: what it was made from (``search_recording``); every frame is read once.
         device: EGL device index, None for the default.
 
     Returns:

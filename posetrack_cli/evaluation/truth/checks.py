@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.truth.errors import TruthError
+from posetrack_cli.errors import TruthError
 from posetrack_cli.geometry.rotations import canonical
 
 LENGTH_TOLERANCE = 1e-3

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.evaluation.truth.errors import TruthError
+from posetrack_cli.errors import TruthError
 from posetrack_cli.recording.ordering import LATEST_NS
 from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.estimate import Status

@@ -7,25 +7,23 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Metadata
 
-from posetrack_cli.errors import UsageError
+from posetrack_cli.errors import TruthError, UsageError
 from posetrack_cli.evaluation.result_track import MOTION_FIELDS, truth_of_columns
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import check_point_names
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track
-from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX
+from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_stream import read_channels, read_extras, read_messages, read_summary
+from posetrack_cli.recording.mcap_stream import read_channels, read_messages
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.ordering import LATEST_NS
 from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
-from posetrack_cli.results.reader import Result, read_result
+from posetrack_cli.results.reader import Result, is_result, read_result
 
 
 def load_truth(
@@ -78,7 +76,7 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
         )
     if not is_mcap(path):
         return load_csv_track(path, result.subject)
-    if _is_result(path):
+    if is_result(path):
         return _estimates_of(path, result.subject, losses)
     truth = _topics_truth(path, result.subject, path.name, losses)
     if truth is None:
@@ -89,13 +87,6 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
             expected=f"{_estimate_topic(result.subject.name)} or {odometry_topic(result.subject.name)}",
         )
     return truth
-
-
-def _is_result(path: Path) -> bool:
-    summary = read_summary(path)
-    if summary is not None:
-        return any(index.name == RUN_RECORD for index in summary.metadata_indexes)
-    return any(isinstance(r, Metadata) and r.name == RUN_RECORD for r in read_extras(path))
 
 
 def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:

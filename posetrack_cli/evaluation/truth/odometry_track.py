@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import unit_quaternions
-from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.geometry.rotations import rotate
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.losses import LossLog

@@ -9,6 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.association import associate, nearest_rows
+from posetrack_cli.evaluation.metrics.pose_errors import distances
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, Colour
 from posetrack_cli.evaluation.viewing.drawing import Drawer, Shown
@@ -51,13 +52,7 @@ class Layer:
     def status(self, stamp_ns: int) -> str:
         """``tracking``, ``lost``, ``reinitialised`` or ``no estimate``."""
         row = self.row(stamp_ns)
-        if row is None:
-            return "no estimate"
-        if self.track.lost is not None and self.track.lost[row]:
-            return "lost"
-        if self.track.reinitialised is not None and self.track.reinitialised[row]:
-            return "reinitialised"
-        return "tracking"
+        return "no estimate" if row is None else self.track.status(row).value
 
     def mark(self, stamp_ns: int) -> Colour | None:
         """The colour that marks a frame which is not simply tracked; None for one that is."""
@@ -92,6 +87,6 @@ def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
         return None
     errors = np.full(len(track), np.nan)
     pairs = associate(track.stamp_ns, truth.stamp_ns, TOLERANCE_NS)
-    apart = track.points[pairs.estimate] - truth.points[pairs.truth]
-    errors[pairs.estimate] = np.linalg.norm(apart, axis=2).mean(axis=1)
+    apart = distances(track.points[pairs.estimate], truth.points[pairs.truth])
+    errors[pairs.estimate] = apart.mean(axis=1)
     return errors

@@ -23,10 +23,10 @@ from truth_support import (
 )
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.csv_table import BLOCK_ROWS
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.results.estimate import Status, Subject
 from posetrack_cli.results.export.export import export_file
 from posetrack_cli.results.export.source import ExportSource

@@ -22,13 +22,12 @@ from truth_support import (
 )
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import RecordingError, ResultError, UsageError
+from posetrack_cli.errors import RecordingError, ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.csv_table import read_header
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.evaluation.truth.errors import TruthError
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.losses import LossLog
