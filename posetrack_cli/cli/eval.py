@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.parameter_types import FiniteRange, only_once
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
 if TYPE_CHECKING:
@@ -66,10 +67,16 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
 @click.option(
     "--gates", "gate_files", type=FILE, multiple=True, help="File of gates, one a line; repeatable."
 )
-@click.option("--baseline", type=FILE, help="Earlier --json; worse figures fail.")
+@click.option(
+    "--baseline",
+    type=FILE,
+    multiple=True,
+    callback=only_once,
+    help="Earlier --json; worse figures fail.",
+)
 @click.option(
     "--baseline-tolerance",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     default=0.05,
     show_default=True,
     help="How much worse may pass: a share of an error, an absolute difference of a coverage.",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.parameter_types import FiniteRange
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
@@ -55,10 +56,10 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
     type=click.Choice(["full", "hand"]),
     help="All of the image, or where the hand goes.  [default: full; of layout paper hand]",
 )
-@click.option("--scale", type=click.FloatRange(0.05, 16.0), help="Picture pixels per image pixel.")
+@click.option("--scale", type=FiniteRange(0.05, 16.0), help="Picture pixels per image pixel.")
 @click.option(
     "--rate",
-    type=click.FloatRange(0.1, 240.0),
+    type=FiniteRange(0.1, 240.0),
     help="Pictures per second of a video.  [default: as fast as recorded]",
 )
 @click.option(

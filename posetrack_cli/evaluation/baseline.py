@@ -101,8 +101,8 @@ def check_baseline(
 
     The only result is compared with the only one of the baseline whatever their names. A figure fails if it
     is worse by more than the tolerance: an error e above e_0 (1 + tolerance) + 0.01 mm or deg, a share below
-    p_0 - tolerance. A result that the baseline has not, and a figure that only the baseline has, cannot be
-    judged and fails. Speed is not compared: machines differ.
+    p_0 - tolerance. A result that the baseline has not, one without any key figure there, and a figure that
+    only the baseline has, cannot be judged and fails. Speed is not compared: machines differ.
 
     Args:
         baseline: the earlier report.
@@ -116,12 +116,16 @@ def check_baseline(
         stored = _partner(baseline, one, len(evaluations))
         if stored is None:
             known = ", ".join(result.name for result in baseline.results) or "none"
-            reason = f"the baseline holds no result of this name; it holds: {known}"
-            outcomes.append(GateOutcome("baseline", one.name, None, True, reason))
+            outcomes.append(_unjudged(one, f"the baseline holds no result of this name; it holds: {known}"))
             continue
-        outcomes += [check_gate(gate, one) for gate in _gates(stored, tolerance)]
+        judged = [check_gate(gate, one) for gate in _gates(stored, tolerance)]
+        outcomes += judged or [_unjudged(one, "the baseline holds none of the key figures")]
         notes += _notes(stored, one)
     return BaselineCheck(tuple(outcomes), tuple(notes))
+
+
+def _unjudged(evaluation: Evaluation, reason: str) -> GateOutcome:
+    return GateOutcome("baseline", evaluation.name, None, True, reason)
 
 
 def _partner(baseline: StoredReport, evaluation: Evaluation, count: int) -> StoredResult | None:

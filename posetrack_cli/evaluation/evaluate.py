@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
@@ -32,6 +31,8 @@ from posetrack_cli.results.reader import Result, read_result
 Alignment: TypeAlias = Literal["none", "rigid", "rigid+points"]
 
 AGAINST_TRUTH = ("accuracy", "velocity", "covariance")
+LONGEST_OFFSET_S = 1e10
+"""What 64 bits of nanoseconds hold, nearly 300 years, is a little less."""
 NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "in no frame the estimate and the observed hand overlap"
@@ -72,8 +73,9 @@ class EvalOptions:
         if not 0.0 <= self.tolerance_ms <= 1e9:
             found = f"{self.tolerance_ms} ms"
             raise UsageError("tolerance cannot be used", found=found, expected="0 to 1e9 ms")
-        if not math.isfinite(self.time_offset_s):
-            raise UsageError("time offset cannot be used", found=f"{self.time_offset_s} s")
+        if not abs(self.time_offset_s) <= LONGEST_OFFSET_S:
+            found, expected = f"{self.time_offset_s} s", f"at most {LONGEST_OFFSET_S:g} s either way"
+            raise UsageError("time offset cannot be used", found=found, expected=expected)
         if self.align not in get_args(Alignment):
             known = ", ".join(get_args(Alignment))
             raise UsageError("no such alignment", found=repr(self.align), expected=f"one of {known}")

@@ -236,6 +236,9 @@ def test_a_folder_needs_no_options_again_but_the_camera_file(
         (["RESULT", "-o", "v.mp4", "--missing", "3"], 2, "does not apply to an MCAP file"),
         (["RESULT", "-o", "v.mp4", "--device", "99"], 1, "no headless context"),
         (["RESULT", "-o", "v.mp4", "--scale", "0"], 2, "--scale"),
+        (["RESULT", "-o", "v.mp4", "--scale", "nan"], 2, "nan is no finite number"),
+        (["RESULT", "-o", "v.mp4", "--rate", "nan"], 2, "nan is no finite number"),
+        (["RESULT", "-o", "-"], 2, "pictures cannot go to standard output"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(

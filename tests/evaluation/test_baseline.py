@@ -106,6 +106,13 @@ def test_a_figure_that_is_gone_cannot_be_judged(tmp_path: Path) -> None:
     assert len(lines) == 2 and all(line.endswith("cannot be judged: no truth") for line in lines)
 
 
+def test_a_baseline_without_any_key_figure_cannot_judge(tmp_path: Path) -> None:
+    path = stored(tmp_path, measured(metrics={"frames": 30.0}))
+    assert failed(path, measured()) == [
+        "a: gate 'baseline' cannot be judged: the baseline holds none of the key figures"
+    ]
+
+
 def test_what_makes_the_two_less_comparable_is_noted(tmp_path: Path) -> None:
     before = measured(
         metrics={"coverage": 1.0}, coverage=Coverage(20, 20, 0, 0, 20, 0, 0, False, 0), absent={}

@@ -14,6 +14,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.recording.output import check_folder, check_not_written, lock, whole_or_nothing
 
+STANDARD_OUTPUT = Path("-")
 VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
 CODEC = "mp4v"
 """MPEG-4 Part 2: the only one that OpenCV's wheels can write into MP4 everywhere, and fast."""
@@ -143,8 +144,13 @@ class PictureFolder:
             old.unlink()
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
-        """Write the picture of a frame."""
-        (self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}").write_bytes(png_of(picture, FAST))
+        """Write the picture of a frame; raises ResultError where it cannot."""
+        path = self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}"
+        try:
+            path.write_bytes(png_of(picture, FAST))
+        except OSError as error:  # a full disk leaves half a picture, and its error no name
+            path.unlink(missing_ok=True)
+            raise ResultError("cannot be written", where=path, found=error.strerror or error) from error
 
     def close(self) -> None:
         """Nothing is left to do."""
@@ -221,6 +227,8 @@ def check_view_output(path: Path, *, overwrite: bool) -> None:
         UsageError: the name ends in something else than .mp4, .png or nothing, or would replace something.
         ResultError: its folder does not exist.
     """
+    if path == STANDARD_OUTPUT:
+        raise UsageError("pictures cannot go to standard output", expected="FILE.mp4, FILE.png or a folder")
     is_file = path.suffix.lower() in (VIDEO_SUFFIX, PICTURE_SUFFIX)
     if path.is_dir() == is_file and path.exists():
         found = "a folder" if path.is_dir() else "a file"

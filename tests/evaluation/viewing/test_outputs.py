@@ -123,6 +123,15 @@ def test_a_folder_holds_a_picture_per_frame_and_loses_those_of_before(tmp_path: 
     np.testing.assert_array_equal(cv2.imread(str(folder / "frame_000004.png")), plain(4))
 
 
+def test_a_full_disk_names_the_picture_and_leaves_no_half_of_it(tmp_path: Path) -> None:
+    folder = PictureFolder(tmp_path / "pictures")
+    broken = tmp_path / "pictures" / "frame_000003.png"
+    broken.symlink_to("/dev/full")
+    with pytest.raises(ResultError, match=r"frame_000003.png: cannot be written, found No space left"):
+        folder.add(3, plain(3))
+    assert not broken.is_symlink()
+
+
 @pytest.mark.parametrize(("count", "width", "columns"), [(1, 96, 1), (6, 300, 6), (7, 700, 3), (3, 5000, 1)])
 def test_a_sheet_shows_every_picture_where_reading_order_has_it(count: int, width: int, columns: int) -> None:
     sheet = sheet_of([plain(10 + number, 20, width) for number in range(count)])
