@@ -65,7 +65,9 @@ def head_roll_pitch_yaw(q: FloatArray) -> FloatArray:
     """Return roll, pitch, yaw (..., 3), rad, of heads: how far each is turned from looking at the camera.
 
     They are the angles of camera_T_head FACING^-1, in camera axes: all three are 0 for a head that looks
-    along the camera's axis at the camera.
+    along the camera's axis at the camera. As axes go (x right, y down, z forward), roll is positive when the
+    head tilts to its own left shoulder (clockwise in the image), pitch when the face is lowered, yaw when it
+    turns to its own right (the image's left).
 
     Args:
         q: (..., 4) rotations of ``camera_T_head``.

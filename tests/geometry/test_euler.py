@@ -136,6 +136,19 @@ def test_head_that_turns_to_its_left_yaws_by_the_angle_towards_the_image_right()
     )
 
 
+def test_signs_of_a_head_s_angles() -> None:
+    """The face looks along z of the head, its top along y; camera axes are x right, y down, z forward."""
+    face, top = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    for axis, seen, to_camera in (
+        (0, top, [np.sin(0.3), -np.cos(0.3), 0.0]),  # roll: the top goes to the image's right, its own left
+        (1, face, [0.0, np.sin(0.3), -np.cos(0.3)]),  # pitch: the face goes down
+        (2, face, [-np.sin(0.3), 0.0, -np.cos(0.3)]),  # yaw: the face goes to the image's left, its own right
+    ):
+        q = rot.multiply(euler.quaternion_from_roll_pitch_yaw(0.3 * np.eye(3)[axis]), np.array(euler.FACING))
+        np.testing.assert_allclose(rot.rotate(q, seen), to_camera, atol=ROUNDING)
+        np.testing.assert_allclose(euler.head_roll_pitch_yaw(q), 0.3 * np.eye(3)[axis], atol=ROUNDING)
+
+
 @relaxed
 @given(quaternions)
 def test_head_rotation_comes_back_from_its_angles(q: np.ndarray) -> None:
