@@ -13,9 +13,9 @@ from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.export.table import table_of
 
 CAMERA_AXES = "x right, y down, z forward"
-_OF_HEADS = (
-    "all 0 for a head that looks at the camera (half a turn about x is taken off), positive where it tilts to "
-    "its own left shoulder, lowers its face, turns to its own right"
+_ANGLES_OF_HEADS = (
+    "all 0 for a head that looks at the camera (half a turn about x is taken off), positive where it tilts "
+    "to its own left shoulder, lowers its face, turns to its own right"
 )
 _SHORT_RECORDS = ("tracker", "version", "seed", "input.name", "input.sha256")
 
@@ -23,7 +23,7 @@ _SHORT_RECORDS = ("tracker", "version", "seed", "input.name", "input.sha256")
 def euler_order(subject: str) -> str:
     """Return what roll, pitch and yaw mean for a subject."""
     if subject == HEAD:
-        return f"{EULER_ORDER}; {_OF_HEADS}"
+        return f"{EULER_ORDER}; {_ANGLES_OF_HEADS}"
     return EULER_ORDER
 
 
@@ -40,11 +40,7 @@ def header_lines(source: ExportSource) -> Iterator[str]:
         f"subject: {result.subject.name}, {len(result.subject.shape_names)} shape entries, "
         f"{len(result.subject.point_names)} points; camera frame {result.subject.camera_frame}"
     )
-    records = {key: result.run[key] for key in _OF_HEADS = (
-    "all 0 for a head that looks at the camera (half a turn about x is taken off), positive where it tilts to "
-    "its own left shoulder, lowers its face, turns to its own right"
-)
-_SHORT_RECORDS if key in result.run}
+    records = {key: result.run[key] for key in _SHORT_RECORDS if key in result.run}
     yield f"run: {json.dumps(records, ensure_ascii=False)}{'' if result.finished else ', unfinished'}"
     yield f"lost frames: {'in the table, with status lost' if source.lost else 'left out'}"
     if result.losses:
