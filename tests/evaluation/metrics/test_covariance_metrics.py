@@ -150,3 +150,64 @@ def test_half_a_state_has_no_nees(side: str, change: dict[str, None], reason: st
     assert measures.absent["nees"] == reason
     assert measures.absent["inside_90"] == reason
     assert "inside_90.position" not in measures.metrics
+
+
+@pytest.mark.parametrize(
+    ("side", "change", "reason"),
+    [
+        ("truth", {"twist": None}, "the truth has no velocity"),
+        ("truth", {"quaternion": None}, "the truth has no rotation"),
+        ("estimate", {"twist_variance": None}, "the result has no covariance of velocities"),
+        ("estimate", {"twist": np.zeros((3, 21)), "twist_variance": None}, "the run estimates no velocity"),
+    ],
+)
+def test_half_a_velocity_has_no_nees(side: str, change: dict[str, FloatArray | None], reason: str) -> None:
+    tracks = {"estimate": random_hand(3, 1), "truth": random_hand(3, 2)}
+    tracks[side] = replace(tracks[side], **change)  # type: ignore[arg-type]
+    measures, _ = measure(tracks["estimate"], tracks["truth"])
+    assert measures.absent["velocity_nees"] == measures.absent["velocity_inside_90"] == reason
+    assert ("nees" in measures.metrics) == ("quaternion" not in change)
+
+
+def test_frames_whose_velocity_the_truth_does_not_know_are_left_out() -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    whole, _ = measure(estimate, truth)
+    assert truth.twist is not None
+    twist = truth.twist.copy()
+    twist[1, 8] = np.nan  # one angle of one frame: its squared error is no sum then
+    measures, _ = measure(estimate, replace(truth, twist=twist))
+    np.testing.assert_array_equal(
+        measures.series["velocity_nees"], np.where([True, False, True], whole.series["velocity_nees"], np.nan)
+    )
+    assert figures(measures, "velocity_nees").count == 2
+    assert figures(measures, "nees") == figures(whole, "nees")
+
+
+def test_angles_are_matched_by_name_whatever_their_order() -> None:
+    estimate, truth = random_hand(4, 1), random_hand(4, 2)
+    assert truth.shape is not None and truth.twist is not None
+    order = np.random.default_rng(3).permutation(len(truth.shape_names))
+    shuffled = replace(
+        truth,
+        shape_names=tuple(truth.shape_names[i] for i in order),
+        shape=truth.shape[:, order],
+        twist=np.hstack([truth.twist[:, :6], truth.twist[:, 6:][:, order]]),
+    )
+    expected, _ = measure(estimate, truth)
+    measures, _ = measure(estimate, shuffled)
+    for name in ("nees", "velocity_nees"):
+        np.testing.assert_array_equal(measures.series[name], expected.series[name])
+
+
+def test_a_truth_that_lacks_an_angle_has_no_nees() -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    assert truth.shape is not None and truth.twist is not None
+    fewer = replace(
+        truth,
+        shape_names=truth.shape_names[1:],
+        shape=truth.shape[:, 1:],
+        twist=np.delete(truth.twist, 6, axis=1),
+    )
+    measures, _ = measure(estimate, fewer)
+    reason = f"the truth has no angle {truth.shape_names[0]}"
+    assert measures.absent["nees"] == measures.absent["velocity_nees"] == reason
