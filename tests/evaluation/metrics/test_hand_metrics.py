@@ -192,6 +192,35 @@ def test_a_truth_of_other_joints_is_not_compared() -> None:
     assert measures.absent["frames_within_20mm"] == "the truth has other joints"
 
 
+def test_a_truth_of_the_wrist_alone_has_no_fingers() -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    assert truth.points is not None
+    wrist = replace(truth, point_names=JOINT_NAMES[:1], point_parents=(-1,), points=truth.points[:, :1])
+    measures, _ = measure(estimate, wrist)
+    for address in ("finger_error_mm", "fingertip_error_mm", "finger_error_mm.index"):
+        assert measures.absent[address] == "the truth has other joints"
+    assert measures.metrics["joint_error_mm"] == measures.metrics["joint_error_mm.wrist"]
+
+
+def test_the_wrist_of_a_truth_of_joints_is_found_by_name() -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    assert truth.points is not None
+    bare = replace(truth, position=None, point_names=JOINT_NAMES[::-1], points=truth.points[:, ::-1])
+    expected, _ = measure(estimate, truth)
+    measures, _ = measure(estimate, bare)
+    np.testing.assert_allclose(
+        measures.series["wrist_position_mm"], expected.series["wrist_position_mm"], atol=ROUNDING_MM
+    )
+
+
+def test_a_truth_without_joints_says_so() -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    measures, curve = measure(estimate, replace(truth, points=None, point_names=()))
+    assert curve is None
+    for address in ("joint_error_mm", "largest_joint_error_mm", "frames_within_20mm"):
+        assert measures.absent[address] == "the truth has no points"
+
+
 def test_without_any_pair_nothing_is_measured_and_every_frame_due_is_missed() -> None:
     none = Pairs(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
     measures, curve = measure(random_hand(3), random_hand(4), none, missed=4)

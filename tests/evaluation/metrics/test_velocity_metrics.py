@@ -128,3 +128,30 @@ def test_angular_velocities_need_a_rotation() -> None:
     measures, _ = measure(truth, replace(truth, quaternion=None))
     assert measures.absent["angular_velocity_error_deg_s"] == "the truth has no rotation"
     assert figures(measures, "velocity_error_mm_s").max == 0.0
+
+
+def test_an_entry_of_0_is_a_velocity() -> None:
+    """A hand that moves along x only: most of its velocity is exactly 0 and, so the filter says, certain."""
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    along_x = np.zeros((3, 21))
+    along_x[:, 0] = 5.0
+    for one, other in ((along_x, truth.twist), (estimate.twist, along_x)):
+        measures, _ = measure(
+            replace(estimate, twist=one, twist_variance=np.zeros((3, 21))), replace(truth, twist=other)
+        )
+        assert figures(measures, VELOCITIES[0]).count == 3
+
+
+def test_a_truth_that_only_turns_and_has_no_velocity_says_so() -> None:
+    truth = random_hand(3)
+    assert truth.position is not None
+    turning = replace(truth, position=np.broadcast_to(truth.position[0], (3, 3)), twist=np.zeros((3, 21)))
+    measures, _ = measure(truth, turning)
+    assert measures.absent[VELOCITIES[1]] == "the truth has no velocity"
+
+
+def test_one_frame_without_velocity_is_enough_to_tell_that_the_filter_has_none() -> None:
+    truth = random_hand(1)
+    still = replace(truth, twist=np.zeros((1, 21)), twist_variance=np.zeros((1, 21)))
+    measures, _ = measure(still, truth)
+    assert measures.absent[VELOCITIES[0]] == "the run estimates no velocity"
