@@ -24,6 +24,7 @@ from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth.doubts import doubts
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.results.reader import Result, read_result
@@ -122,6 +123,7 @@ def _measured(
     measures.metrics |= coverage_metrics(coverage)
     curve = None
     if truth is not None and pairs is not None:
+        measures.notes += doubts(result, track, truth, options.truth)
         track = _aligned(measures, track, truth, pairs, options)
         curve = _against_truth(measures, Matched(track, truth, pairs), coverage)
     _without_truth(measures, result, track, options)

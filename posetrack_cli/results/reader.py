@@ -130,7 +130,23 @@ class Result:
         """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
         topic = self.topic_of_estimates(topic)
         messages = (message.data for _, _, message in self._messages([topic]))
-        yield from column_blocks(messages, fields, where=f"{self.path}, {topic}")
+        for block in column_blocks(messages, fields, where=f"{self.path}, {topic}"):
+            if topic == self.estimate_topic:
+                self._check_counts(block)
+            yield block
+
+    def _check_counts(self, block: Columns) -> None:
+        """Raise unless the estimates have the shape entries and points that the subject record names."""
+        names = {"shape": self.subject.shape_names, "points": self.subject.point_names}
+        for field_name in names.keys() & block.keys():
+            found, expected = block[field_name].shape[1], len(names[field_name])
+            if found != expected:
+                raise ResultError(
+                    f"estimates have other {field_name} than the subject",
+                    where=f"{self.path}, {self.estimate_topic}",
+                    found=f"{found} entries",
+                    expected=expected,
+                )
 
     def columns(self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES) -> Columns:
         """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.
@@ -144,7 +160,8 @@ class Result:
             a cost, time or velocity that a message does not have as NaN.
 
         Raises:
-            ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points.
+            ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points,
+                on the result's own topic from those of the subject, too.
         """
         names = self.subject.shape_names, self.subject.point_names
         return joined(self.column_blocks(topic, fields)) or empty_columns(fields, *map(len, names))

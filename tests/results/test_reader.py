@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -202,6 +203,39 @@ def test_truth_of_our_own_schema_reads_as_estimates(tmp_path: Path) -> None:
         )
         writer.finish({})
     np.testing.assert_array_equal(load_arrays(tmp_path / "r.mcap", topic)["position"], [truth.position])
+
+
+def with_fewer(path: Path, copy: Path, name: str) -> Path:
+    """A copy whose estimates lack the last entry of a field."""
+    with path.open("rb") as source, copy.open("wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start()
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        topics: dict[str, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            if channel.topic not in topics:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                topics[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id
+                )
+            data = message.data
+            if channel.topic == "/hand/estimate":
+                values = json.loads(data)
+                data = json.dumps(values | {name: values[name][:-1]}).encode()
+            writer.add_message(topics[channel.topic], message.log_time, data, message.publish_time)
+        writer.finish()
+    return copy
+
+
+@pytest.mark.parametrize("name", ["shape", "points"])
+def test_estimates_that_are_not_the_subject_s_are_refused(path: Path, tmp_path: Path, name: str) -> None:
+    result = read_result(with_fewer(path, tmp_path / "r.mcap", name))
+    expected = {"shape": SUBJECT.shape_names, "points": SUBJECT.point_names}[name]
+    found = f"{len(expected) - 1} entries, expected {len(expected)}"
+    with pytest.raises(ResultError, match=f"estimates have other {name} than the subject, found {found}"):
+        result.columns(fields=("stamp_ns", name))
+    assert len(result.columns(fields=("stamp_ns",))["stamp_ns"]) == 26
 
 
 def test_an_unknown_topic_is_an_error_that_names_the_near_one(path: Path) -> None:
