@@ -20,6 +20,8 @@ from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.estimate import Status
 
 COMMENT = "#"
+SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces"}
+"""What other programs write between columns."""
 STATUS = "status"
 BLOCK_ROWS = 4096  # as text a row takes ten times its numbers' memory
 NS_PER_UNIT = {"stamp_ns": 1, "t_s": NS_PER_S, "time_s": NS_PER_S}
@@ -48,16 +50,31 @@ def read_header(path: Path) -> CsvHeader:
     """Read the header row, the first that is no comment.
 
     Raises:
-        TruthError: the file cannot be read, is empty, is not UTF-8, or has a column twice.
+        TruthError: the file cannot be read, is empty, is not UTF-8, is not separated by commas, or has a
+            column twice.
     """
     _, row = next(_rows(path), (0, []))
     if not row:
         raise TruthError("is empty", where=path, expected="a CSV file with a header row")
+    _check_separator(path, row)
     columns = tuple(cell.strip() for cell in row)
     twice = sorted({name for name in columns if name and columns.count(name) > 1})
     if twice:
         raise TruthError("column occurs twice", where=path, found=", ".join(twice))
     return CsvHeader(path, columns)
+
+
+def _check_separator(path: Path, row: list[str]) -> None:
+    """Raise where a header row has a column of stamps once it is separated by something else than commas."""
+    cells = {name: {cell.strip(' "') for cell in row[0].split(sign)} for sign, name in SEPARATORS.items()}
+    other = next((name for name, own in cells.items() if len(own) > 1 and own & NS_PER_UNIT.keys()), None)
+    if other is not None:
+        raise TruthError(
+            "columns are not separated by commas",
+            where=path,
+            found=other,
+            hint="write it with commas, and with points as decimal signs",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +176,9 @@ def _rows(path: Path) -> Iterator[_Row]:
             if any(cell.strip() for cell in row):
                 yield latest, row
     except csv.Error as error:
-        raise TruthError("is no CSV", where=f"{path} line {latest}", found=error) from error
+        line_ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
+        found, hint = ("a carriage return alone", "end lines with a line feed") if line_ends else (error, "")
+        raise TruthError("is no CSV", where=f"{path} line {latest}", found=found, hint=hint) from error
 
 
 def _blocks(header: CsvHeader) -> Iterator[list[_Row]]:
