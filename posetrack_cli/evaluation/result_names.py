@@ -12,8 +12,11 @@ _PART = part_path(Path("x")).suffix
 
 
 def plain_name(path: Path) -> str:
-    """Return a file's name without folder and ending; NAME.part of an unfinished run counts as NAME."""
-    return Path(path.name.removesuffix(_PART)).stem
+    """Return a file's name without folder and ending; NAME.part of an unfinished run counts as NAME.
+
+    Line ends, control codes and bytes of no encoding, which a terminal would obey, are written as escapes.
+    """
+    return _printable(Path(path.name.removesuffix(_PART)).stem)
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:
@@ -24,13 +27,17 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     plain = [plain_name(path) for path in paths]
     counts = Counter(plain)
     with_folder = [
-        name if counts[name] == 1 else f"{path.absolute().parent.name}/{name}"
+        name if counts[name] == 1 else f"{_printable(path.absolute().parent.name)}/{name}"
         for name, path in zip(plain, paths, strict=True)
     ]
     unique: list[str] = []
     for name in with_folder:
         unique.append(_free(name, unique))
     return unique
+
+
+def _printable(name: str) -> str:
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in name)
 
 
 def _free(name: str, taken: Sequence[str]) -> str:

@@ -21,6 +21,9 @@ from posetrack_cli.evaluation.result_names import plain_name, unique_names
         ("a.b.mcap", "a.b"),
         (".hidden", ".hidden"),
         ("ünï cödé.mcap", "ünï cödé"),
+        ("two\nlines.mcap", r"two\nlines"),
+        ("\x1b[31mred.mcap", r"\x1b[31mred"),
+        ("no text \udcff.mcap", r"no text \udcff"),
     ],
 )
 def test_a_name_has_no_folder_and_no_ending(path: str, name: str) -> None:

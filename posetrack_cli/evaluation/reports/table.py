@@ -15,6 +15,9 @@ ABSENT = "-"
 SPREAD = ("median", "p95", "max")
 SHOWN = tuple(name for name in STATISTIC_NAMES if name != "count")
 
+MOST_NAMES = 4
+"""How many results a line below the tables names."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -90,12 +93,23 @@ def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
 def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:
     """What belongs under the tables: renderer, notes, metrics without a value and why, data lost.
 
-    What holds for all results is said once, else with the result's name.
+    What holds for all results is said once, else with the names of those that it holds for.
     """
-    said = [(one.name, _lines(one)) for one in evaluations]
-    common = {line for line in said[0][1] if all(line in lines for _, lines in said)}
-    lines = [line if line in common else f"{name}: {line}" for name, own in said for line in own]
-    return list(dict.fromkeys(lines))
+    of: dict[str, list[str]] = {}
+    for one in evaluations:
+        for line in dict.fromkeys(_lines(one)):
+            of.setdefault(line, []).append(one.name)
+    return [
+        line if len(names) == len(evaluations) else f"{some_names(names)}: {line}"
+        for line, names in of.items()
+    ]
+
+
+def some_names(names: Sequence[str]) -> str:
+    """The names, of many the first ones and how many more there are."""
+    if len(names) <= MOST_NAMES:
+        return ", ".join(names)
+    return f"{', '.join(names[: MOST_NAMES - 1])} and {len(names) - MOST_NAMES + 1} more"
 
 
 def shown(value: float) -> str:

@@ -21,7 +21,8 @@ def print_tables(
 ) -> None:
     """Print tables and the lines below them; colours only on a terminal.
 
-    Columns that do not fit beside each other on a terminal go below each other; nothing is left out.
+    Columns that do not fit beside each other on a terminal go below each other; nothing is left out or cut,
+    and one column that alone is too wide is left to the terminal to break.
 
     Args:
         tables: what to show.
@@ -34,8 +35,10 @@ def print_tables(
     limit = width if width is not None else None if file.isatty() else PIPE_WIDTH
     console = Console(file=file, width=limit, markup=False, emoji=False, highlight=False)
     plain = console.encoding.lower() not in ("utf-8", "utf8")
+    available = console.width
     for table in tables:
-        for piece in _pieces(table, console.width):
+        for piece in _pieces(table, available):
+            console.width = max(available, _width(piece, range(len(piece.columns))))
             with console.capture() as capture:
                 console.print(_rendered(piece, plain))
             console.out("\n".join(line.rstrip() for line in capture.get().splitlines()), highlight=False)

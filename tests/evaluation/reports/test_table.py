@@ -140,6 +140,13 @@ def test_lines_below_say_what_holds_for_all_once() -> None:
     ]
 
 
+def test_what_holds_for_some_is_said_once_with_their_names() -> None:
+    plain = evaluation("first")
+    others = [evaluation(f"r{index}", absent={"nees": "no truth"}) for index in range(6)]
+    assert closing_lines([plain, *others[:3]])[1:] == ["r0, r1, r2: not measured (no truth): nees"]
+    assert closing_lines([plain, *others])[1:] == ["r0, r1, r2 and 3 more: not measured (no truth): nees"]
+
+
 def test_a_part_that_is_absent_alone_is_said() -> None:
     line = closing_lines([evaluation(absent={"joint_error_mm.wrist": "never seen"}, run={})])
     assert line == ["not measured (never seen): joint_error_mm.wrist"]
@@ -166,6 +173,13 @@ def test_on_a_terminal_columns_that_do_not_fit_go_below() -> None:
     assert max(map(len, text.splitlines())) <= 80
     assert [text.count(one.name) for one in many] == [1] * 7
     assert text.count("joint_error_mm") > 1
+
+
+def test_on_a_narrow_terminal_no_figure_is_cut() -> None:
+    text = printed(tables([evaluation("first result"), evaluation("second result")]), width=30)
+    wide = printed(tables([evaluation("first result"), evaluation("second result")]))
+    assert "\u2026" not in text
+    assert set(text.split()) == set(wide.split())
 
 
 def test_names_are_no_markup_and_may_be_of_any_script() -> None:
