@@ -213,6 +213,22 @@ def test_the_wrist_of_a_truth_of_joints_is_found_by_name() -> None:
     )
 
 
+@pytest.mark.parametrize("joints", [JOINT_NAMES[1:], ()])
+def test_a_truth_without_any_wrist_says_so(joints: tuple[str, ...]) -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    points = None if truth.points is None or not joints else truth.points[:, 1:]
+    measures, _ = measure(estimate, replace(truth, position=None, point_names=joints, points=points))
+    assert measures.absent["wrist_position_mm"] == "the truth has no position"
+
+
+def test_a_truth_of_other_angles_says_so() -> None:
+    estimate, truth = random_hand(3, 1), random_hand(3, 2)
+    others = tuple(f"other_{name}" for name in truth.shape_names)
+    measures, _ = measure(estimate, replace(truth, shape_names=others))
+    assert measures.absent["angle_error_deg"] == "the truth has other finger angles"
+    assert measures.absent["nees"] == f"the truth has no angle {ANGLE_NAMES[0]}"
+
+
 def test_a_truth_without_joints_says_so() -> None:
     estimate, truth = random_hand(3, 1), random_hand(3, 2)
     measures, curve = measure(estimate, replace(truth, points=None, point_names=()))
