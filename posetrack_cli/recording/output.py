@@ -41,8 +41,8 @@ def check_target(
     """Refuse an output of any kind that cannot be written, or would replace what it must not.
 
     Raises:
-        UsageError: it is a folder or a device, would be written over the source (under its own name or as NAME.part), or
-            a file or an interrupted run is there that may not be replaced.
+        UsageError: it is a folder or a device, would be written over the source (under its own name or as
+            NAME.part), or a file or an interrupted run is there that may not be replaced.
         ResultError: its folder does not exist.
     """
     check_folder(out)
