@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.parameter_types import FiniteRange, only_once
+from posetrack_cli.cli.standard_output import reader_may_leave
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
 if TYPE_CHECKING:
@@ -114,7 +115,8 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     with _progress(len(results) + sum(map(len, request.groups.values()))) as report:
         found = assess(request, report)
     _write_reports(found, request, options)
-    _show(found, len(results), options)
+    with reader_may_leave():
+        _show(found, len(results), options)
     _close(found)
 
 
@@ -226,7 +228,11 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     """Print the tables, unless a report goes where they would."""
-    from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
+    from posetrack_cli.evaluation.reports.comparison_table import (
+        NOT_COMPARED,
+        comparison_lines,
+        comparison_tables,
+    )
     from posetrack_cli.evaluation.reports.table import closing_lines, tables
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
@@ -238,6 +244,8 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     if found.comparison is not None:
         made += comparison_tables(found.comparison, parts=options["parts"])
         lines += comparison_lines(found.comparison, parts=options["parts"])
+    elif len(found.evaluations) > 1:
+        lines.append(NOT_COMPARED)
     if found.outcomes:
         passed = len(found.outcomes) - len(found.failed)
         lines.append(f"gates: {passed} passed, {len(found.failed)} failed")
@@ -248,7 +256,6 @@ def _close(found: Assessment) -> None:
     """Say on standard error what failed and what was lost, and choose the exit code."""
     from posetrack_cli.recording.losses import loss_line
 
-    sys.stdout.flush()  # a log that takes both shows the table first
     for note in found.notes:
         click.echo(f"baseline: {note}", err=True)
     for outcome in found.failed:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 from contextlib import suppress
 
@@ -16,6 +15,7 @@ from posetrack_cli.cli.eval import evaluate
 from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.info import info
+from posetrack_cli.cli.standard_output import discard_output
 from posetrack_cli.cli.view import view
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
 
@@ -59,10 +59,10 @@ def run(arguments: list[str]) -> int:
     except (click.Abort, KeyboardInterrupt):
         return _failed("interrupted", EXIT_INTERRUPTED)
     except BrokenPipeError:
-        _discard_output()
+        discard_output()
         return EXIT_FAILED
     except OSError as error:
-        _discard_output()
+        discard_output()
         return _failed(f"{error.filename or 'output'}: {error.strerror or error}", EXIT_FAILED)
     except MemoryError:
         return _failed("out of memory; try fewer --particles", EXIT_FAILED)
@@ -80,12 +80,6 @@ def _usage_line(error: click.ClickException) -> str:
     message = " ".join(error.format_message().split()).removesuffix(".")
     context = getattr(error, "ctx", None)
     return message if context is None else f"{message}; see: {context.command_path} --help"
-
-
-def _discard_output() -> None:
-    """What is buffered for an output that cannot be written goes nowhere: exit must not try again."""
-    if sys.stdout is not None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

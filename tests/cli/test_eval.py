@@ -299,7 +299,8 @@ def test_results_of_two_recordings_are_not_compared(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert evaluate(result, write_result(tmp_path / "x.mcap", recording="bb")) == 0
-    assert "a pair is" not in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "a pair is" not in out and "not compared: no two results are of the same recording" in out
 
 
 def test_results_of_one_name_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -538,3 +539,16 @@ def test_a_closed_pipe_is_no_stack_trace(result: Path) -> None:
     command = f"{sys.executable} -m posetrack_cli.cli.main eval '{result}' --parts | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("gate", "code"), [(PASSES, 0), (FAILS, 1)])
+def test_a_reader_that_leaves_early_does_not_change_what_gates_say(
+    result: Path, gate: str, code: int
+) -> None:
+    arguments = [sys.executable, "-m", "posetrack_cli.cli.main", "eval", str(result), "--fail-if", gate]
+    reading, writing = os.pipe()
+    os.close(reading)  # nobody reads the table
+    done = subprocess.run(arguments, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert done.returncode == code
+    assert ("joint_error_mm.mean is" in done.stderr) == (code == 1) and len(lines(done.stderr)) == code

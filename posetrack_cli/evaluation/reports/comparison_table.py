@@ -9,6 +9,10 @@ from posetrack_cli.evaluation.metrics.catalogue import split_address
 from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, mean_and_sd, shown
 from posetrack_cli.evaluation.statistics import Statistics
 
+NOT_COMPARED = (
+    "not compared: no two results are of the same recording with figures in common; "
+    "--group compares groups, recording by recording"
+)
 COLUMNS = ("difference", "95 % from", "to", "p", "pairs")
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from posetrack_cli.evaluation.reports.table import Table
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table as RichTable
 
 PIPE_WIDTH = 1_000_000
@@ -39,12 +40,17 @@ def print_tables(
     for table in tables:
         for piece in _pieces(table, available):
             console.width = max(available, _width(piece, range(len(piece.columns))))
-            with console.capture() as capture:
-                console.print(_rendered(piece, plain))
-            console.out("\n".join(line.rstrip() for line in capture.get().splitlines()), highlight=False)
-            console.out()
+            printed = _printed(console, _rendered(piece, plain))
+            file.write("".join(f"{line.rstrip()}\n" for line in (*printed.splitlines(), "")))
     for line in lines:
-        console.print(_encoded(line, plain), soft_wrap=True)
+        file.write(_printed(console, _encoded(line, plain), soft_wrap=True))
+
+
+def _printed(console: Console, shown: RichTable | str, **options: Any) -> str:
+    """What the console would print: it ends the program where nobody reads, which is not its to decide."""
+    with console.capture() as capture:
+        console.print(shown, **options)
+    return capture.get()
 
 
 def _pieces(table: Table, width: int) -> Iterator[Table]:
