@@ -109,11 +109,12 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
 def _recording(results: Sequence[Result], options: dict[str, Any]) -> StoredRecording:
     """The recording that all results were made from."""
     from posetrack_cli.evaluation.recording_of import required_recording
+    from posetrack_cli.recording.base import RECORDING_KEY
 
     given, any_recording = options["recording"], options["any_recording"]
     if any_recording and given is None:
         raise UsageError("--any-recording needs --recording")
-    inputs = {result.run.get("input.sha256") for result in results}
+    inputs = {result.run.get(RECORDING_KEY) for result in results}
     if len(inputs) > 1 and not any_recording:
         found = ", ".join(str(result.path) for result in results)
         raise UsageError("results are of different recordings", found=found)

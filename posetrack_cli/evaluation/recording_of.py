@@ -12,6 +12,7 @@ from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
@@ -192,7 +193,7 @@ def _check_size(path: Path, run: Mapping[str, str]) -> None:
 
 
 def _check_identity(recording: StoredRecording, run: Mapping[str, str]) -> None:
-    stated = run.get("input.sha256", "")
+    stated = run.get(RECORDING_KEY, "")
     if not stated:
         return  # made from something that has no identity
     found = recording.identity()

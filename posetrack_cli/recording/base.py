@@ -14,6 +14,8 @@ TRUTH_PREFIX = "/truth/"
 """Topics of ground truth begin so, in recordings and in results."""
 RUN_RECORD = "posetrack.run"
 """Name of the metadata that says how a result was made."""
+RECORDING_KEY = "input.sha256"
+"""What it calls the identity of the recording."""
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ from posetrack_cli.evaluation.comparing.paired import Paired, paired
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.metrics.catalogue import place_of
 from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.recording.base import RECORDING_KEY
 
-RECORDING_KEY = "input.sha256"
-"""What the run record calls the identity of the recording."""
 SECONDS = "one second of a recording"
 UNCORRECTED = "p-values are of single tests: with many figures some are small by chance"
 

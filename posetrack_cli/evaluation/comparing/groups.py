@@ -6,11 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.comparing.comparison import RECORDING_KEY, UNCORRECTED, Comparison, Difference
+from posetrack_cli.evaluation.comparing.comparison import UNCORRECTED, Comparison, Difference
 from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import STUDIED_FIGURES, figure_of
 from posetrack_cli.evaluation.statistics import Statistics, statistics
+from posetrack_cli.recording.base import RECORDING_KEY
 
 RECORDINGS = "one recording"
 Pair = tuple[Evaluation, Evaluation]
