@@ -125,3 +125,29 @@ def test_notes_say_how_pairs_were_found() -> None:
 def test_each_group_is_compared_with_the_first() -> None:
     comparison = compare_groups({name: [unit(name)] for name in ("a", "b", "c")})
     assert {(d.first, d.second) for d in comparison.differences} == {("a", "b"), ("a", "c")}
+
+
+def test_figures_that_no_result_has_are_no_rows() -> None:
+    groups = {"a": [unit("a1")], "b": [unit("b1")]}
+    found = compare_groups(groups)
+    assert set(found.groups["a"]) == {"coverage", "joint_error_mm.mean", "joint_error_mm.p95"}
+    assert [one.figure for one in found.differences] == [
+        "coverage",
+        "joint_error_mm.mean",
+        "joint_error_mm.p95",
+    ]
+
+
+@pytest.mark.parametrize("lacking", ["a", "b"])
+def test_a_pair_of_which_one_lacks_a_figure_is_left_out_and_told(lacking: str) -> None:
+    without = {"metrics": {"coverage": 0.0}, "absent": {"joint_error_mm": "no frame has a truth"}}
+    groups = {
+        name: [unit(f"{name}p", "p"), unit(f"{name}q", "q", **(without if name == lacking else {}))]
+        for name in "ab"
+    }
+    found = compare_groups(groups)
+    counts = {one.figure: one.paired.count for one in found.differences}
+    assert counts == {"coverage": 2, "joint_error_mm.mean": 1, "joint_error_mm.p95": 1}
+    notes = {one.figure: one.note for one in found.differences}
+    assert f"without {lacking}q (no frame has a truth)" in notes["joint_error_mm.mean"]
+    assert found.groups[lacking]["joint_error_mm.mean"].count == 1
