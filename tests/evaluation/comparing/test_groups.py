@@ -103,15 +103,6 @@ def test_a_lost_track_counts_in_its_group() -> None:
     assert comparison.differences[1].paired.count == 2
 
 
-def test_a_result_without_a_figure_is_left_out_by_name() -> None:
-    blind = unit("blind", "q", metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"})
-    comparison = compare_groups({"a": [unit("x"), blind], "b": [unit("y"), unit("z", "q")]})
-    found = {d.figure: d for d in comparison.differences}
-    assert found["joint_error_mm.mean"].paired.count == 1
-    assert "without blind (no truth)" in found["joint_error_mm.mean"].note
-    assert found["coverage"].paired.count == 2
-
-
 def test_notes_say_how_pairs_were_found() -> None:
     a = units("a", [("p", "1"), ("p", "2"), ("q", "1")])
     comparison = compare_groups({"a": a, "b": units("b", [("p", "1"), ("p", "2"), ("q", "9"), ("r", "1")])})
