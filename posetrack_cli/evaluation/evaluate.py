@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
@@ -26,6 +27,7 @@ from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.doubts import doubts
 from posetrack_cli.evaluation.truth.loading import load_truth
+from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.results.reader import Result, read_result
 
@@ -141,11 +143,17 @@ def _measured(
         series_stamp_ns=track.stamp_ns[rows],
         curve=curve,
         notes=tuple(measures.notes),
-        losses=(*result.losses, *truth_losses.losses),
+        losses=(*result.losses, *_of_truth(truth_losses.losses, options)),
         track=track,
         truth=truth,
         pairs=pairs,
     )
+
+
+def _of_truth(losses: tuple[Loss, ...], options: EvalOptions) -> Iterator[Loss]:
+    """Losses of the file that is given as truth, told apart from the result's own."""
+    name = "" if options.truth is None else f" {options.truth.name}"
+    return (replace(loss, what=f"truth{name}: {loss.what}") for loss in losses)
 
 
 def _nothing(track: Track, truth: Track | None, options: EvalOptions) -> str:

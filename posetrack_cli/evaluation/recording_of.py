@@ -14,11 +14,14 @@ from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, Us
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results.reader import Result
 
 SHOWN_DIGITS = 12
+MEANT = ("fps", "mirror")
+"""Options that a folder of images is read with, and that frames and estimates depend on."""
 ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
 
 
@@ -96,15 +99,20 @@ def _places(result: Result, name: str) -> Iterator[Path]:
 def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecording:
     """Open a recording as the run did; raise RecordingError if it is not the one of the run."""
     run = result.run
+    _check_kind(path, run)
     _check_size(path, run)
     given = {key: value for key, value in opening.items() if value is not None}
-    options = _options_of(run) if path.is_dir() == (run.get("input.kind") == "folder") else {}
-    _check_rate(options, given)
+    options = _options_of(run)
+    _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)
     options |= given
     with _camera_of(path, run, options) as camera:
-        recording = open_recording(path, **options, **camera)
+        try:
+            recording = open_recording(path, **options, **camera)
+        except RecordingError:
+            _check_bytes(path, run)  # a file that was changed may lack what the run found in it
+            raise
     _check_identity(recording, run)
     return recording
 
@@ -127,13 +135,18 @@ def _truth(text: str) -> bool:
     return text == "true"
 
 
-def _check_rate(options: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    """Frames are matched by their stamps, which a rate makes."""
-    rate, given_rate = options.get("fps"), given.get("fps")
-    if rate is not None and given_rate is not None and rate != given_rate:
-        raise UsageError(
-            "--fps is not that of the run", found=f"{given_rate:g}", expected=f"{rate:g}", hint="leave it out"
-        )
+def _check_given(options: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    """Frames are matched by their stamps, which a rate makes; the hand is drawn where it was tracked."""
+    for name in MEANT:
+        run, asked = options.get(name), given.get(name)
+        if run is not None and asked is not None and run != asked:
+            found, expected = _readable(asked), _readable(run)
+            what = f"--{name} is not that of the run"
+            raise UsageError(what, found=found, expected=expected, hint="leave it out")
+
+
+def _readable(value: float | bool) -> str:
+    return ("yes" if value else "no") if isinstance(value, bool) else f"{value:g}"
 
 
 @contextmanager
@@ -180,6 +193,24 @@ def check_same_size(camera: Camera, recording: StoredRecording) -> None:
             expected=f"{camera.width}x{camera.height}",
             hint="pass the --camera of the run, whose crop applies",
         )
+
+
+def _check_kind(path: Path, run: Mapping[str, str]) -> None:
+    """Tell a folder from a file, whose options are others."""
+    kinds = {True: "a folder", False: "a file"}
+    is_folder, was_folder = path.is_dir(), run.get("input.kind") == "folder"
+    if path.exists() and run.get("input.kind") and is_folder != was_folder:
+        raise _another(path, run, kinds[is_folder], kinds[was_folder])
+
+
+def _check_bytes(path: Path, run: Mapping[str, str]) -> None:
+    """Tell another file by its SHA-256, whether or not it can be opened."""
+    stated = run.get(RECORDING_KEY, "")
+    if not stated or not path.is_file():
+        return
+    _, digest = file_digest(path)
+    if digest != stated:
+        raise _another(path, run, f"SHA-256 {digest[:SHOWN_DIGITS]}", stated[:SHOWN_DIGITS])
 
 
 def _check_size(path: Path, run: Mapping[str, str]) -> None:

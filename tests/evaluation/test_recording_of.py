@@ -118,6 +118,22 @@ def test_another_size_is_told_without_reading_it_all(
         search_recording(result, recording)
 
 
+def test_a_changed_one_that_cannot_be_opened_any_more_is_another(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    data = bytearray(recording.read_bytes())
+    data[100:] = bytes(len(data) - 100)
+    recording.write_bytes(data)
+    with pytest.raises(RecordingError, match=r"hand.mcap: is not the recording .* found SHA-256"):
+        search_recording(result, recording)
+
+
+def test_a_folder_for_a_file_is_another(recording: Path, tmp_path: Path) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    folder = make_folder(tmp_path / "images", open_recording(recording))  # without stamps
+    with pytest.raises(RecordingError, match=r"is not the recording .* found a folder, expected a file"):
+        search_recording(result, folder)
+
+
 def test_a_name_with_folders_in_it_is_not_followed(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     bad = replace(result, run={**result.run, "input.name": "home/hand.mcap"})
@@ -151,6 +167,17 @@ def test_another_rate_than_the_run_s_is_refused(source: Path, tmp_path: Path) ->
     assert search_recording(result, fps=RATE).recording is not None
     with pytest.raises(UsageError, match=r"--fps is not that of the run, found 30, expected 20"):
         search_recording(result, fps=30.0)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_images_mirrored_otherwise_than_the_run_s_are_refused(
+    source: Path, tmp_path: Path, mirror: bool
+) -> None:
+    folder = make_folder(tmp_path / "images", open_recording(source))
+    result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE, mirror=mirror))
+    assert search_recording(result, mirror=mirror).recording is not None
+    with pytest.raises(UsageError, match="--mirror is not that of the run, found "):
+        search_recording(result, mirror=not mirror)
 
 
 def test_a_folder_without_its_camera_file_needs_it_again(source: Path, tmp_path: Path) -> None:
