@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.comparing.comparison import UNCORRECTED
 from posetrack_cli.evaluation.comparing.groups import compare_groups, pair_by_recording
 from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.evaluation.coverage import Coverage
@@ -111,6 +112,17 @@ def test_notes_say_how_pairs_were_found() -> None:
         "b - a: seeds differ, so pairs are of the same recording alone",
         "b - a: 3 pairs are of 2 recordings: not all independent",
     ]
+
+
+def test_pairs_of_the_same_seed_and_of_different_recordings_need_no_note() -> None:
+    keys = [("p", "1"), ("q", "1"), ("r", "2")]
+    assert compare_groups({"a": units("a", keys), "b": units("b", keys)}).notes == (UNCORRECTED,)
+
+
+def test_nothing_is_said_about_pairs_where_there_are_none() -> None:
+    comparison = compare_groups({"a": units("a", [("p", "1")]), "b": units("b", [("q", "2")])})
+    assert comparison.notes == ("b - a: no partner of the same recording and seed: ap1, bq2", UNCORRECTED)
+    assert {one.paired.count for one in comparison.differences} == {0}
 
 
 def test_each_group_is_compared_with_the_first() -> None:
