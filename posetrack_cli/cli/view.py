@@ -43,7 +43,8 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
 @click.option(
     "--frames",
     metavar="CHOICE",
-    help="Which: all, 0:300:5, 7,12,100:120, spread:6 or worst:8.  [default: all; of a sheet spread:6]",
+    help="Which: all, 0:300:5, 7,12,100:120, spread:6, or worst:8, a second or more apart.  "
+    "[default: all; of a sheet spread:6]",
 )
 @click.option(
     "--layout",

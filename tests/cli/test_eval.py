@@ -181,6 +181,7 @@ def test_hardly_any_frames_are_evaluated(
         (["--time-offset-s", "1e300"], "time offset cannot be used"),
         (["--group", "a"], "'a' is no group, expected NAME=PATTERN"),
         (["--group", "a=/nowhere/*.mcap"], "no file fits the pattern of group 'a', found /nowhere/*.mcap"),
+        (["--group", "a=/tmp/"], "found /tmp/; files of a folder are /tmp/*.mcap"),
         (["--json", "-", "--csv", "-"], "only one report can go to standard output"),
         (["--gates", "/nowhere/gates.txt"], "/nowhere/gates.txt: gates cannot be read, found No such file"),
         (["--baseline", "/nowhere/b.json"], "/nowhere/b.json: baseline cannot be read"),

@@ -22,7 +22,8 @@ def expand_groups(texts: Iterable[str]) -> dict[str, tuple[Path, ...]]:
         name, pattern = _split(text)
         found = _matching(pattern)
         if not found:
-            raise UsageError(f"no file fits the pattern of group '{name}'", found=pattern)
+            hint = f"files of a folder are {pattern.rstrip('/')}/*.mcap" if Path(pattern).is_dir() else ""
+            raise UsageError(f"no file fits the pattern of group '{name}'", found=pattern, hint=hint)
         groups[name] = tuple(dict.fromkeys((*groups.get(name, ()), *found)))
     _check_disjoint(groups)
     return groups
