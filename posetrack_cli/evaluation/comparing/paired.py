@@ -77,7 +77,8 @@ def _signed_rank(differences: FloatArray) -> tuple[float, str]:
     if not len(different):
         return 1.0, "no pair differs"
     smallest = 2.0 ** (1 - len(different))  # all signs equal, either way, of 2^n equally likely ones
-    note = f"p cannot be below {smallest:g} with {len(different)} different pairs"
+    pairs = "pair" if len(different) == 1 else "pairs"
+    note = f"p cannot be below {smallest:g} with {len(different)} different {pairs}"
     return float(wilcoxon(different).pvalue), note if smallest > SIGNIFICANCE else ""
 
 

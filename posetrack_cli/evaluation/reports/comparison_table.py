@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import isnan
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison, Difference
 from posetrack_cli.evaluation.metrics.catalogue import split_address
@@ -80,7 +81,11 @@ def _cells(one: Difference) -> tuple[str, ...]:
     if not one.paired.count:
         return (*[ABSENT] * 4, "0")
     numbers = (one.paired.difference, one.paired.low, one.paired.high)
-    return (*(shown(number) for number in numbers), shown_p(one.paired.p_value), str(one.paired.count))
+    return (
+        *(ABSENT if isnan(number) else shown(number) for number in numbers),
+        shown_p(one.paired.p_value),
+        str(one.paired.count),
+    )
 
 
 def shown_p(p_value: float) -> str:

@@ -150,6 +150,14 @@ def test_the_table_of_differences() -> None:
     assert lines[1] == "b - a: p cannot be below 0.125 with 4 different pairs"
 
 
+def test_one_pair_has_a_difference_and_no_interval() -> None:
+    comparison = compare_groups({"rbpf": [with_run("a")], "pf": [with_run("b", error_mm=9.0)]})
+    _, differences = comparison_tables(comparison)
+    cells = {row.label: row.cells for row in differences.sections[0].rows}["joint_error_mm.mean"]
+    assert float(cells[0]) > 0 and cells[1:] == ("-", "-", "1", "1")
+    assert any("p cannot be below 1 with 1 different pair: " in line for line in comparison_lines(comparison))
+
+
 def test_differences_of_parts_are_shown_when_asked_for() -> None:
     fine, coarse = np.linspace(1.0, 2.0, 120), np.linspace(3.0, 5.0, 120)
     names = ("finger_error_mm", "finger_error_mm.thumb")
