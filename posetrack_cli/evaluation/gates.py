@@ -176,7 +176,8 @@ def _number_hint(number: str) -> str:
 def _sign_hint(text: str) -> str:
     if re.search(r"[^<>=!]=[^=]", text):
         return "equality is =="
-    return "one condition at a time; give --fail-if again for the next" if text.count("<") > 1 else ""
+    signs = len(re.findall(r"[<>]", text))
+    return "one condition at a time; give --fail-if again for the next" if signs > 1 else ""
 
 
 def _check_part(address: Address, evaluations: Iterable[Evaluation]) -> None:

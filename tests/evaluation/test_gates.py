@@ -155,8 +155,9 @@ def test_every_gate_meets_every_result() -> None:
         ("coverage", r"is no condition, expected METRIC.* > >= < <= == !=.*such as"),
         ("", "is no condition"),
         ("> 10", "is no condition"),
-        ("coverage <", "is no condition"),
+        ("coverage <", "is no condition.*such as"),
         ("0 < coverage < 1", "one condition at a time"),
+        ("9 > ess.mean > 1", "one condition at a time"),
         ("coverage => 1", "is no condition"),
     ],
 )
@@ -205,6 +206,16 @@ def test_a_misspelt_feature_point_shows_when_the_points_are_known() -> None:
     assert check_gates([parse_gate("point_error_mm.nose_tip.mean > 1")], [head])[0].failed
     with pytest.raises(UsageError, match="did you mean 'nose_tip'"):
         check_gates([parse_gate("point_error_mm.nosetip.mean > 1")], [head])
+
+
+def test_a_known_part_that_no_result_has_fails_with_its_reason() -> None:
+    """A joint or a point is no misspelling where only the truth lacks it, or is not there at all."""
+    without = evaluation(absent={"joint_error_mm.thumb_tip": "the truth has no thumb_tip"})
+    (outcome,) = check_gates([parse_gate("joint_error_mm.thumb_tip.mean > 1")], [without])
+    assert outcome.failed and outcome.reason == "the truth has no thumb_tip"
+    head = evaluation(subject="head", metrics={"coverage": 1.0}, absent={"point_error_mm": "no truth"})
+    (outcome,) = check_gates([parse_gate("point_error_mm.nose_tip.mean > 1")], [head])
+    assert outcome.failed and outcome.reason == "no truth"
 
 
 def test_figures_are_found_by_address() -> None:
