@@ -26,6 +26,7 @@ LIBRARIES = (
     "protobuf",
     "pydantic",
     "click",
+    "rich",
     "tqdm",
     "zstandard",
 )
