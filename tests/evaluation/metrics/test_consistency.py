@@ -70,6 +70,13 @@ def test_a_track_without_points_shakes_at_its_position() -> None:
     assert jitter(replace(track, position=None)) is None
 
 
+def test_a_finger_that_shakes_on_a_hand_that_rests_is_seen() -> None:
+    shaking = point_track(along_x(0, 0, 6, 0, 0))
+    np.testing.assert_array_equal(
+        values_of(replace(shaking, position=np.zeros((5, 3)))), values_of(shaking), "the origin rests"
+    )
+
+
 def test_white_noise_gives_its_own_strength() -> None:
     """E|.|^2 = 3 s^2; neighbours are correlated, so 40,000 values count as some 10,000: 4 sd are 4 %."""
     sd, frames = 2.5, 40_000
@@ -151,3 +158,10 @@ def test_two_frames_have_no_gap() -> None:
         "gaps": 0.0,
         "largest_gap_s": 1.0,
     }
+
+
+def test_a_track_without_status_has_no_changes_of_it() -> None:
+    track = hand_track("a", 4, 1.0)
+    assert consistency_metrics(track)["status_changes"] == 0.0
+    for missing in ("lost", "reinitialised"):
+        assert "status_changes" not in consistency_metrics(replace(track, **{missing: None}))
