@@ -153,6 +153,8 @@ def _check_reports(request: Request, options: dict[str, Any]) -> None:
     reports = [options[name] for name in ("json_path", "csv_path", "html_path") if options[name] is not None]
     if reports.count(STANDARD_OUTPUT) > 1:
         raise UsageError("only one report can go to standard output")
+    if STANDARD_OUTPUT in reports and sys.stdout is None:
+        raise UsageError("standard output is closed", hint="name a file for the report")
     if options["html_path"] is not None:
         from posetrack_cli.evaluation.html.writer import check_page
 
@@ -227,7 +229,7 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
-    """Print the tables, unless a report goes where they would."""
+    """Print the tables, unless a report goes where they would, or that is closed."""
     from posetrack_cli.evaluation.reports.comparison_table import (
         NOT_COMPARED,
         comparison_lines,
@@ -236,7 +238,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     from posetrack_cli.evaluation.reports.table import closing_lines, tables
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
-    if STANDARD_OUTPUT in (options["json_path"], options["csv_path"]):
+    if sys.stdout is None or STANDARD_OUTPUT in (options["json_path"], options["csv_path"]):
         return
     shown = found.evaluations[:given] if found.grouped else found.evaluations
     made = tables(shown, parts=options["parts"]) if shown else []

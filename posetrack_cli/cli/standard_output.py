@@ -19,6 +19,7 @@ def reader_may_leave() -> Iterator[None]:
     """Print what a reader such as ``head`` need not read to its end: nothing else depends on that."""
     try:
         yield
-        sys.stdout.flush()  # a log that takes both shows this before what follows on standard error
+        if sys.stdout is not None:
+            sys.stdout.flush()  # a log that takes both shows this before what follows on standard error
     except BrokenPipeError:
         discard_output()

@@ -130,13 +130,12 @@ class Result:
         """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
         topic = self.topic_of_estimates(topic)
         messages = (message.data for _, _, message in self._messages([topic]))
-        for block in column_blocks(messages, fields, where=f"{self.path}, {topic}"):
-            if topic == self.estimate_topic:
-                self._check_counts(block)
-            yield block
+        blocks = column_blocks(messages, fields, where=f"{self.path}, {topic}")
+        # map, as a loop's variable would keep each block while the next one grows
+        yield from map(self._checked, blocks) if topic == self.estimate_topic else blocks
 
-    def _check_counts(self, block: Columns) -> None:
-        """Raise unless the estimates have the shape entries and points that the subject record names."""
+    def _checked(self, block: Columns) -> Columns:
+        """Return a block if its estimates have the shape entries and points that the subject record names."""
         names = {"shape": self.subject.shape_names, "points": self.subject.point_names}
         for field_name in names.keys() & block.keys():
             found, expected = block[field_name].shape[1], len(names[field_name])
@@ -147,6 +146,7 @@ class Result:
                     found=f"{found} entries",
                     expected=expected,
                 )
+        return block
 
     def columns(self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES) -> Columns:
         """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.

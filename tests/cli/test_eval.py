@@ -553,3 +553,19 @@ def test_a_reader_that_leaves_early_does_not_change_what_gates_say(
     os.close(writing)
     assert done.returncode == code
     assert ("joint_error_mm.mean is" in done.stderr) == (code == 1) and len(lines(done.stderr)) == code
+
+
+def test_a_report_cannot_go_to_a_closed_standard_output(result: Path) -> None:
+    command = f"{sys.executable} -m posetrack_cli.cli.main eval '{result}' --json - >&-"
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2 and "standard output is closed" in done.stderr
+
+
+def test_a_closed_standard_output_stops_no_report(result: Path, tmp_path: Path) -> None:
+    page = tmp_path / "r.json"
+    command = (
+        f"{sys.executable} -m posetrack_cli.cli.main eval '{result}' --json '{page}' --fail-if '{FAILS}' >&-"
+    )
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1 and "joint_error_mm.mean is" in done.stderr and len(lines(done.stderr)) == 1
+    assert json.loads(page.read_text())["results"][0]["name"] == "rbpf"
