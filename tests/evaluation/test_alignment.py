@@ -237,6 +237,15 @@ def test_variances_are_those_of_perturbed_poses(field: str) -> None:
         np.testing.assert_array_equal(of(getattr(aligned, field))[row, 6:], variance[6:])
 
 
+def test_the_estimate_itself_is_left_as_it_is() -> None:
+    track, truth = random_head(5, 1), random_head(5, 2)
+    fields = ("position", "quaternion", "twist", "pose_variance", "twist_variance", "points")
+    before = {name: of(getattr(track, name)).copy() for name in fields}
+    remove_constant_offset(track, truth, all_pairs(5), points=True)
+    for name in fields:
+        np.testing.assert_array_equal(getattr(track, name), before[name])
+
+
 def test_only_the_pairs_count() -> None:
     truth = random_head(FRAMES)
     estimate = offset_by(truth, *planted(4))
