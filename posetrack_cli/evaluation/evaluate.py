@@ -20,7 +20,7 @@ from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
 from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
 from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
-from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, run_metrics
+from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, run_metrics, run_series
 from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.statistics import Statistics
@@ -239,14 +239,8 @@ def coverage_metrics(coverage: Coverage) -> dict[str, Value]:
 
 
 def _run_series(track: Track, rows: IntArray) -> dict[str, FloatArray]:
-    """What the run says about each of these frames, as far as it says anything."""
-    columns: dict[str, FloatArray | None] = {
-        "cost_mm": track.cost,
-        "confidence": track.confidence,
-        "ms_per_frame": track.milliseconds,
-        "ess": track.effective_sample_size,
-    }
-    series = {name: rows_of(values, rows) for name, values in columns.items() if values is not None}
+    """What the run says about these frames, as far as it says anything."""
+    series = {name: rows_of(values, rows) for name, values in run_series(track).items()}
     return {name: values for name, values in series.items() if np.isfinite(values).any()}
 
 

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.components import (
-    BAND,
     Component,
     components,
     euler_variance,
     quaternion_variance,
 )
+from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import quaternion_from_roll_pitch_yaw, roll_pitch_yaw
 
@@ -52,7 +52,7 @@ def test_values_truth_and_band_of_a_finger_angle_are_in_degrees() -> None:
     assert one.truth is not None and one.half_width is not None
     np.testing.assert_allclose(one.truth, evaluation.truth.shape[:, column] / DEG)
     sd = np.sqrt(evaluation.track.pose_variance[:, 6 + column])
-    np.testing.assert_allclose(one.half_width, 1.645 * sd / DEG)
+    np.testing.assert_allclose(one.half_width, INSIDE_90 * sd / DEG)
 
 
 def test_the_truth_stands_at_the_frames_that_it_belongs_to() -> None:
@@ -64,6 +64,23 @@ def test_the_truth_stands_at_the_frames_that_it_belongs_to() -> None:
     assert one.truth is not None
     np.testing.assert_array_equal(np.isnan(one.truth), [False, True, True, False])
     np.testing.assert_allclose(one.truth[[0, 3]], evaluation.truth.position[[1, 2], 2])
+
+
+def test_the_true_angular_velocity_is_shown_in_the_estimates_body_axes() -> None:
+    """A truth a quarter turn about z away from the estimate that turns about its own x axis."""
+    made = hand_evaluation(frames=3)
+    assert made.truth is not None
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    twist = np.zeros((3, 21))
+    twist[:, 3] = 2.0
+    turned = np.tile(Rotation.from_euler("z", 90.0, degrees=True).as_quat(), (3, 1))
+    truth = dataclasses.replace(made.truth, quaternion=turned, twist=twist)
+    evaluation = dataclasses.replace(with_track(made, quaternion=still), truth=truth)
+    shown = found(evaluation)
+    for axis, expected in (("x", 0.0), ("y", 2.0 / DEG), ("z", 0.0)):
+        component = shown["Wrist angular velocity, body axes", axis]
+        np.testing.assert_allclose(component.truth, expected, atol=1e-12)
+    assert np.array_equal(twist[:, 3:6], [[2.0, 0.0, 0.0]] * 3)  # the truth itself is left as it is
 
 
 def test_what_is_not_known_is_left_out() -> None:
@@ -119,4 +136,4 @@ def test_at_no_rotation_each_euler_angle_has_the_variance_of_its_axis() -> None:
 def test_the_band_holds_nine_tenths_of_a_gaussian() -> None:
     from scipy.stats import norm
 
-    assert norm.ppf(0.95) == pytest.approx(BAND, abs=0.5e-3)  # rounded to three digits
+    assert norm.ppf(0.95) == pytest.approx(INSIDE_90, abs=0.5e-3)  # rounded to three digits

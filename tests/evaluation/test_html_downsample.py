@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,6 +28,34 @@ def test_extremes_and_ends_are_kept_and_the_limit_holds(values: list[float], lim
     if finite.size:
         assert kept.max() == finite.max() and kept.min() == finite.min()
     assert np.isfinite(line).all() == np.isfinite(line[rows]).all()
+
+
+def interval_extremes(line: np.ndarray[Any, Any], size: int) -> set[int]:
+    """Rows that have to be kept of a line, one interval after the other."""
+    rows = {0, len(line) - 1}
+    for start in range(0, len(line), size):
+        part = line[start : start + size]
+        known = [i for i in range(len(part)) if np.isfinite(part[i])]
+        if known:
+            rows |= {start + min(known, key=lambda i: part[i]), start + max(known, key=lambda i: part[i])}
+        rows |= {start + i for i in list(np.flatnonzero(~np.isfinite(part)))[:1]}
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_of_every_interval_exactly_the_extremes_and_the_first_missing_row_are_kept(seed: int) -> None:
+    """Against a loop: lines far longer than the limit, rows or a whole stretch of which may be missing."""
+    rng = np.random.default_rng(seed)
+    count, limit, number = int(rng.integers(300, 1200)), int(rng.integers(12, 90)), int(rng.integers(1, 4))
+    lines = rng.standard_normal((number, count))
+    lines[0, rng.random(count) < (0.0, 0.3)[seed % 2]] = np.nan
+    lines[-1, 100:200] = (np.inf, 0.0)[seed // 2 % 2]
+    rows = envelope_rows(lines, limit)
+    gappy = int((~np.isfinite(lines)).any(axis=1).sum())
+    size = math.ceil(count / max(1, (limit - 2) // (2 * number + gappy)))
+    assert set(rows.tolist()) == set().union(*(interval_extremes(line, size) for line in lines))
+    assert np.all(np.diff(rows) > 0)
+    assert len(rows) <= max(limit, 3 * number + 2)
 
 
 @given(VALUES, st.integers(5, 60))

@@ -17,6 +17,7 @@ from posetrack_cli.evaluation.html.timebase import (
     state_spans,
     timebases,
 )
+from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
 from posetrack_cli.evaluation.track import Track
 
 SECOND = 1_000_000_000
@@ -52,9 +53,12 @@ def test_ticks_of_a_year_still_fit_into_31_bits() -> None:
     assert base.tick_ns > TICK_NS
 
 
-def test_gaps_are_the_steps_longer_than_three_usual_ones() -> None:
-    stamps = track_at(0.0, 0.1, 0.2, 0.5, 0.6, 0.91, 1.0).stamp_ns
-    assert (gap_spans(stamps) / SECOND).tolist() == [[0.6, 0.91]]
+def test_gaps_are_what_the_metric_counts() -> None:
+    track = track_at(0.0, 0.1, 0.2, 0.5, 0.6, 0.74, 0.9, 1.0)
+    stamps = track.stamp_ns
+    assert (gap_spans(stamps) / SECOND).tolist() == [[0.2, 0.5], [0.74, 0.9]]
+    alone = dataclasses.replace(track, points=None, position=None, cost=None, confidence=None)
+    assert consistency_metrics(alone)["gaps"] == 2.0
     assert gap_spans(stamps[:1]).shape == (0, 2)
 
 

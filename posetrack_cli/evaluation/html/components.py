@@ -9,12 +9,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
-
-BAND = 1.645
-"""Half width of the interval that holds 90 % of a Gaussian, standard deviations."""
 
 DIFFERENCE_RAD = 1e-6
 """Step of the differences that take variances of rotation vectors to variances of Euler angles."""
@@ -87,7 +85,7 @@ def _columns(
     if truth is not None and truth.shape != estimate.shape:
         truth = None
     for i, name in enumerate(names):
-        half = None if variance is None else BAND * np.sqrt(np.maximum(variance[:, i], 0.0))
+        half = None if variance is None else INSIDE_90 * np.sqrt(np.maximum(variance[:, i], 0.0))
         yield Component(group, name, unit, estimate[:, i], None if truth is None else truth[:, i], half)
 
 
@@ -133,7 +131,7 @@ def _velocities(evaluation: Evaluation, body: str) -> Iterator[Component]:
     if track.twist is None:
         return
     twist, variance = track.twist, track.twist_variance
-    truth = matched_truth(evaluation, lambda other: other.twist)
+    truth = _true_twists(evaluation)
     if truth is not None and truth.shape != twist.shape:
         truth = None
 
@@ -147,6 +145,16 @@ def _velocities(evaluation: Evaluation, body: str) -> Iterator[Component]:
     yield from _columns(f"{body} velocity", AXES, "mm/s", *part(slice(0, 3)))
     yield from _columns(f"{body} angular velocity, body axes", AXES, "deg/s", *part(slice(3, 6), DEG))
     yield from _grouped(evaluation, *part(slice(6, None)), " velocities")
+
+
+def _true_twists(evaluation: Evaluation) -> FloatArray | None:
+    """The truth's twists with the angular velocity in the estimate's body axes: R_est^T R_true w_true."""
+    twists = matched_truth(evaluation, lambda other: other.twist)
+    true_turns = matched_truth(evaluation, lambda other: other.quaternion)
+    if twists is not None and true_turns is not None and evaluation.track.quaternion is not None:
+        turns = rotations.multiply(rotations.conjugate(evaluation.track.quaternion), true_turns)
+        twists[:, 3:6] = rotations.rotate(turns, twists[:, 3:6])
+    return twists
 
 
 def _grouped(
@@ -167,7 +175,7 @@ def _grouped(
     for i, name in enumerate(names):
         finger, _, angle = name.partition("_")
         group = f"{finger.capitalize()} angle" if hand and angle else "Shape"
-        half = None if variance is None else scale * BAND * np.sqrt(np.maximum(variance[:, i], 0.0))
+        half = None if variance is None else scale * INSIDE_90 * np.sqrt(np.maximum(variance[:, i], 0.0))
         yield Component(
             f"{group}{suffix or ('s' if hand and angle else '')}",
             (angle if hand and angle else name).replace("_", " "),

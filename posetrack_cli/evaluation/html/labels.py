@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.metrics.catalogue import metric_of
 
 _UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_s")
@@ -31,12 +30,8 @@ def readable(name: str) -> str:
 def quantity_label(address: str) -> tuple[str, str]:
     """Return what a metric's address is called, and its unit: ``joint error, index tip`` and ``mm``."""
     name, _, part = address.partition(".")
-    try:
-        unit = metric_of(name).unit
-    except UsageError:
-        unit = ""
     label = _spoken(name)
-    return (f"{label}, {readable(part)}" if part else label), unit
+    return (f"{label}, {readable(part)}" if part else label), metric_of(name).unit
 
 
 def _spoken(name: str) -> str:

@@ -17,7 +17,8 @@ from posetrack_cli.evaluation.html.packing import packed
 from posetrack_cli.evaluation.html.rows import RowTable
 from posetrack_cli.evaluation.html.scene import scene
 from posetrack_cli.evaluation.html.timebase import Timebase, gap_spans, state_spans, timebases
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
+from posetrack_cli.evaluation.metrics.catalogue import place_of
+from posetrack_cli.evaluation.metrics.run_metrics import run_series
 from posetrack_cli.evaluation.pictures import Picture
 from posetrack_cli.evaluation.statistics import Statistics
 
@@ -84,10 +85,9 @@ def _result(
 
 def _quantities(evaluation: Evaluation, table: RowTable, limit: int) -> dict[str, Any]:
     """Per-frame values by metric, those of the series and those that the track itself tells."""
-    lines = _series_lines(evaluation) | _run_lines(evaluation)
-    order = {metric.name: place for place, metric in enumerate(CATALOGUE)}
+    lines = _series_lines(evaluation) | run_series(evaluation.track)
     found: dict[str, Any] = {}
-    for name in sorted(lines, key=lambda name: order.get(name.split(".")[0], len(order))):
+    for name in sorted(lines, key=place_of):
         values = lines[name]
         if np.isfinite(values).any():
             rows = envelope_rows(values[None], limit)
@@ -111,17 +111,6 @@ def _series_lines(evaluation: Evaluation) -> dict[str, FloatArray]:
         lines[name] = np.full(count, np.nan)
         lines[name][rows] = values
     return lines
-
-
-def _run_lines(evaluation: Evaluation) -> dict[str, FloatArray]:
-    track = evaluation.track
-    known = {
-        "cost_mm": track.cost,
-        "confidence": track.confidence,
-        "ms_per_frame": track.milliseconds,
-        "ess": track.effective_sample_size,
-    }
-    return {name: values for name, values in known.items() if values is not None}
 
 
 def _components(evaluation: Evaluation, table: RowTable, limit: int) -> list[dict[str, Any]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.labels import quantity_label, readable
@@ -132,10 +131,7 @@ def _metric_label(one: Row) -> str:
 def _spoken(address: str) -> str:
     """What a metric is called, its unit, and its meaning as a tooltip."""
     label, unit = quantity_label(address)
-    try:
-        meaning = f"{address}: {metric_of(address).meaning}"
-    except UsageError:
-        meaning = address
+    meaning = f"{address}: {metric_of(address).meaning}"
     unit_text = f' <span class="unit">{text(unit)}</span>' if unit else ""
     return element("abbr", text(label), title=meaning) + unit_text
 
@@ -167,10 +163,7 @@ def _meanings(evaluations: Sequence[Evaluation]) -> str:
     names = dict.fromkeys(base.split(".")[0] for one in evaluations for base in (*one.metrics, *one.absent))
     items = []
     for name in names:
-        try:
-            metric = metric_of(name)
-        except UsageError:
-            continue
+        metric = metric_of(name)
         label, unit = quantity_label(name)
         better = {"lower": " Lower is better.", "higher": " Higher is better."}.get(metric.better, "")
         items.append(

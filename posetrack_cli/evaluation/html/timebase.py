@@ -9,14 +9,12 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.recording.timeline import GAP_FACTOR
 
 TICK_NS = 100_000
 """0.1 ms: far below a frame, and 31 bits of it are 59 hours."""
 
 MOST_TICKS = 2**31 - 1
-GAP_PERIODS = 3.0
-"""A time between two estimates of more than so many median ones is a gap: frames are missing there."""
-
 MOST_SPANS = 1000
 """More spans than that cannot be told apart in a plot; those nearest each other are merged."""
 
@@ -65,11 +63,14 @@ def timebases(tracks: Sequence[Track]) -> tuple[list[Timebase], bool]:
 
 
 def gap_spans(stamp_ns: IntArray) -> IntArray:
-    """Return (G, 2) stamps before and after each gap, the longest ``MOST_SPANS`` of them, in order."""
+    """Return (G, 2) stamps before and after each gap, the longest ``MOST_SPANS`` of them, in order.
+
+    Gaps are what the metric ``gaps`` counts: intervals of more than ``GAP_FACTOR`` usual ones.
+    """
     steps = np.diff(stamp_ns)
     if not len(steps):
         return np.empty((0, 2), dtype=np.int64)
-    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps))
+    gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
     if len(gaps) > MOST_SPANS:
         gaps = np.sort(gaps[np.argsort(-steps[gaps], kind="stable")[:MOST_SPANS]])
     return np.stack([stamp_ns[gaps], stamp_ns[gaps + 1]], axis=1)

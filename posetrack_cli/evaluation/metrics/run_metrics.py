@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.evaluation.track import Track
 
@@ -29,6 +30,17 @@ def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> Non
         measures.lack("the run record names no number of particles", "particles")
     else:
         measures.metrics["particles"] = float(particles)
+
+
+def run_series(track: Track) -> dict[str, FloatArray]:
+    """Return what a run says about each of its frames, (N,) by metric."""
+    columns = {
+        "cost_mm": track.cost,
+        "confidence": track.confidence,
+        "ms_per_frame": track.milliseconds,
+        "ess": track.effective_sample_size,
+    }
+    return {name: values for name, values in columns.items() if values is not None}
 
 
 def _timings(measures: Measures, track: Track) -> None:
