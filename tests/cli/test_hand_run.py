@@ -486,16 +486,13 @@ def test_an_unfinished_result_can_be_started_from(recording: Path, result: Path,
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
 
 
-KINECT = Path(__file__).parents[3] / "shared" / "data" / "kinect2-hand"
-
-
-@pytest.mark.skipif(not KINECT.is_dir(), reason="the real Kinect recording is not on this machine")
-def test_real_kinect_frames_from_folder_and_mcap(tmp_path: Path) -> None:
+def test_real_kinect_frames_from_folder_and_mcap(tmp_path: Path, measured_data: Path) -> None:
+    kinect = measured_data / "kinect2-hand"
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
     reading = ["--fps", "30", "--camera", str(camera)]
-    assert run(["convert", str(KINECT), str(tmp_path / "in.mcap"), *reading]) == 0
-    assert track(KINECT, tmp_path / "a.mcap", "--hand-side", "left", *reading) == 0
+    assert run(["convert", str(kinect), str(tmp_path / "in.mcap"), *reading]) == 0
+    assert track(kinect, tmp_path / "a.mcap", "--hand-side", "left", *reading) == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", "--hand-side", "left") == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
     assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 181

@@ -16,7 +16,6 @@ from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.opening import open_recording
 
-SHARED = Path(__file__).parents[3] / "shared" / "data"
 SIZE_MARGIN = 0.02
 ULP = float(np.finfo(np.float32).eps)
 
@@ -173,11 +172,10 @@ def test_failure_leaves_nothing_behind_and_spares_the_old_file(tmp_path: Path, m
         convert_recording(source, tmp_path / "gone" / "out.mcap")
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason="measured recordings are not on this machine")
-def test_kinect_recording_keeps_its_size(tmp_path: Path, make: SimpleNamespace) -> None:
+def test_kinect_recording_keeps_its_size(tmp_path: Path, make: SimpleNamespace, measured_data: Path) -> None:
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
-    folder = SHARED / "kinect2-hand"
+    folder = measured_data / "kinect2-hand"
     source = open_recording(folder, camera_file=camera, fps=30)
     convert_recording(source, tmp_path / "out.mcap")
     pngs = sum(file.stat().st_size for file in folder.glob("*.png"))

@@ -18,8 +18,6 @@ from posetrack_cli.recording.inspection import describe
 from posetrack_cli.recording.mcap_stream import read_extras
 from posetrack_cli.recording.opening import open_recording
 
-SHARED = Path(__file__).parents[3] / "shared" / "data"
-
 
 def test_frames_are_the_images_in_order_with_their_stamps(tmp_path: Path, make: SimpleNamespace) -> None:
     images = make.depth_codes(5)
@@ -341,13 +339,12 @@ def test_hidden_files_are_no_images(tmp_path: Path, make: SimpleNamespace) -> No
     assert open_recording(folder).frame_count == 2
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason="measured recordings are not on this machine")
-def test_senz3d_recording_is_read_without_its_empty_column(tmp_path: Path) -> None:
+def test_senz3d_recording_is_read_without_its_empty_column(tmp_path: Path, measured_data: Path) -> None:
     camera = tmp_path / "camera.toml"
     camera.write_text(
         "fx = 224.5\nfy = 230.5\ncx = 160\ncy = 120\nmissing = 32001\ncrop = [0, 0, 320, 240]\n"
     )
-    recording = FolderRecording(SHARED / "cvar-hand" / "P1", camera_file=camera, fps=30)
+    recording = FolderRecording(measured_data / "cvar-hand" / "P1", camera_file=camera, fps=30)
     frames = list(recording.frames(end=5))
     assert all(frame.depth.shape == (240, 320) for frame in frames)
     assert all(0 < frame.depth.max() < 32001 for frame in frames)

@@ -32,7 +32,6 @@ from posetrack_cli.results.export.export import export_file
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.reader import read_result
 
-HEADS = Path(__file__).parents[3] / "shared" / "data" / "heads"
 HEAD_POINTS = tuple(
     f"{side}_{part}"
     for part in ("eye_outer", "eye_inner", "mouth_corner", "nostril", "brow_inner")
@@ -279,11 +278,9 @@ def test_unicode_in_names_and_comments(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("person", "frames"), [("person-a", 600), ("person-b", 300)])
-def test_truth_of_the_rendered_heads(person: str, frames: int) -> None:
+def test_truth_of_the_rendered_heads(measured_data: Path, person: str, frames: int) -> None:
     """Against numpy.genfromtxt and scipy; the file has five decimals."""
-    path = HEADS / person / "truth.csv"
-    if not path.exists():
-        pytest.skip("../shared/data/heads is not here")
+    path = measured_data / "heads" / person / "truth.csv"
     track = load_csv_track(path, Subject("head", "camera", (), HEAD_POINTS, (-1,) * 10))
     raw = np.genfromtxt(path, delimiter=",", names=True)
     assert len(track) == frames

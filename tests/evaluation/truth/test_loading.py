@@ -389,11 +389,9 @@ def test_names_of_files_may_be_any(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("person", ["person-a", "person-b"])
-def test_the_rendered_heads_against_themselves(tmp_path: Path, person: str) -> None:
+def test_the_rendered_heads_against_themselves(tmp_path: Path, measured_data: Path, person: str) -> None:
     """A track that is the truth has no error: 1e-9 mm is the rounding of points to and from the head."""
-    path = Path(__file__).parents[3] / "shared" / "data" / "heads" / person / "truth.csv"
-    if not path.exists():
-        pytest.skip("../shared/data/heads is not here")
+    path = measured_data / "heads" / person / "truth.csv"
     columns = [name for name in read_header(path).columns if name.endswith("_x_mm")]
     names = tuple(name.removesuffix("_x_mm") for name in columns)
     head = Subject("head", "left", (), names, (-1,) * len(names))
