@@ -99,7 +99,7 @@ def _drawn(
     from posetrack_cli.recording.losses import LossLog
 
     track, panels = evaluation.track, _panels(evaluation, recording, context)
-    points = None if track.points is None else track.points
+    points = track.points
     whole = Viewport.enlarged(panels.camera)
     common = whole if points is None else largest_viewport(points[rows], panels.camera, None)
     drawn = {}

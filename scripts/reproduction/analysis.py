@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.comparing.paired import Paired, paired
+from posetrack_cli.evaluation.comparing.paired import SIGNIFICANCE, Paired, paired
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.statistics import Statistics
 from reproduction.study import CONDITIONS, Condition
@@ -19,7 +19,6 @@ METRICS = ("joint_error_mm", "velocity_error_mm_s")
 """What entrants are compared by."""
 RELIABILITY = ("coverage", "nees", "inside_90")
 """What is told of every entrant besides."""
-SIGNIFICANCE = 0.05
 Figures = Mapping[str, float]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli.evaluation.association import associate
 from posetrack_cli.results import load_arrays
 from reproduction.analysis import Comparison, Figures, adjusted, verdict
 from reproduction.figures import TRUTH, Component
@@ -56,8 +57,9 @@ def component_errors(
 
 def _rms(path: Path, component: Component) -> float:
     estimate, truth = load_arrays(path), load_arrays(path, TRUTH)
-    _, mine, its = np.intersect1d(estimate["stamp_ns"], truth["stamp_ns"], return_indices=True)
-    return float(np.sqrt(np.mean((component.of(estimate)[mine] - component.of(truth)[its]) ** 2)))
+    pairs = associate(estimate["stamp_ns"], truth["stamp_ns"], tolerance_ns=0)
+    errors = component.of(estimate)[pairs.estimate] - component.of(truth)[pairs.truth]
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def time_table(particles: Sequence[int], milliseconds: Mapping[str, Sequence[float]]) -> Iterator[str]:

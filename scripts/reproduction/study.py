@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,8 +66,3 @@ def _track(unit: Unit, entrants: Sequence[str], out: Path) -> str:
         return ""
     said = ended.stderr.strip().splitlines()
     return f"{unit.name}: {said[-1] if said else f'exit code {ended.returncode}'}"
-
-
-def results(units: Sequence[Unit], entrant: str, out: Path) -> Iterator[Path]:
-    """The results of an entrant that are there, in the order of the units."""
-    return (path for unit in units if (path := unit.result(out, entrant)).exists())

@@ -21,6 +21,7 @@ from viewing_support import (
     make_recording,
     make_result,
     moved,
+    pictures_of,
     truth_of,
     write_camera,
 )
@@ -57,15 +58,6 @@ def result(recording: Path, opened: StoredRecording) -> Path:
 
 def view(*arguments: object) -> int:
     return run(["view", *map(str, arguments)])
-
-
-def pictures_of(path: Path) -> list[np.ndarray]:
-    video, pictures = cv2.VideoCapture(str(path)), []
-    while True:
-        read, picture = video.read()
-        if not read:
-            return pictures
-        pictures.append(picture)
 
 
 def is_colour(picture: np.ndarray, colour: np.ndarray, loss: int = 2) -> np.ndarray:

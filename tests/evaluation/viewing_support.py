@@ -106,3 +106,13 @@ def shown_pose(pose: np.ndarray, anatomy: HandAnatomy | None = None) -> Shown:
 def open_hand(centre: Sequence[float] = (0.0, 0.0, 650.0), anatomy: HandAnatomy | None = None) -> np.ndarray:
     """The rest pose (22,) with its middle at a point, mm."""
     return rest_pose(anatomy or make_anatomy(), np.array(centre))
+
+
+def pictures_of(path: Path) -> list[np.ndarray]:
+    """The pictures of a video, as OpenCV plays it."""
+    video, pictures = cv2.VideoCapture(str(path)), []
+    while True:
+        read, picture = video.read()
+        if not read:
+            return pictures
+        pictures.append(picture)

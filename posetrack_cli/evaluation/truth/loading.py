@@ -32,7 +32,7 @@ def load_truth(
     """Return what a result is to be measured against, its points in the result's order.
 
     Without a path it is what the result carries on its topics ``/truth/<subject>/...``: complete estimates,
-    or else Odometry with or without JointStates (``mcap_truth``). With a path it is
+    or else Odometry with or without JointStates (``odometry_track``). With a path it is
 
     - of another result its **own estimates**, such as a stereo track as the truth for a mono one, without
       those that are lost; not the truth that it carries;

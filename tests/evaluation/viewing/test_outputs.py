@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from viewing_support import pictures_of
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.viewing.outputs import (
@@ -25,15 +26,6 @@ COLOUR_TOLERANCE = 40
 
 def plain(level: int, height: int = 64, width: int = 96) -> np.ndarray:
     return np.full((height, width, 3), level, np.uint8)
-
-
-def pictures_of(path: Path) -> list[np.ndarray]:
-    video, pictures = cv2.VideoCapture(str(path)), []
-    while True:
-        read, picture = video.read()
-        if not read:
-            return pictures
-        pictures.append(picture)
 
 
 def test_a_video_plays_back_with_every_picture_in_order(tmp_path: Path) -> None:
