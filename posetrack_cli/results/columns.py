@@ -12,7 +12,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import FIELD_NAMES, VELOCITY_FIELDS, Status, array_shapes
+from posetrack_cli.results.estimate import (
+    FIELD_NAMES,
+    UNKNOWN_ARRAYS,
+    UNKNOWN_NUMBERS,
+    Status,
+    array_shapes,
+)
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, parse_fields
 
 Columns: TypeAlias = dict[str, np.ndarray[Any, Any]]
@@ -29,7 +35,6 @@ _TYPES: Mapping[str, Any] = {
     "resampled": np.bool_,
 }
 _CODES = {"frame_index": "q", "stamp_ns": "q", "status": "b", "resampled": "b"}
-_OPTIONAL_NUMBERS = ("cost", "milliseconds")
 _XYZ = itemgetter("x", "y", "z")
 
 
@@ -72,7 +77,7 @@ def empty_columns(fields: Collection[str], k: int, p: int) -> Columns:
     """Return columns of no rows: what each field's array looks like for K shape entries and P points.
 
     Frame indices and stamps are integers, ``status`` is text, ``resampled`` boolean, everything else float64.
-    A cost, a time and a velocity that a message does not have are NaN.
+    What a message need not have (``UNKNOWN_ARRAYS``, ``UNKNOWN_NUMBERS``) and has not is NaN.
     """
     shapes = array_shapes(k, p)
     types = {name: _TYPES.get(name, np.float64) for name in fields}
@@ -118,7 +123,7 @@ class _Rows:
         sizes = {name: math.prod(shape) for name, shape in array_shapes(k, p).items()}
         self._points = p
         self._sizes = {name: sizes[name] for name in self._empty if name in sizes and name != "points"}
-        self._optional = [name for name in self._empty if name in _OPTIONAL_NUMBERS]
+        self._optional = [name for name in self._empty if name in UNKNOWN_NUMBERS]
         others = {*sizes, *self._optional, "status"}
         self._numbers = [name for name in self._empty if name not in others]
         self._clear()
@@ -134,7 +139,7 @@ class _Rows:
         if "status" in buffers:
             buffers["status"].append(_STATUS_CODES[values["status"]])
         for name, size in self._sizes.items():
-            unknown = name in VELOCITY_FIELDS and values.get(name) is None
+            unknown = name in UNKNOWN_ARRAYS and values.get(name) is None
             buffers[name].extend([math.nan] * size if unknown else _counted(name, values[name], size))
         if "points" in buffers:
             points = _counted("points", values["points"], self._points)

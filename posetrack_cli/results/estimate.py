@@ -39,15 +39,18 @@ class Estimate:
         shape: (K,) of a hand the finger angles, rad; of a head the shape coefficients.
         pose_rate: (7 + K,) time derivative of (position, quaternion, shape), per second.
         twist: (6 + K,) velocity in the tangent space: mm/s, rad/s, shape per second.
-        pose_variance: (6 + K,) diagonal of the covariance of the pose in the tangent space.
+        pose_variance: (6 + K,) diagonal of the covariance of the pose in the tangent space; None of a tracker
+            that knows none, such as an optimiser.
         twist_variance: (6 + K,) diagonal of the covariance of ``twist``. This, ``pose_rate`` and ``twist``
             are all None where no velocity is known, or the motion has none: the truth of a random walk.
         points: (P, 3) mm, joints or landmarks in camera axes.
-        effective_sample_size: of the particle weights before resampling.
+        effective_sample_size: of the particle weights before resampling; None without weights.
         resampled: whether the particles were resampled after this estimate.
         cost: of the estimate against the image; None when it was not evaluated.
         milliseconds: the frame took; None unless the run was asked to record timings, since wall-clock
             times make two runs differ in their bytes.
+        evaluations: number of poses whose fit to the image was evaluated for this estimate; None where the
+            tracker does not count them.
     """
 
     frame_index: int
@@ -59,13 +62,14 @@ class Estimate:
     shape: FloatArray
     pose_rate: FloatArray | None
     twist: FloatArray | None
-    pose_variance: FloatArray
+    pose_variance: FloatArray | None
     twist_variance: FloatArray | None
     points: FloatArray
-    effective_sample_size: float
+    effective_sample_size: float | None
     resampled: bool
     cost: float | None = None
     milliseconds: float | None = None
+    evaluations: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +142,12 @@ FIELD_NAMES = tuple(field.name for field in fields(Estimate))
 VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
 """The fields that are None, all of them, where no velocity is known."""
 
+UNKNOWN_ARRAYS = (*VELOCITY_FIELDS, "pose_variance")
+"""The arrays that may be None."""
+
+UNKNOWN_NUMBERS = ("effective_sample_size", "cost", "milliseconds", "evaluations")
+"""The numbers that may be None."""
+
 
 def check_estimate(estimate: Estimate, subject: Subject) -> None:
     """Refuse an estimate whose arrays do not fit the subject or hold NaN or infinity.
@@ -151,7 +161,7 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
         raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
     shapes = array_shapes(len(subject.shape_names), len(subject.point_names))
     for name, shape in shapes.items():
-        if name not in unknown:
+        if name not in UNKNOWN_ARRAYS or getattr(estimate, name) is not None:
             check_array(getattr(estimate, name), shape, name, where)
     norm = float(np.linalg.norm(estimate.quaternion))
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE or estimate.quaternion[3] < 0.0:
@@ -161,7 +171,7 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
         raise ResultError(
             "confidence cannot be used", where=where, found=estimate.confidence, expected="0 to 1"
         )
-    if not np.isfinite(estimate.effective_sample_size):
+    if estimate.effective_sample_size is not None and not np.isfinite(estimate.effective_sample_size):
         raise ResultError("effective sample size is not finite", where=where)
 
 

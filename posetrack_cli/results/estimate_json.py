@@ -17,12 +17,11 @@ from pydantic_core import from_json
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import VELOCITY_FIELDS, Estimate, Status
+from posetrack_cli.results.estimate import UNKNOWN_ARRAYS, UNKNOWN_NUMBERS, Estimate, Status
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
-_OPTIONAL_NUMBERS = ("cost", "milliseconds")
-_OPTIONAL = (*VELOCITY_FIELDS, *_OPTIONAL_NUMBERS)
+_OPTIONAL = (*UNKNOWN_ARRAYS, *UNKNOWN_NUMBERS)
 _ARRAYS = ("position", "quaternion", "shape", "pose_rate", "twist", "pose_variance", "twist_variance")
 
 
@@ -54,7 +53,8 @@ _PROPERTIES: dict[str, Any] = {
         "Velocity, 6 + K entries: in camera axes, mm/s; rotation in the body frame, rad/s; shape per second."
     ),
     "pose_variance": _numbers(
-        "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape."
+        "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape; "
+        "left out where the tracker knows none."
     ),
     "twist_variance": _numbers(
         "Variance of twist, 6 + K entries: (mm/s)^2, (rad/s)^2, (shape per second)^2."
@@ -70,11 +70,14 @@ _PROPERTIES: dict[str, Any] = {
         },
     ),
     "effective_sample_size": _field(
-        "number", "1 / sum of the squared weights, before resampling; particles."
+        "number", "1 / sum of the squared weights, before resampling; particles; left out without weights."
     ),
     "resampled": _field("boolean", "Whether the particles were resampled after this estimate."),
     "cost": _field("number", "Cost of the estimate against the image; left out when it was not evaluated."),
     "milliseconds": _field("number", "Time the frame took; left out unless the run recorded timings."),
+    "evaluations": _field(
+        "integer", "Poses whose fit to the image was evaluated; left out where the tracker does not count."
+    ),
 }
 
 ESTIMATE_SCHEMA: Mapping[str, Any] = {
@@ -90,7 +93,8 @@ ESTIMATE_SCHEMA: Mapping[str, Any] = {
 def estimate_to_json(estimate: Estimate) -> bytes:
     """Encode an estimate as one line of JSON, fields in the order of the schema.
 
-    A velocity that is None is left out; so is a cost or time that is None, NaN or infinite.
+    A velocity or variance that is None is left out; so is a number that may be None, if it is None, NaN or
+    infinite.
 
     Raises:
         ResultError: another field holds NaN or infinity.
@@ -104,12 +108,12 @@ def estimate_to_json(estimate: Estimate) -> bytes:
     arrays = {name: getattr(estimate, name) for name in _ARRAYS}
     fields |= {name: array.tolist() for name, array in arrays.items() if array is not None}
     fields["points"] = [{"x": x, "y": y, "z": z} for x, y, z in estimate.points.tolist()]
-    fields["effective_sample_size"] = float(estimate.effective_sample_size)
+    numbers = {name: getattr(estimate, name) for name in UNKNOWN_NUMBERS}
+    known = {name: value for name, value in numbers.items() if value is not None and math.isfinite(value)}
+    if "effective_sample_size" in known:
+        fields["effective_sample_size"] = float(known.pop("effective_sample_size"))
     fields["resampled"] = bool(estimate.resampled)
-    for name in _OPTIONAL_NUMBERS:
-        value = getattr(estimate, name)
-        if value is not None and math.isfinite(value):
-            fields[name] = float(value)
+    fields |= {name: int(value) if name == "evaluations" else float(value) for name, value in known.items()}
     try:
         return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
     except ValueError as error:
@@ -128,7 +132,7 @@ def estimate_from_json(data: bytes, where: object = "") -> Estimate:
     """
     try:
         fields = parse_fields(data)
-        arrays: dict[str, Any] = {name: _array(fields.get(name)) for name in VELOCITY_FIELDS}
+        arrays: dict[str, Any] = {name: _array(fields.get(name)) for name in UNKNOWN_ARRAYS}
         arrays |= {name: _array(fields[name]) for name in _ARRAYS if name not in arrays}
         points = [(point["x"], point["y"], point["z"]) for point in fields["points"]]
         return Estimate(
@@ -138,10 +142,8 @@ def estimate_from_json(data: bytes, where: object = "") -> Estimate:
             confidence=fields["confidence"],
             **arrays,
             points=np.array(points, dtype=np.float64).reshape(-1, 3),
-            effective_sample_size=fields["effective_sample_size"],
             resampled=fields["resampled"],
-            cost=fields.get("cost"),
-            milliseconds=fields.get("milliseconds"),
+            **{name: fields.get(name) for name in UNKNOWN_NUMBERS},
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error

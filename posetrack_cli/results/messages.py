@@ -30,7 +30,7 @@ __all__ = [
 
 
 def odometry(estimate: Estimate, subject: Subject) -> Odometry:
-    """Return pose, velocity (if one is known) and covariances in the convention of Foxglove and ROS.
+    """Return pose, velocity and covariances, as far as they are known, in the convention of Foxglove and ROS.
 
     Pose: position and orientation of the body in the camera frame, its covariance (x, y, z, rotation
     about the camera's x, y, z). Velocity: linear and angular in the body frame, and its covariance. With
@@ -42,7 +42,8 @@ def odometry(estimate: Estimate, subject: Subject) -> Odometry:
     message.timestamp.FromNanoseconds(estimate.stamp_ns)
     _set_xyz(message.pose.position, estimate.position * METRES_PER_MM)
     _set_quaternion(message.pose.orientation, estimate.quaternion)
-    message.pose_covariance.extend(_covariance(estimate.pose_variance, np.eye(3), rotation))
+    if estimate.pose_variance is not None:
+        message.pose_covariance.extend(_covariance(estimate.pose_variance, np.eye(3), rotation))
     if estimate.twist is not None and estimate.twist_variance is not None:
         _set_xyz(message.linear_velocity, rotation.T @ estimate.twist[:3] * METRES_PER_MM)
         _set_xyz(message.angular_velocity, estimate.twist[3:6])

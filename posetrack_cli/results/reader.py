@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from mcap.records import Channel, Metadata, Schema
@@ -34,6 +34,7 @@ from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_f
 from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.opening import opened
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_from_record
+from posetrack_cli.results.tracks import FILTERED, SMOOTHED, SMOOTHED_PREFIX, TRACKS, estimate_topic
 from posetrack_cli.results.writer import SUMMARY_RECORD
 
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
@@ -72,8 +73,28 @@ class Result:
 
     @property
     def estimate_topic(self) -> str:
-        """The topic of this result's own estimates."""
-        return f"/{self.subject.name}/estimate"
+        """The topic of this result's own, filtered estimates."""
+        return estimate_topic(self.subject.name)
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """The names of the tracks in it: ``filtered``, and ``smoothed`` where the run made one to its end."""
+        topics = {channel.topic for _, channel in self.channels}
+        smoothed = self.finished and estimate_topic(self.subject.name, SMOOTHED) in topics
+        return TRACKS if smoothed else (FILTERED,)
+
+    def topic_of_track(self, track: str = FILTERED) -> str:
+        """Return the topic of a track's estimates.
+
+        Raises:
+            ResultError: there is no such track, or the result has none; a run that did not finish has no
+                smoothed one, as its backward pass did not come to the first frame.
+        """
+        topic = estimate_topic(self.subject.name, track)
+        if track not in self.tracks:
+            what = f"has no {track} track{'' if self.finished else ': the run did not finish'}"
+            raise ResultError(what, where=self.path, hint="posetrack hand run --smooth writes one")
+        return topic
 
     @cached_property
     def channels(self) -> tuple[tuple[Schema, Channel], ...]:
@@ -114,8 +135,12 @@ class Result:
     def estimates(self, topic: str | None = None) -> Iterator[Estimate]:
         """Yield the estimates in file order; what cannot be read is left out and told in ``losses``.
 
+        Those of a smoothed track come by their stamps, whichever way they were written, as long as the file
+        has its index.
+
         Args:
-            topic: any topic of ``posetrack.Estimate``, such as a truth topic; by default the result's own.
+            topic: any topic of ``posetrack.Estimate``, such as that of a truth or another track
+                (``topic_of_track``); by default the result's own.
 
         Raises:
             ResultError: there is no such topic, or a message on it is no estimate.
@@ -131,10 +156,11 @@ class Result:
         topic = self.topic_of_estimates(topic)
         messages = (message.data for _, _, message in self._messages([topic]))
         blocks = column_blocks(messages, fields, where=f"{self.path}, {topic}")
+        own = not topic.startswith(TRUTH_PREFIX)
         # map, as a loop's variable would keep each block while the next one grows
-        yield from map(self._checked, blocks) if topic == self.estimate_topic else blocks
+        yield from map(partial(self._checked, topic), blocks) if own else blocks
 
-    def _checked(self, block: Columns) -> Columns:
+    def _checked(self, topic: str, block: Columns) -> Columns:
         """Return a block if its estimates have the shape entries and points that the subject record names."""
         names = {"shape": self.subject.shape_names, "points": self.subject.point_names}
         for field_name in names.keys() & block.keys():
@@ -142,7 +168,7 @@ class Result:
             if found != expected:
                 raise ResultError(
                     f"estimates have other {field_name} than the subject",
-                    where=f"{self.path}, {self.estimate_topic}",
+                    where=f"{self.path}, {topic}",
                     found=f"{found} entries",
                     expected=expected,
                 )
@@ -161,7 +187,7 @@ class Result:
 
         Raises:
             ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points,
-                on the result's own topic from those of the subject, too.
+                on the topics of tracks from those of the subject, too.
         """
         names = self.subject.shape_names, self.subject.point_names
         return joined(self.column_blocks(topic, fields)) or empty_columns(fields, *map(len, names))
@@ -193,9 +219,10 @@ class Result:
         raise ResultError("holds no camera calibration", where=self.path)
 
     def _messages(self, topics: Topics) -> Iterator[McapItem]:
-        """Yield the messages on some topics in file order."""
+        """Yield the messages on some topics in file order, those of a smoothed track by their log times."""
         with self._reading() as losses:
-            yield from read_messages(self.path, losses, topics, in_file_order=True)
+            backward = not callable(topics) and any(name.startswith(SMOOTHED_PREFIX) for name in topics or ())
+            yield from read_messages(self.path, losses, topics, in_file_order=not backward)
 
     @contextmanager
     def _reading(self) -> Iterator[LossLog]:

@@ -20,7 +20,9 @@ from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.replay import check_same_run, replay
+from posetrack_cli.results.stamp_order import StampOrder
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_to_record
+from posetrack_cli.results.tracks import SMOOTHED
 
 SUMMARY_RECORD = "posetrack.summary"
 
@@ -38,6 +40,9 @@ class ResultWriter:
             writer.finish({"skipped": "0"})
 
     Leaving the ``with`` block without ``finish`` aborts: NAME.part stays, and can be read and resumed.
+
+    A smoothed track, whose estimates rest on later frames, too, follows the filtered one on topics of its own
+    (``write_smoothed``). Up to there the file's bytes are those of a run without it.
 
     Args:
         path: of the finished result.
@@ -63,6 +68,7 @@ class ResultWriter:
     _statuses: dict[str, int]  # how many estimates of each status
     _truth_messages: int
     _attached: set[str]
+    _smoothed: StampOrder  # of the smoothed track
     _last_index: int
     _flushed: tuple[int, int]  # frame index and number of frames at the last flush
     _progress: Progress  # at the last flush
@@ -146,8 +152,11 @@ class ResultWriter:
             Whether the file was flushed, so that a checkpoint can be saved now.
 
         Raises:
-            ResultError: as in the class; also when arrays do not fit the subject or are not finite.
+            ResultError: as in the class; also when arrays do not fit the subject or are not finite, or the
+                smoothed track has begun.
         """
+        if self._smoothed.count:
+            raise ResultError("the filtered track has ended", where=self._part, found="another frame of it")
         with self._guarded():
             if not self._calibrated:
                 self._channels.write_calibration(estimate.stamp_ns)
@@ -159,6 +168,24 @@ class ResultWriter:
             return False
         self._flush()
         return True
+
+    def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None = None) -> None:
+        """Write one estimate of the smoothed track, after all of the filtered one; as ``write``.
+
+        Frames come in their order or, as a backward pass makes them, in reverse; each lies at its own log
+        time. No checkpoint covers them: a run that is interrupted here is resumed with all of them to do.
+
+        Raises:
+            ResultError: as of ``write``, or a stamp that is not on the side that the others went on to.
+        """
+        with self._guarded():
+            if not self._smoothed.count:
+                self._flush()  # what is filtered and what is smoothed share no chunk
+            self._smoothed.check(estimate.stamp_ns, self._part)
+            self._channels.write_smoothed(estimate, vertices)
+        self._smoothed.add(estimate.stamp_ns)
+        if self._smoothed.count % self._flush_frames == 0:
+            self._flush()
 
     def add_truth(self, message: TruthMessage) -> None:
         """Carry over a message of a ``/truth/...`` topic, unchanged."""
@@ -186,6 +213,8 @@ class ResultWriter:
             ResultError: it cannot be saved, or is not of the frame that was flushed last.
         """
         self._check_open()
+        if self._smoothed.count:
+            raise ResultError("no checkpoint covers smoothed frames", where=self._part)
         if (checkpoint.frame_index, checkpoint.frames_written) != self._flushed:
             raise ResultError(
                 "checkpoint is not of the flushed frame",
@@ -202,10 +231,13 @@ class ResultWriter:
 
         Args:
             summary: of the run, such as the frames skipped; the numbers of frames, lost and reinitialised
-                ones are added. Nothing that changes from run to run, such as a duration.
+                ones are added, and of smoothed ones if there are any. Nothing that changes from run to run,
+                such as a duration.
         """
         counts = {"frames": self.frames_written}
         counts |= {status: self._statuses[status] for status in (Status.LOST, Status.REINITIALISED)}
+        if self._smoothed.count:
+            counts[SMOOTHED] = self._smoothed.count
         record = {str(key): str(count) for key, count in counts.items()} | dict(summary)
         with self._guarded():
             self._sink.flush()
@@ -257,6 +289,7 @@ class ResultWriter:
         self._statuses = dict.fromkeys((status.value for status in Status), 0)
         self._truth_messages = 0
         self._attached = set()
+        self._smoothed = StampOrder()
         self._last_index = -1
         self._flushed = (-1, 0)
         self._closed = self._calibrated = False

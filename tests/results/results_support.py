@@ -101,9 +101,9 @@ def write_result(path: Path, frames: int = 26, **options: object) -> Path:
     return path
 
 
-def resume_result(path: Path, frames: int = 26) -> Checkpoint:
+def resume_result(path: Path, frames: int = 26, kind: type[ResultWriter] = ResultWriter) -> Checkpoint:
     """Finish an interrupted ``write_result`` and return the checkpoint it went on from."""
-    writer, checkpoint = ResultWriter.resume(path, SUBJECT, CAMERA, RUN)
+    writer, checkpoint = kind.resume(path, SUBJECT, CAMERA, RUN)
     with writer:
         writer.attach("model.txt", "text/plain", b"a model")
         write_frames(writer, checkpoint.frame_index + 1, frames)

@@ -25,6 +25,7 @@ UNITS = {
     "effective_sample_size": "particles",
     "cost": "mm",
     "milliseconds": "ms",
+    "evaluations": "poses",
 }
 
 

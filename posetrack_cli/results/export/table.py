@@ -144,12 +144,17 @@ def _in_head(block: Columns) -> FloatArray:
 
 
 def _filter_groups() -> Iterable[ColumnGroup]:
-    yield _field("effective_sample_size", "particles", "1 / sum of the squared weights, before resampling")
+    yield _field(
+        "effective_sample_size",
+        "particles",
+        "1 / sum of the squared weights, before resampling, empty without weights",
+    )
     yield _field("resampled", "", "1 if the particles were resampled after this frame, else 0")
     yield ColumnGroup(
         ("cost_mm",), "mm", "cost of the estimate against the image, empty where not evaluated", _one("cost")
     )
     yield _field("milliseconds", "ms", "time that the frame took, empty if the run recorded none")
+    yield _field("evaluations", "poses", "whose fit to the image was evaluated, empty where not counted")
 
 
 def _field(name: str, unit: str, meaning: str) -> ColumnGroup:
