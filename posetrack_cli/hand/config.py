@@ -7,20 +7,35 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from posetrack_cli.configuration import Settings
+from posetrack_cli.hand.shape import HandShape
 
 # Wider than any hand, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Size = Annotated[float, Field(ge=0.1, le=10.0)]
+# Beyond what hands differ by; within it the skin has no folds.
+Proportion = Annotated[float, Field(ge=0.7, le=1.4)]
+PerFinger = tuple[Proportion, Proportion, Proportion, Proportion, Proportion]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class HandSettings(Settings):
-    """Which hand, and how large."""
+    """Which hand, how large, and of what proportions; with ``mesh``, those of the file's hand."""
 
     side: Literal["right", "left"] = "right"
     scale: Size = 1.0
-    finger_lengths: tuple[Size, Size, Size, Size, Size] = (1.0, 1.0, 1.0, 1.0, 1.0)
+    finger_lengths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
+    finger_widths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
+    palm_width: Proportion = 1.0
+    palm_length: Proportion = 1.0
+    palm_thickness: Proportion = 1.0
+    mesh: str | None = None
+
+    @property
+    def shape(self) -> HandShape:
+        """Size and proportions."""
+        palm = (self.palm_width, self.palm_length, self.palm_thickness)
+        return HandShape(self.scale, self.finger_lengths, self.finger_widths, *palm)
 
 
 class FilterSettings(Settings):
@@ -63,10 +78,25 @@ class MotionSettings(Settings):
     gap_max_s: Positive = 0.5
 
 
+class MixtureSettings(Settings):
+    """How a pixel's reading comes about (``rendering/pixel_model.py``); only the cost "mixture" asks.
+
+    The noise's standard deviation is near_sd_mm + sd_mm_per_m2 z^2, z in metres: a reading's and the hand
+    model's together. Errors are alike over patches of ``correlation_mm`` squared, which count as one
+    reading each **[ours]**.
+    """
+
+    near_sd_mm: Positive = 3.0
+    sd_mm_per_m2: NotNegative = 1.42
+    occluded_share: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
+    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.01
+    correlation_mm: Positive = 20.0
+
+
 class ObservationSettings(Settings):
     """How an image scores a pose (paper, section 4; hand.md, observation model)."""
 
-    cost: Literal["union", "paper"] = "union"
+    cost: Literal["mixture", "union", "paper"] = "union"
     likelihood: Literal["gaussian", "exponential"] = "gaussian"
     sigma_mm: Positive = 4.0
     clamp_mm: Positive = 40.0
@@ -74,6 +104,7 @@ class ObservationSettings(Settings):
     window_mm: Positive = 240.0
     tile_px: Annotated[int, Field(ge=8, le=1024)] = 64
     unread_weight: Fraction = 0.2
+    mixture: MixtureSettings = MixtureSettings()
 
 
 class SegmentationSettings(Settings):

@@ -1,19 +1,19 @@
-"""How well a depth image fits a hand pose: costs over image regions, and their Gibbs likelihoods."""
+"""How well a depth image fits a hand pose: costs over image regions, and likelihoods."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import HandAnatomy
-from posetrack_cli.hand.config import ObservationSettings
+from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
+from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.tiled import TiledDepthRenderer
 
@@ -52,7 +52,7 @@ def union_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
     return np.divide(total, union, out=np.full_like(total, settings.clamp_mm), where=union > 0)
 
 
-COSTS: dict[str, Cost] = {"paper": paper_cost, "union": union_cost}
+COSTS: dict[str, Cost] = {"paper": paper_cost, "union": union_cost, "mixture": union_cost}
 
 
 def log_gibbs(costs: FloatArray, settings: ObservationSettings) -> FloatArray:
@@ -61,19 +61,77 @@ def log_gibbs(costs: FloatArray, settings: ObservationSettings) -> FloatArray:
     return -0.5 * scaled**2 if settings.likelihood == "gaussian" else -scaled
 
 
+def pixel_mixture(settings: MixtureSettings) -> PixelMixture:
+    """The pixel's model with the configuration's numbers."""
+    return PixelMixture(
+        near_sd_mm=settings.near_sd_mm,
+        sd_mm_per_m2=settings.sd_mm_per_m2,
+        occluded=settings.occluded_share,
+        outlier=settings.outlier_share,
+    )
+
+
+def union_misfit(sums: TileSums, model: PixelMixture, unread_weight: float, depth_mm: float) -> FloatArray:
+    """The sum of misfits over the union of rendered r and observed o **[ours]**, 0 where all agrees.
+
+        R = sum over r of rho(y, d) + m |o \\ r| + unread_weight m |r unread|
+
+    with m the misfit of a reading that nothing explains: a target pixel on which no hand is rendered.
+
+    Args:
+        sums: with misfits of ``model``.
+        model: of a pixel.
+        unread_weight: what a rendered pixel without a reading counts of one that nothing explains.
+        depth_mm: of the target.
+
+    Returns:
+        (N,) sums.
+    """
+    missed = sums.observed - sums.both + unread_weight * sums.unread
+    total: FloatArray = sums.misfit + model.unexplained(np.array(depth_mm)) * missed
+    return total
+
+
+def reading_share(depth_mm: float, step: int, camera: Camera, correlation_mm: float) -> float:
+    """How much of an independent reading one pixel of a window is: n_eff / n, at most 1 **[ours]**.
+
+    A pixel stands for a = z^2 step^2 / (fx fy) of the surface. Errors, the hand model's above all, are
+    alike over patches of area A = correlation_mm^2, the integral of their correlation over the plane, so n
+    pixels are worth n_eff = n a / A independent ones. Sampling the same image twice as finely changes
+    nothing.
+    """
+    pixel_mm2 = depth_mm**2 * step**2 / (camera.fx * camera.fy)
+    return min(1.0, pixel_mm2 / correlation_mm**2)
+
+
+class Scores(NamedTuple):
+    """What the rendering of N poses tells.
+
+    Attributes:
+        costs: (N,) D, mm.
+        log_likelihood: (N,) log p(y | x), up to a constant.
+    """
+
+    costs: FloatArray
+    log_likelihood: FloatArray
+
+
 class PoseScorer(Protocol):
     """What the tracker asks of a likelihood."""
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """Costs D (N,), mm, of poses (N, 22)."""
 
+    def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
+
 
 class RenderedCosts:
-    """Costs of hand poses by rendering them.
+    """Costs and likelihoods of hand poses by rendering them.
 
     Args:
         context: GL context.
-        anatomy: the hand.
+        hand: its bones, and its lean skin, which is drawn.
         camera: pinhole intrinsics of the depth images.
         settings: cost and window.
         particles: how many poses a call has at most.
@@ -82,23 +140,48 @@ class RenderedCosts:
     def __init__(
         self,
         context: Any,
-        anatomy: HandAnatomy,
+        hand: HandModel,
         camera: Camera,
         settings: ObservationSettings,
         particles: int,
     ) -> None:
-        mesh = hand_mesh(anatomy, "lean")
         tile = (settings.tile_px, settings.tile_px)
-        self._anatomy, self._camera, self._settings = anatomy, camera, settings
+        self._anatomy, self._camera, self._settings = hand.anatomy, camera, settings
         self._cost = COSTS[settings.cost]
-        self._many = TiledDepthRenderer(context, mesh, tile, particles)
-        self._one = TiledDepthRenderer(context, mesh, tile, 1)
+        self._model = pixel_mixture(settings.mixture) if settings.cost == "mixture" else None
+        self._many = TiledDepthRenderer(context, hand.lean, tile, particles)
+        self._one = TiledDepthRenderer(context, hand.lean, tile, 1)
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """Costs D (N,), mm, of poses (N, 22)."""
+        return self._cost(self._sums(poses, observation), self._settings)
+
+    def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
+        return self.scores(poses, observation).log_likelihood
+
+    def scores(self, poses: FloatArray, observation: Observation) -> Scores:
+        """Costs and likelihoods of poses (N, 22), drawn once.
+
+        The mixture's likelihood is -(n_eff / n) R with R of ``union_misfit`` and n_eff / n of
+        ``reading_share``; that of other costs is ``log_gibbs``.
+        """
+        sums = self._sums(poses, observation)
+        costs = self._cost(sums, self._settings)
+        if self._model is None:
+            return Scores(costs, log_gibbs(costs, self._settings))
+        targets = observation.image[observation.image > 0]
+        if not targets.size:
+            return Scores(costs, np.zeros_like(costs))
+        z = float(np.median(targets))
+        misfit = union_misfit(sums, self._model, self._settings.unread_weight, z)
+        correlation = self._settings.mixture.correlation_mm
+        return Scores(costs, -reading_share(z, observation.window.step, self._camera, correlation) * misfit)
+
+    def _sums(self, poses: FloatArray, observation: Observation) -> TileSums:
         renderer = self._one if len(poses) == 1 else self._many
         transforms = skinning_transforms(self._anatomy, poses)
-        sums = renderer.sums(
-            transforms, self._camera, observation.window, observation.image, self._settings.clamp_mm
+        clamp = self._settings.clamp_mm
+        return renderer.sums(
+            transforms, self._camera, observation.window, observation.image, clamp, self._model
         )
-        return self._cost(sums, self._settings)

@@ -1,8 +1,9 @@
 """What the device hands back per tile, and the same sums in numpy.
 
 With r the pixels that a tile's rendering covers and o the target pixels of the observed image:
-the sum over r and o of min(|d - y|, c_max); |r and o|; |r \\ o| where there is another reading;
-|r \\ o| where there is none. Every cost of the paper and of ours is made of these four and of |o|.
+the sum over r and o of min(|d - y|, c_max); |r and o|; |r \\ o| where there is another reading, and how
+many of those readings are in front; |r \\ o| where there is none; the sum of the readings' misfits. Every
+cost of the paper and of ours is made of these and of |o|.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,9 @@ class TileSums:
         both: (N,) number of pixels rendered and observed.
         rendered_only: (N,) rendered, but the reading there is not of the target.
         unread: (N,) rendered where the sensor has no reading.
+        misfit: (N,) sum of rho(y, d) of a pixel model over the rendered pixels that have a reading, of the
+            target or not; 0 where no model is given.
+        occluded: (N,) those of ``rendered_only`` whose reading is in front of what is rendered.
         observed: number of target pixels, the same for all tiles.
     """
 
@@ -30,22 +35,27 @@ class TileSums:
     both: FloatArray
     rendered_only: FloatArray
     unread: FloatArray
+    misfit: FloatArray
+    occluded: FloatArray
     observed: float
 
     @classmethod
     def from_rows(cls, rows: Float32Array, observed: float) -> TileSums:
-        """From the (N, 4) array that the device returns."""
-        error, both, rendered_only, unread = np.asarray(rows, dtype=np.float64).T
-        return cls(error, both, rendered_only, unread, observed)
+        """From the (N, 8) array that the device returns; the last two columns are padding."""
+        error, both, rendered_only, unread, misfit, occluded = np.asarray(rows[:, :6], dtype=np.float64).T
+        return cls(error, both, rendered_only, unread, misfit, occluded, observed)
 
 
-def sums_in_numpy(depth: Float32Array, observed: Float32Array, clamp_mm: float) -> TileSums:
+def sums_in_numpy(
+    depth: Float32Array, observed: Float32Array, clamp_mm: float, model: PixelMixture | None = None
+) -> TileSums:
     """The reference for the device's sums.
 
     Args:
         depth: (N, h, w) rendered depth, mm, 0 where nothing is drawn.
         observed: (h, w) depth of target pixels, mm; negative other reading; 0 no reading.
         clamp_mm: c_max.
+        model: of a pixel, for the misfits.
     """
     r = depth > 0
     o, other, unread = observed > 0, observed < 0, observed == 0
@@ -55,5 +65,7 @@ def sums_in_numpy(depth: Float32Array, observed: Float32Array, clamp_mm: float) 
         (r & o).sum(axis=(1, 2)).astype(np.float64),
         (r & other).sum(axis=(1, 2)).astype(np.float64),
         (r & unread).sum(axis=(1, 2)).astype(np.float64),
+        np.zeros(len(depth)) if model is None else misfits_in_numpy(depth, observed, model),
+        (r & other & (-observed < depth)).sum(axis=(1, 2)).astype(np.float64),
         float(o.sum()),
     )

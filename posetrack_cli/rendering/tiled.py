@@ -13,6 +13,7 @@ from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.bounds import BoneSpheres
 from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.window import Window
 
@@ -20,6 +21,7 @@ NEAR_MM = 50.0
 # An atlas of this many pixels (32 MiB) keeps a pass long enough to fill a GPU and small enough for any.
 ATLAS_PIXELS = 512 * 128 * 128
 LESS_HINT = "free memory of the GPU, or choose another with --device; posetrack doctor tells which there are"
+ROW_FLOATS = 8  # two vec4 a tile, see TileSums.from_rows
 LANES = 64  # work items that share a tile: 32 to 128 are alike on llvmpipe
 _GL_CLIP_DISTANCE0 = 0x3000
 
@@ -28,7 +30,7 @@ class TiledDepthRenderer:
     """Depth images, or sums over them, of one mesh in N poses.
 
     One instanced draw renders up to ``capacity`` tiles; more are drawn in several passes. The sums are
-    reduced on the device: 16 bytes a tile come back, no image.
+    reduced on the device: ROW_FLOATS numbers a tile come back, no image.
 
     Args:
         context: from ``open_context``.
@@ -64,8 +66,8 @@ class TiledDepthRenderer:
         self._observed.filter = (self.context.NEAREST, self.context.NEAREST)
         self._transforms = self.context.buffer(reserve=self.capacity * self.bones * 48, dynamic=True)
         self._boxes = self.context.buffer(reserve=self.capacity * 16, dynamic=True)
-        self._sums = self.context.buffer(reserve=self.capacity * 16, dynamic=True)
-        self._rows = np.empty((self.capacity, 4), dtype=np.float32)
+        self._sums = self.context.buffer(reserve=self.capacity * 4 * ROW_FLOATS, dynamic=True)
+        self._rows = np.empty((self.capacity, ROW_FLOATS), dtype=np.float32)
 
     def _make_programs(self, mesh: SkinnedMesh) -> None:
         influences = _influences(mesh)
@@ -109,6 +111,7 @@ class TiledDepthRenderer:
         window: Window,
         observed: Float32Array,
         clamp_mm: float,
+        model: PixelMixture | None = None,
     ) -> TileSums:
         """Render and reduce on the device.
 
@@ -119,6 +122,7 @@ class TiledDepthRenderer:
             observed: (height, width) float32: depth of a target pixel, mm; negative where the reading
                 is of something else; 0 where there is none.
             clamp_mm: c_max of eq. (4).
+            model: of a pixel, for the misfits; without one they are 0.
 
         Raises:
             RenderingError: transforms, window or observed image do not fit.
@@ -132,7 +136,10 @@ class TiledDepthRenderer:
         self._check(transforms, window)  # before anything is written to the device
         self._observed.write(np.ascontiguousarray(observed, dtype=np.float32))
         self._reduce["clamp_mm"] = clamp_mm
-        rows = np.empty((len(transforms), 4), dtype=np.float32)
+        self._reduce["near_sd"] = 0.0
+        for name, value in ({} if model is None else model.uniforms).items():
+            self._reduce[name] = value
+        rows = np.empty((len(transforms), ROW_FLOATS), dtype=np.float32)
         first = 0
         for part in self._passes(transforms, camera, window):
             boxes = self._spheres.tile_boxes(part, window.tile_projection(camera), self.tile, NEAR_MM)
@@ -142,13 +149,13 @@ class TiledDepthRenderer:
         return TileSums.from_rows(rows, float(np.count_nonzero(observed > 0)))
 
     def _reduced(self, count: int) -> Float32Array:
-        """The sums (count, 4) of the tiles that are drawn."""
+        """The sums (count, ROW_FLOATS) of the tiles that are drawn."""
         self._atlas.use(0)
         self._observed.use(1)
         self._sums.bind_to_storage_buffer(1)
         self._boxes.bind_to_storage_buffer(3)
         self._reduce.run(count)
-        self._sums.read_into(self._rows, size=count * 16)
+        self._sums.read_into(self._rows, size=count * 4 * ROW_FLOATS)
         return self._rows[:count]
 
     def _passes(self, transforms: Float32Array, camera: Camera, window: Window) -> Any:

@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
-from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.synthesis.options import Switches
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
@@ -71,7 +71,7 @@ def test_shifted_hands_against_pixels_counted_one_by_one(
 ) -> None:
     """Overlap and residual over the whole image in numpy: the hand is what is not the wall."""
     values = measured(tmp_path, bare, moved(*shift))
-    drawer = HandDrawer(context, make_anatomy())
+    drawer = HandDrawer(context, average_hand())
     overlaps, residuals = [], []
     for truth, frame in zip(truth_of(bare), bare.frames(), strict=True):
         depth = drawer.depth(bare.cameras[0], Shown(truth.position + shift, truth.quaternion, truth.shape))
@@ -145,5 +145,5 @@ def test_sums_by_hand() -> None:
 
 def test_nothing_at_all_is_no_agreement() -> None:
     zero = np.zeros(1)
-    nothing = TileSums(zero, zero, zero, zero, 0.0)
+    nothing = TileSums(zero, zero, zero, zero, zero, zero, 0.0)
     assert region_overlap(nothing) == 0.0 and np.isnan(residual_mm(nothing))
