@@ -1,0 +1,172 @@
+"""Fits of a hand's pose to one observation from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.fitting.anatomy_terms import plausibility_of, potentials
+from posetrack_cli.hand.fitting.gauss_newton import (
+    Fit,
+    Hand,
+    Steps,
+    Work,
+    align,
+    assess,
+    cost_of,
+    descend,
+    empty_fit,
+    make_work,
+)
+from posetrack_cli.hand.fitting.raster import View, skin_of
+from posetrack_cli.hand.fitting.skeleton import skeleton_of
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.observation import Observation
+
+FINGER_ANGLES = tuple(slice(7 + 3 * f, 10 + 3 * f) for f in range(5))  # of a pose
+THREADS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrior:
+    """What is known before the image: N(mean, diag 1 / precision) in the tangent space.
+
+    Attributes:
+        mean: (22,) pose.
+        precision: (21,) 1 / mm^2 or 1 / rad^2.
+    """
+
+    mean: FloatArray
+    precision: FloatArray
+
+    def about(self, position: FloatArray) -> PosePrior:
+        """The same prior about another position (3,)."""
+        return PosePrior(np.concatenate([position, self.mean[3:]]), self.precision)
+
+
+class HandFitter:
+    """Fits one hand model to observations of one size.
+
+    Args:
+        model: the hand; its smooth mesh is fitted.
+        camera: pinhole intrinsics.
+        tile_px: side of the observations.
+        terms: weights of the residuals.
+        steps: largest steps.
+    """
+
+    def __init__(
+        self,
+        model: HandModel,
+        camera: Camera,
+        tile_px: int,
+        terms: Terms | None = None,
+        steps: Steps | None = None,
+    ) -> None:
+        anatomy = model.anatomy
+        self.hand = Hand(skeleton_of(anatomy), skin_of(model.smooth), plausibility_of(anatomy))
+        self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
+        self._free = [make_work(self.hand, tile_px, tile_px) for _ in range(THREADS)]
+        self._threads = ThreadPoolExecutor(THREADS)
+
+    def tile(self, observation: Observation) -> Tile:
+        """Return an observation as the fits read it."""
+        image = observation.image.astype(np.float64)
+        view = View(*observation.window.tile_projection(self._camera))
+        return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view)
+
+    def aligned(self, tile: Tile, poses: FloatArray) -> FloatArray:
+        """Return poses (K, 22) shifted so that what is drawn has the observed hand's middle."""
+        out = poses.copy()
+        for pose in out:
+            align(self.hand, tile, pose, self._free[0])
+        return out
+
+    def descend(self, tile: Tile, starts: FloatArray, priors: Sequence[PosePrior], iterations: int) -> list[Fit]:
+        """Return a fit from each start (K, 22), with a prior of its own."""
+
+        def one(start: FloatArray, prior: PosePrior, work: Work) -> Fit:
+            fit = empty_fit()
+            descend(
+                self.hand,
+                tile,
+                start,
+                prior.mean,
+                prior.precision,
+                self._terms,
+                self._steps,
+                iterations,
+                work,
+                fit,
+            )
+            return fit
+
+        return self._each(one, starts, priors)
+
+    def swapped(self, tile: Tile, fits: Sequence[Fit]) -> FloatArray:
+        """Return the best fit's pose (22,) with each finger taken from the fit where it fits best."""
+        order = sorted(range(len(fits)), key=lambda k: float(fits[k].cost[0]))
+        best, cost = fits[order[0]].pose.copy(), float(fits[order[0]].cost[0])
+        for finger in FINGER_ANGLES:
+            candidates = np.tile(best, (len(order) - 1, 1))
+            for row, k in enumerate(order[1:]):
+                candidates[row, finger] = fits[k].pose[finger]
+            costs = self.costs(tile, candidates)
+            if len(costs) and costs.min() < cost:
+                best, cost = candidates[int(np.argmin(costs))], float(costs.min())
+        return best
+
+    def assessed(self, tile: Tile, pose: FloatArray) -> Fit:
+        """Return the fit of a pose as it is."""
+        fit = empty_fit()
+        assess(self.hand, tile, pose, self._terms, self._free[0], fit)
+        return fit
+
+    def costs(self, tile: Tile, poses: FloatArray) -> FloatArray:
+        """Return union costs (N,), mm, of poses (N, 22)."""
+
+        def one(pose: FloatArray, work: Work) -> float:
+            return float(cost_of(self.hand, tile, pose, self._terms, work))
+
+        return np.array(self._each(one, poses))
+
+    def potentials(self, poses: FloatArray) -> FloatArray:
+        """Return the anatomical potential U (N,) of poses (N, 22); exp(-U) is a factor of the likelihood."""
+        out, work = np.empty(len(poses)), self._free[0]
+        potentials(self.hand.plausibility, self.hand.skeleton, poses, work.posed, work.whole, out)
+        return out
+
+    def _each(self, function: Callable[..., object], *arguments: Sequence[object] | FloatArray) -> list:
+        """Call a compiled function for every item, on all threads; each has room of its own."""
+        count = len(arguments[0])
+        parts = [range(first, count, THREADS) for first in range(THREADS)]
+        results: list[object] = [None] * count
+
+        def run(part: range, work: Work) -> None:
+            for k in part:
+                results[k] = function(*(a[k] for a in arguments), work)
+
+        list(self._threads.map(run, parts, self._free))
+        return results
+
+
+def nearest_pixels(mask: np.ndarray) -> FloatArray:
+    """Return column and row (2, h, w) of the nearest pixel of a mask; a pixel's own where the mask is empty."""
+    height, width = mask.shape
+    rows, columns = np.mgrid[:height, :width]
+    if not mask.any():
+        return np.stack([columns, rows]).astype(np.float64)
+    _, labels = cv2.distanceTransformWithLabels(
+        (~mask).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    at = np.zeros((2, int(labels.max()) + 1))
+    at[:, labels[mask]] = columns[mask], rows[mask]
+    nearest: FloatArray = at[:, labels]
+    return nearest

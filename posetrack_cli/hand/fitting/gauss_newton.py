@@ -1,0 +1,235 @@
+"""Gauss-Newton on a hand's pose: draw, compare, solve, step; compiled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import kernel
+from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
+from posetrack_cli.hand.fitting.anatomy_terms import Plausibility, add_anatomy
+from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, complete, empty_equations
+from posetrack_cli.hand.fitting.raster import Drawing, Skin, draw, empty_drawing
+from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, empty_posed, pose_bones
+from posetrack_cli.hand.fitting.terms import Scratch, Terms, Tile, add_terms, empty_scratch, union_cost
+
+WIDENING = 1.3  # factor on the robust scales per iteration left
+
+
+class Hand(NamedTuple):
+    """A hand as the kernels read it."""
+
+    skeleton: Skeleton
+    skin: Skin
+    plausibility: Plausibility
+
+
+class Steps(NamedTuple):
+    """How far one iteration goes at most: mm, rad of the rotation, rad of an angle."""
+
+    translation_mm: float = 30.0
+    rotation_rad: float = 0.4
+    angle_rad: float = 0.5
+
+
+class Work(NamedTuple):
+    """Room for one fit at a time."""
+
+    posed: Posed
+    drawing: Drawing
+    scratch: Scratch
+    data: NormalEquations
+    whole: NormalEquations
+
+
+class Fit(NamedTuple):
+    """The best pose of one descent; written by ``descend``.
+
+    Attributes:
+        pose: (22,).
+        data: of the image's residuals at the pose.
+        cost: (1,) union cost D, mm.
+    """
+
+    pose: FloatArray
+    data: NormalEquations
+    cost: FloatArray
+
+
+def make_work(hand: Hand, height: int, width: int) -> Work:
+    """Return room for fits to images of one size."""
+    return Work(
+        empty_posed(),
+        empty_drawing(hand.skin, height, width),
+        empty_scratch(hand.skin, height, width),
+        empty_equations(),
+        empty_equations(),
+    )
+
+
+def empty_fit() -> Fit:
+    """Return room for a fit."""
+    return Fit(np.zeros(POSE_SIZE), empty_equations(), np.zeros(1))
+
+
+@kernel
+def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
+    """Write mean (-) pose (21,), in the pose's body frame."""
+    for i in range(3):
+        out[i] = mean[i] - pose[i]
+    ax, ay, az, aw = -pose[3], -pose[4], -pose[5], pose[6]
+    bx, by, bz, bw = mean[3], mean[4], mean[5], mean[6]
+    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, 0.0
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    if w < 0.0:
+        x, y, z, w = -x, -y, -z, -w
+    sine = np.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, w) / sine
+    out[3], out[4], out[5] = factor * x, factor * y, factor * z
+    for i in range(15):
+        out[6 + i] = mean[7 + i] - pose[7 + i]
+
+
+@kernel
+def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
+    """Move a pose by a tangent vector, no farther than ``most``."""
+    length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
+    shrink = min(1.0, most.translation_mm / (length + 1e-30))
+    for i in range(3):
+        pose[i] += shrink * delta[i]
+    angle = np.sqrt(delta[3] ** 2 + delta[4] ** 2 + delta[5] ** 2)
+    half = 0.5 * min(angle, most.rotation_rad)
+    factor = 0.5 if angle < 1e-12 else np.sin(half) / angle
+    bx, by, bz, bw = factor * delta[3], factor * delta[4], factor * delta[5], np.cos(half)
+    ax, ay, az, aw = pose[3], pose[4], pose[5], pose[6]
+    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, 0.0
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0.0:
+        scale = -scale
+    pose[3], pose[4], pose[5], pose[6] = scale * x, scale * y, scale * z, scale * w
+    for i in range(15):
+        pose[7 + i] += min(max(delta[6 + i], -most.angle_rad), most.angle_rad)
+
+
+@kernel
+def _solve(
+    hand: Hand, pose: FloatArray, mean: FloatArray, precision: FloatArray, work: Work, delta: FloatArray
+) -> None:
+    """Write the Gauss-Newton step (21,) for image, prior N(mean, 1 / precision) and anatomy."""
+    whole = work.whole
+    whole.matrix[:] = work.data.matrix
+    _difference(mean, pose, delta)
+    for i in range(TANGENT_SIZE):
+        whole.matrix[i, i] += precision[i]
+        whole.vector[i] = work.data.vector[i] + precision[i] * delta[i]
+    add_anatomy(hand.plausibility, pose, work.posed, whole)
+    complete(whole)
+    delta[:] = np.linalg.solve(whole.matrix, whole.vector)
+
+
+@kernel
+def _keep(pose: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
+    out.pose[:], out.cost[0] = pose, cost
+    out.data.matrix[:], out.data.vector[:] = data.matrix, data.vector
+    complete(out.data)
+
+
+@kernel
+def descend(
+    hand: Hand,
+    tile: Tile,
+    start: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
+    terms: Terms,
+    most: Steps,
+    iterations: int,
+    work: Work,
+    out: Fit,
+) -> None:
+    """Descend from a start pose and keep the pose of least union cost on the way.
+
+    Args:
+        hand: the model.
+        tile: the observation.
+        start: (22,).
+        mean, precision: (22,), (21,) prior of the pose, in the tangent space.
+        terms, most: weights, step sizes.
+        iterations: Gauss-Newton steps; one more pose is drawn.
+        work: room.
+        out: the fit. Its cost is c_max if the hand cannot be drawn.
+    """
+    pose, delta = start.copy(), np.empty(TANGENT_SIZE)
+    _keep(pose, work.data, np.inf, out)
+    for k in range(iterations + 1):
+        pose_bones(hand.skeleton, pose, work.posed)
+        clear(work.data)
+        cost = terms.clamp_mm
+        if draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+            widening = WIDENING ** (iterations - k)
+            cost = add_terms(
+                tile, work.posed, hand.skin, work.drawing, terms, widening, work.scratch, work.data
+            )
+        if cost < out.cost[0]:
+            _keep(pose, work.data, cost, out)
+        if k < iterations:
+            _solve(hand, pose, mean, precision, work, delta)
+            _step(pose, delta, most)
+
+
+@kernel
+def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, work: Work) -> float:
+    """The union cost D, mm, of a pose (22,)."""
+    pose_bones(hand.skeleton, pose, work.posed)
+    if not draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+        return terms.clamp_mm
+    return union_cost(tile, work.drawing, terms)
+
+
+@kernel
+def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, work: Work, out: Fit) -> None:
+    """Make the fit of a pose as it is, without a step."""
+    pose_bones(hand.skeleton, pose, work.posed)
+    clear(work.data)
+    cost = terms.clamp_mm
+    if draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+        cost = add_terms(tile, work.posed, hand.skin, work.drawing, terms, 1.0, work.scratch, work.data)
+    _keep(pose, work.data, cost, out)
+
+
+@kernel
+def align(hand: Hand, tile: Tile, pose: FloatArray, work: Work) -> bool:
+    """Shift a pose (22,) so that the middle of what is drawn meets the middle of the hand's pixels.
+
+    The middles are means of column, row and depth. False, and nothing moved, if either shows nothing.
+    """
+    pose_bones(hand.skeleton, pose, work.posed)
+    if tile.observed == 0 or not draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+        return False
+    view, count = tile.projection, 0
+    middle, target = np.zeros(3), np.zeros(3)
+    for j in range(tile.image.shape[0]):
+        for i in range(tile.image.shape[1]):
+            inverse, observed = work.drawing.inverse[j, i], tile.image[j, i]
+            if inverse > 0.0:
+                count += 1
+                middle[0] += i
+                middle[1] += j
+                middle[2] += 1.0 / inverse
+            if observed > 0.0:
+                target[0] += i
+                target[1] += j
+                target[2] += observed
+    if count == 0:
+        return False
+    middle /= count
+    target /= tile.observed
+    pose[0] += (target[0] - middle[0]) / view.a * target[2]
+    pose[1] += (target[1] - middle[1]) / view.c * target[2]
+    pose[2] += target[2] - middle[2]
+    return True

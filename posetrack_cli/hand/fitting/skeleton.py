@@ -1,0 +1,203 @@
+"""The hand's bones for one pose, and how a point of its skin moves with the pose; compiled.
+
+The same kinematics as ``hand.kinematics``, which does many poses at once without derivatives of the skin.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import kernel
+from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+
+HALF = 0.5  # joint 1 bends half as far as joint 2
+PALM = -1  # the finger of a point that no finger moves
+
+
+class Skeleton(NamedTuple):
+    """Constants of one hand.
+
+    Attributes:
+        base_positions: (5, 3) joints 3, hand coordinates, mm.
+        base_rotations: (5, 3, 3) hand_R_finger.
+        segments: (5, 3) mm.
+        rest_origins: (5, 3, 3) joints 3, 2, 1 at zero angles, mm.
+        sign: of abductions: -1 for a left hand.
+    """
+
+    base_positions: FloatArray
+    base_rotations: FloatArray
+    segments: FloatArray
+    rest_origins: FloatArray
+    sign: float
+
+
+class Posed(NamedTuple):
+    """One pose's bones; written by ``pose_bones``.
+
+    Attributes:
+        bones: (16, 3, 4) camera_T_rest, mm.
+        axes: (5, 3, 3) hinge axes in camera coordinates: of a finger flexion and abduction (the third is not
+            used), of the thumb CMC flexion, MCP flexion, MCP abduction.
+        centres: (5, 3, 3) joints 3, 2, 1 in camera coordinates, mm.
+        tips: (5, 3) mm.
+    """
+
+    bones: FloatArray
+    axes: FloatArray
+    centres: FloatArray
+    tips: FloatArray
+
+
+def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
+    """Return the constants of a hand."""
+    arrays = (anatomy.base_positions, anatomy.base_rotations, anatomy.segments, anatomy.rest_origins)
+    return Skeleton(*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), -1.0 if anatomy.is_left else 1.0)
+
+
+def empty_posed() -> Posed:
+    """Return room for one pose's bones."""
+    return Posed(np.zeros((BONE_COUNT, 3, 4)), np.zeros((5, 3, 3)), np.zeros((5, 3, 3)), np.zeros((5, 3)))
+
+
+@kernel
+def rotation_matrix(q: FloatArray, out: FloatArray) -> None:
+    """Write the matrix (3, 3) of a unit quaternion x y z w."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@kernel
+def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@kernel
+def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
+    """Rx(s) Rz(a) Rx(t)."""
+    cs, ss, ca, sa, ct, st = np.cos(s), np.sin(s), np.cos(a), np.sin(a), np.cos(t), np.sin(t)
+    out[0, 0], out[0, 1], out[0, 2] = ca, -sa * ct, sa * st
+    out[1, 0], out[1, 1], out[1, 2] = cs * sa, cs * ca * ct - ss * st, -cs * ca * st - ss * ct
+    out[2, 0], out[2, 1], out[2, 2] = ss * sa, ss * ca * ct + cs * st, -ss * ca * st + cs * ct
+
+
+@kernel
+def _finger_turns(pose: FloatArray, f: int, sign: float, turns: FloatArray) -> None:
+    """Turns (3, 3, 3) of a finger's bones from rest, in the finger's frame."""
+    k = 7 + 3 * f
+    if f == 0:
+        flexion = pose[k + 1]
+        _bent(pose[k], 0.0, 0.0, turns[0])
+        _bent(pose[k], sign * pose[k + 2], flexion, turns[1])
+        _bent(pose[k], sign * pose[k + 2], (1.0 + HALF) * flexion, turns[2])
+        return
+    spread, mcp, pip = sign * pose[k + 1], pose[k], pose[k + 2]
+    _bent(0.0, spread, mcp, turns[0])
+    _bent(0.0, spread, mcp + pip, turns[1])
+    _bent(0.0, spread, mcp + (1.0 + HALF) * pip, turns[2])
+
+
+@kernel
+def _finger_axes(pose: FloatArray, f: int, sign: float, frame: FloatArray, axes: FloatArray) -> None:
+    """Hinge axes (3, 3) in camera coordinates; ``frame`` is camera_R_finger."""
+    k = 7 + 3 * f
+    s, a = (pose[k], sign * pose[k + 2]) if f == 0 else (0.0, sign * pose[k + 1])
+    cs, ss, ca, sa = np.cos(s), np.sin(s), np.cos(a), np.sin(a)
+    for i in range(3):
+        x, y, z = frame[i, 0], frame[i, 1], frame[i, 2]
+        flexion = ca * x + sa * (cs * y + ss * z)  # Rx(s) Rz(a) e_x
+        abduction = sign * (-ss * y + cs * z)  # Rx(s) e_z
+        if f == 0:
+            axes[0, i], axes[1, i], axes[2, i] = x, flexion, abduction
+        else:
+            axes[0, i], axes[1, i], axes[2, i] = flexion, abduction, 0.0
+
+
+@kernel
+def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
+    """Write the bones, hinge axes and joint centres of one pose (22,)."""
+    palm, frame, turned, whole = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    turns = np.empty((3, 3, 3))
+    rotation_matrix(pose[3:7], palm)
+    posed.bones[0, :, :3], posed.bones[0, :, 3] = palm, pose[:3]
+    for f in range(5):
+        base, origin = skeleton.base_rotations[f], skeleton.base_positions[f]
+        _product(palm, base, frame)
+        _finger_turns(pose, f, skeleton.sign, turns)
+        _finger_axes(pose, f, skeleton.sign, frame, posed.axes[f])
+        at = np.empty(3)
+        for i in range(3):
+            at[i] = pose[i] + palm[i, 0] * origin[0] + palm[i, 1] * origin[1] + palm[i, 2] * origin[2]
+        for k in range(3):
+            _product(frame, turns[k], turned)
+            _product(turned, base.T, whole)  # camera_R_rest of the bone
+            rest, bone = skeleton.rest_origins[f, k], posed.bones[1 + 3 * f + k]
+            for i in range(3):
+                posed.centres[f, k, i] = at[i]
+                bone[i, 0], bone[i, 1], bone[i, 2] = whole[i, 0], whole[i, 1], whole[i, 2]
+                moved = whole[i, 0] * rest[0] + whole[i, 1] * rest[1] + whole[i, 2] * rest[2]
+                bone[i, 3] = at[i] - moved
+                at[i] -= turned[i, 1] * skeleton.segments[f, k]
+        posed.tips[f] = at
+
+
+@kernel
+def point_row(
+    posed: Posed,
+    finger: int,
+    reach: FloatArray,
+    p: FloatArray,
+    d: FloatArray,
+    row: FloatArray,
+) -> None:
+    """Write how fast a skin point moves along a direction, by tangent component: d . dp/dx.
+
+    A point moved by the bones beyond a hinge with total skinning weight W turns by W of the hinge's angle.
+
+    Args:
+        posed: the pose's bones.
+        finger: that moves the point, or PALM.
+        reach: (3,) skinning weight of the finger's bones from joint 3, 2, 1 outwards.
+        p: (3,) camera coordinates, mm.
+        d: (3,) unit direction.
+        row: (9,) translation, body rotation, the finger's three angles; the last are 0 for the palm.
+    """
+    palm = posed.bones[0]
+    lx, ly, lz = p[0] - palm[0, 3], p[1] - palm[1, 3], p[2] - palm[2, 3]
+    tx, ty, tz = ly * d[2] - lz * d[1], lz * d[0] - lx * d[2], lx * d[1] - ly * d[0]
+    for k in range(3):
+        row[k] = d[k]
+        row[3 + k] = palm[0, k] * tx + palm[1, k] * ty + palm[2, k] * tz
+        row[6 + k] = 0.0
+    if finger == PALM:
+        return
+    axes, centres = posed.axes[finger], posed.centres[finger]
+    for joint in range(3):
+        weight = reach[joint]
+        if weight == 0.0:
+            break
+        lx, ly, lz = p[0] - centres[joint, 0], p[1] - centres[joint, 1], p[2] - centres[joint, 2]
+        tx = weight * (ly * d[2] - lz * d[1])
+        ty = weight * (lz * d[0] - lx * d[2])
+        tz = weight * (lx * d[1] - ly * d[0])
+        first = axes[0, 0] * tx + axes[0, 1] * ty + axes[0, 2] * tz
+        second = axes[1, 0] * tx + axes[1, 1] * ty + axes[1, 2] * tz
+        if finger == 0:
+            if joint == 0:
+                row[6] += first
+            else:
+                row[7] += second if joint == 1 else HALF * second
+                if joint == 1:
+                    row[8] += axes[2, 0] * tx + axes[2, 1] * ty + axes[2, 2] * tz
+        elif joint == 0:
+            row[6] += first
+            row[7] += second
+        else:
+            row[8] += first if joint == 1 else HALF * first
