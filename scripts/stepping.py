@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.start import centre_pose
 from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.hand.tracker import HandState, HandTracker
@@ -29,8 +29,9 @@ class Walker:
     """
 
     def __init__(self, context: Any, config: HandConfig, first: Any) -> None:
-        anatomy = make_anatomy()
-        scorer = RenderedCosts(context, anatomy, CAMERA, config.observation, config.filter.particles)
+        hand = average_hand()
+        anatomy = hand.anatomy
+        scorer = RenderedCosts(context, hand, CAMERA, config.observation, config.filter.particles)
         self.tracker = HandTracker(config, anatomy, CAMERA, scorer)
         self.rng = np.random.default_rng(0)
         pose = centre_pose(first, CAMERA, anatomy, config.init.depth_mm)

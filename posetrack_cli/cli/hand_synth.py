@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import click
 
+from posetrack_cli.errors import UsageError
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 SWITCHES = (
@@ -21,12 +23,31 @@ SWITCHES = (
     ("drops", "Missing frames."),
     ("late", "Late frames."),
 )
+FINGERS = (("lengths", "the fingers' lengths, thumb first"), ("widths", "the fingers' radii, thumb first"))
+PALM = (
+    ("width", "from side to side"),
+    ("length", "from wrist to knuckles"),
+    ("thickness", "from back to front"),
+)
+SHAPE = ("scale", *(f"finger_{name}" for name, _ in FINGERS), *(f"palm_{name}" for name, _ in PALM))
 
 
 def switch_options(command: Command) -> Command:
     """Add the switches; their default, None, stands for what is usual of the motion."""
     for name, text in reversed(SWITCHES):
         command = click.option(f"--{name}/--no-{name}", default=None, help=text)(command)
+    return command
+
+
+def shape_options(command: Command) -> Command:
+    """Add the hand's proportions."""
+    for name, text in reversed(PALM):
+        command = click.option(f"--palm-{name}", type=float, help=f"Further factor, the palm {text}.")(
+            command
+        )
+    for name, text in reversed(FINGERS):
+        option = f"--finger-{name}"
+        command = click.option(option, type=float, nargs=5, help=f"Further factors, {text}.")(command)
     return command
 
 
@@ -51,7 +72,10 @@ def switch_options(command: Command) -> Command:
     help="A, B: factor on the noise; C: factor on the rate of time.",
 )
 @click.option("--hand-side", "side", type=click.Choice(["right", "left"]), default="right", show_default=True)
-@click.option("--scale", default=1.0, show_default=True, help="Factor on the hand's lengths.")
+@click.option("--scale", type=float, help="Factor on the hand's lengths.  [default: 1]")
+@shape_options
+@click.option("--random-hand", is_flag=True, help="A hand of random size and proportions, of the seed.")
+@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="A hand other than the average one (glTF).")
 @click.option("--fps", default=30.0, show_default=True, help="Nominal frame rate, Hz.")
 @switch_options
 @click.option("--overwrite", is_flag=True, help="Replace OUT.mcap if it exists.")
@@ -81,14 +105,27 @@ def synth_options(values: dict[str, Any]) -> Any:
     Raises:
         UsageError: a value that cannot be meant.
     """
-    from dataclasses import replace
+    from dataclasses import asdict, replace
 
-    from posetrack_cli.hand.synthesis.options import Switches, SynthOptions
+    from posetrack_cli.hand.synthesis.options import Switches, SynthOptions, hand_of_seed
 
     values = dict(values)
     given = {name: values.pop(name) for name, _ in SWITCHES}
     chosen = {name: value for name, value in given.items() if value is not None}
-    return SynthOptions(**values, switches=replace(Switches.usual(values["motion"]), **chosen))
+    random_hand, shape = values.pop("random_hand", False), _given_shape(values)
+    options = SynthOptions(**values, **shape, switches=replace(Switches.usual(values["motion"]), **chosen))
+    if not random_hand:
+        return options
+    if shape:
+        option = f"--{next(iter(shape))}".replace("_", "-")
+        raise UsageError("--random-hand draws the hand itself", found=option, hint="leave one of them out")
+    return replace(options, **asdict(hand_of_seed(options.seed)))
+
+
+def _given_shape(values: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of the hand's size and proportions out of the values; return those given."""
+    given = {name: values.pop(name, None) for name in SHAPE}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 @contextmanager

@@ -31,7 +31,7 @@ class Track:
         pose_variance: (N, 6 + K) mm^2, rad^2 (rotation vector, body frame), shape^2.
         twist_variance: (N, 6 + K) of ``twist``.
         points: (N, P, 3) mm, camera axes.
-        confidence, cost, effective_sample_size, milliseconds: (N,); cost and time NaN where unknown.
+        confidence, cost, effective_sample_size, milliseconds, evaluations: (N,); NaN where unknown.
         resampled: (N,).
         frame_index: (N,) positions of the frames in the recording; None for a truth or where unknown.
     """
@@ -54,6 +54,7 @@ class Track:
     confidence: FloatArray | None = None
     cost: FloatArray | None = None
     effective_sample_size: FloatArray | None = None
+    evaluations: FloatArray | None = None
     milliseconds: FloatArray | None = None
     resampled: BoolArray | None = None
     frame_index: IntArray | None = None

@@ -98,6 +98,7 @@ class HandAnatomy:
         segments: (5, 3) lengths from joint 3 to 2, 2 to 1, 1 to the tip, mm.
         radii: (5, 4) finger radii, mm.
         scale: all lengths relative to the average hand of the tables.
+        palm: further factors on the palm's width (x), length (y) and thickness (z).
     """
 
     side: str
@@ -106,6 +107,7 @@ class HandAnatomy:
     segments: FloatArray
     radii: FloatArray
     scale: float
+    palm: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @property
     def is_left(self) -> bool:
@@ -137,7 +139,11 @@ class HandAnatomy:
 
 
 def make_anatomy(
-    side: str = "right", scale: float = 1.0, finger_lengths: tuple[float, ...] = (1.0,) * 5
+    side: str = "right",
+    scale: float = 1.0,
+    finger_lengths: tuple[float, ...] = (1.0,) * 5,
+    finger_widths: tuple[float, ...] = (1.0,) * 5,
+    palm: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> HandAnatomy:
     """Return the average adult hand, scaled.
 
@@ -145,13 +151,18 @@ def make_anatomy(
         side: ``right`` or ``left``.
         scale: factor on every length.
         finger_lengths: further factor on each finger's segments, thumb first.
+        finger_widths: further factor on each finger's radii, thumb first.
+        palm: further factors on the palm's width, length and thickness: where the fingers' bases lie in
+            x, y and z, and how wide and thick the skin between them and the wrist is.
     """
     positions, rotations = _right_bases()
+    positions = positions * np.asarray(palm)
     if side == "left":
         positions = positions * MIRROR
         rotations = MIRROR[:, None] * rotations * MIRROR
     segments = _SEGMENTS * np.asarray(finger_lengths)[:, None]
-    return HandAnatomy(side, scale * positions, rotations, scale * segments, scale * SEGMENT_RADII, scale)
+    radii = SEGMENT_RADII * np.asarray(finger_widths)[:, None]
+    return HandAnatomy(side, scale * positions, rotations, scale * segments, scale * radii, scale, palm)
 
 
 def _right_bases() -> tuple[FloatArray, FloatArray]:

@@ -116,6 +116,25 @@ class SegmentationSettings(Settings):
     forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 12.0
 
 
+class DetectionSettings(Settings):
+    """What a hand looks like that is found without a prediction.
+
+    A palm's surface takes in a disc of ``palm_radius_mm``, smallest to largest; within ``reach_mm`` of its
+    middle the surface goes on at one place at most, the arm, which is ``arm_mm`` wide at most.
+    """
+
+    nearest_mm: Positive = 120.0
+    farthest_mm: Positive = 1500.0
+    palm_radius_mm: tuple[Positive, Positive] = (11.0, 60.0)
+    reach_mm: Positive = 150.0
+    arm_mm: Positive = 150.0
+    apart_mm: Positive = 110.0
+    steepest: Positive = 3.0
+    most_places: Annotated[int, Field(ge=1)] = 40
+    most_hands: Annotated[int, Field(ge=1)] = 4
+    least_score: Fraction = 0.3
+
+
 class InitSettings(Settings):
     """The prior of the first frame (paper, 7.3): palm to the sensor, in the middle of the image."""
 
@@ -150,6 +169,7 @@ class HandConfig(Settings):
     motion: MotionSettings = MotionSettings()
     observation: ObservationSettings = ObservationSettings()
     segmentation: SegmentationSettings = SegmentationSettings()
+    detection: DetectionSettings = DetectionSettings()
     init: InitSettings = InitSettings()
     status: StatusSettings = StatusSettings()
     output: OutputSettings = OutputSettings()

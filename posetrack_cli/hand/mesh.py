@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import functools
 import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.hand.anatomy import BONE_COUNT, MIRROR, HandAnatomy, make_anatomy
-from posetrack_cli.rendering.mesh import SkinnedMesh, smoothed_through
+from posetrack_cli.rendering.mesh import SkinnedMesh, smoothing
 
 LEVELS = {"lean": 0, "medium": 1, "fine": 2}
 # A hexagon of circumradius r has the area of a circle of .909 r: the lean mesh makes up for it.
@@ -76,31 +77,57 @@ class _Builder:
 def hand_mesh(anatomy: HandAnatomy, level: str = "lean") -> SkinnedMesh:
     """The skinned mesh of a hand in its rest pose, hand coordinates, mm, bound to its 16 bones.
 
+    All hands have the same triangles and weights, and vertices that are smooth functions of the shape.
+
     Args:
-        anatomy: of ``make_anatomy``: side, scale and segments are its own, the rest is the average hand's.
+        anatomy: of ``make_anatomy``.
         level: ``lean`` (410 triangles, for the likelihood), ``medium`` (4 times) or ``fine`` (16 times).
     """
-    right = _right_mesh(tuple(anatomy.segments.ravel() / anatomy.scale), level)
-    mesh = SkinnedMesh(anatomy.scale * right.vertices, right.weights, right.triangles)
+    right = _right_anatomy(anatomy)
+    cage = _built_cage(right, _HEXAGON if level == "lean" else 1.0).build().vertices
+    topology = _topology(level)
+    vertices = anatomy.scale * (cage if topology.refining is None else topology.refining @ cage)
+    mesh = SkinnedMesh(vertices, topology.weights, topology.triangles)
     return mesh.flipped(MIRROR) if anatomy.is_left else mesh
 
 
-@functools.cache
-def _right_mesh(segments: tuple[float, ...], level: str) -> SkinnedMesh:
-    average = make_anatomy()
-    anatomy = HandAnatomy(
-        "right",
-        average.base_positions,
-        average.base_rotations,
-        np.reshape(segments, (5, 3)),
-        average.radii,
-        1.0,
+def _right_anatomy(anatomy: HandAnatomy) -> HandAnatomy:
+    """The same hand as a right one of scale 1."""
+    average, scale = _average(), anatomy.scale
+    return replace(
+        average,
+        base_positions=average.base_positions * anatomy.palm,
+        segments=anatomy.segments / scale,
+        radii=anatomy.radii / scale,
+        palm=anatomy.palm,
     )
-    cage = _cage(anatomy, _HEXAGON if level == "lean" else 1.0)
-    return smoothed_through(cage, LEVELS[level]) if LEVELS[level] else cage
 
 
-def _cage(anatomy: HandAnatomy, girth: float) -> SkinnedMesh:
+@functools.cache
+def _average() -> HandAnatomy:
+    return make_anatomy()
+
+
+@dataclass(frozen=True)
+class _Topology:
+    """What all hands' meshes of a level share; ``refining`` (V, C) makes their vertices of the cage's."""
+
+    weights: FloatArray
+    triangles: IntArray
+    refining: FloatArray | None
+
+
+@functools.cache
+def _topology(level: str) -> _Topology:
+    """The diagonals of the cage's quadrangles are those that suit the average hand."""
+    cage = _built_cage(_average(), _HEXAGON if level == "lean" else 1.0).build()
+    if LEVELS[level] == 0:
+        return _Topology(cage.weights, cage.triangles, None)
+    smooth = smoothing(cage.triangles, LEVELS[level])
+    return _Topology(smooth.blend @ cage.weights, smooth.triangles, smooth.through)
+
+
+def _built_cage(anatomy: HandAnatomy, girth: float) -> _Builder:
     """The lean mesh of a right hand of scale 1; ``girth`` scales the fingers' hexagons."""
     builder = _Builder()
     rows = [_palm_row(builder, anatomy, *row) for row in _ROWS]
@@ -113,16 +140,17 @@ def _cage(anatomy: HandAnatomy, girth: float) -> SkinnedMesh:
     below, above = (rows[k] for k in _THUMB_ROWS)
     hole = [below[_INDEX_SIDE], below[0], above[0], above[_INDEX_SIDE], above[16], below[16]]
     _grow(builder, anatomy, 0, hole, girth)
-    return builder.build()
+    return builder
 
 
 def _knuckle_line(anatomy: HandAnatomy) -> FloatArray:
     """The ten points from the index finger's side over two per finger to the little finger's side."""
     base, radii = anatomy.base_positions[1:], anatomy.radii[1:, 0]
     across = np.gradient(base, axis=0)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    first = base - 0.45 * radii[:, None] * across
-    second = base + 0.45 * radii[:, None] * across
+    apart = np.linalg.norm(across, axis=1, keepdims=True)
+    across /= apart
+    beside = np.minimum(0.45 * radii[:, None], 0.3 * apart) * across  # thick fingers on a narrow palm
+    first, second = base - beside, base + beside
     pairs = np.stack([first, second], axis=1).reshape(8, 3)
     outer = base[0] - 1.12 * radii[0] * across[0]
     inner = base[3] + 1.12 * radii[3] * across[3]
@@ -132,14 +160,15 @@ def _knuckle_line(anatomy: HandAnatomy) -> FloatArray:
 def _palm_row(builder: _Builder, anatomy: HandAnatomy, s: float, thickness: float, width: float) -> list[int]:
     """One 18-sided ring: 8 dorsal vertices index to little, little's side, 8 palmar back, index's side."""
     line = _knuckle_line(anatomy)
+    broad, _, deep = anatomy.palm
     u = np.concatenate([[1.0], np.linspace(0.80, -0.80, 8), [-1.0]])
-    wrist = np.stack([_WRIST_HALF_WIDTH * u, np.full(10, _WRIST_END), np.zeros(10)], axis=1)
+    wrist = np.stack([broad * _WRIST_HALF_WIDTH * u, np.full(10, _WRIST_END), np.zeros(10)], axis=1)
     middle = line.mean(axis=0)
     ring = (1.0 - s) * wrist + s * (middle + (line - middle) * (width if s > 0.3 else 1.0))
     bulge = (1.0 - np.abs(u) ** 2.6) ** (1.0 / 2.6)
     dorsal, palmar = ring.copy(), ring.copy()
-    dorsal[:, 2] += 0.92 * thickness * bulge
-    palmar[:, 2] -= 1.08 * thickness * bulge * _palm_profile(u, s)
+    dorsal[:, 2] += 0.92 * deep * thickness * bulge
+    palmar[:, 2] -= 1.08 * deep * thickness * bulge * _palm_profile(u, s)
     order = [*dorsal[1:9], ring[9], *palmar[8:0:-1], ring[0]]
     return [builder.vertex(p, {0: 1.0}) for p in order]
 
@@ -190,27 +219,31 @@ def _base_corners(builder: _Builder, anatomy: HandAnatomy, f: int) -> list[int]:
     base, frame = anatomy.base_positions[f + 1], anatomy.base_rotations[f + 1]
     radius = anatomy.radii[f + 1, 0]
     weights = {0: 0.5, 1 + 3 * (f + 1): 0.5}
+    longer = _relative_length(anatomy, f + 1)
     # x and z in radii, mm beyond the joint: the palm reaches farther along the finger than the back
     table = ((0.5, 1.0, 4.0), (-0.5, 1.0, 4.0), (-0.5, -1.0, 18.0), (0.5, -1.0, 18.0))
     return [
-        builder.vertex(base + frame @ np.array([x * radius, -forward, z * radius * 0.98]), weights)
+        builder.vertex(base + frame @ np.array([x * radius, -longer * forward, z * radius * 0.98]), weights)
         for x, z, forward in table
     ]
 
 
 def _web(builder: _Builder, anatomy: HandAnatomy, k: int) -> int:
     """The skin beside a finger's base: the outer sides of index and little, webs between neighbours."""
-    forward = 16.0
     sides = [(f, sign) for f, sign in ((k - 1, -1.0), (k, 1.0)) if 0 <= f < 4]
     points, weights = [], {0: 0.5}
     for f, sign in sides:
         base, frame = anatomy.base_positions[f + 1], anatomy.base_rotations[f + 1]
         out = (1.0 if len(sides) == 2 else 1.06) * anatomy.radii[f + 1, 0]
-        points.append(
-            base + frame @ np.array([sign * out, -forward if len(sides) == 2 else -0.5 * forward, -2.0])
-        )
+        forward = (16.0 if len(sides) == 2 else 8.0) * _relative_length(anatomy, f + 1)
+        points.append(base + frame @ np.array([sign * out, -forward, -2.0]))
         weights[1 + 3 * (f + 1)] = 0.5 / len(sides)
     return builder.vertex(np.mean(points, axis=0), weights)
+
+
+def _relative_length(anatomy: HandAnatomy, finger: int) -> float:
+    """A finger's first segment in that of the average hand: the skin at its base goes along."""
+    return float(anatomy.segments[finger, 0] / _average().segments[finger, 0])
 
 
 def _grow(builder: _Builder, anatomy: HandAnatomy, finger: int, base: list[int], girth: float) -> None:

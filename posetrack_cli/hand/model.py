@@ -1,13 +1,19 @@
-"""One hand as the tracker knows it: its bones and its skin."""
+"""One hand as the tracker knows it: its bones and its skin. This is the one place that makes hands."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.rendering.mesh import SkinnedMesh
+
+HandMaker = Callable[[str, HandShape], "HandModel"]
+"""Makes a hand of a side (``right`` or ``left``) and a shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,14 +24,39 @@ class HandModel:
         anatomy: joints, segments, radii, side.
         lean: few triangles: what many poses are drawn with at once.
         smooth: more triangles, on the skin itself: what a pose is fitted and shown with.
+        whole: makes the skin with all the triangles that there are: what pictures are drawn with;
+            None where the smooth one has them all.
     """
 
     anatomy: HandAnatomy
     lean: SkinnedMesh
     smooth: SkinnedMesh
+    whole: Callable[[], SkinnedMesh] | None = None
+
+    def skin(self, level: str) -> SkinnedMesh:
+        """The skin of a level: ``lean``, ``medium`` (the smooth one) or ``fine`` (the whole)."""
+        if level == "fine" and self.whole is not None:
+            return self.whole()
+        return self.lean if level == "lean" else self.smooth
 
 
 def hand_model(settings: HandSettings) -> HandModel:
-    """Return the hand that a configuration's ``[hand]`` table describes."""
-    anatomy = make_anatomy(settings.side, settings.scale, settings.finger_lengths)
-    return HandModel(anatomy, hand_mesh(anatomy, "lean"), hand_mesh(anatomy, "medium"))
+    """Return the hand that a configuration's ``[hand]`` table describes.
+
+    Raises:
+        UsageError: ``settings.mesh`` is no hand that can be used.
+    """
+    return hand_maker(settings.mesh)(settings.side, settings.shape)
+
+
+def hand_maker(mesh: str | None) -> HandMaker:
+    """Return what makes hands of any side and shape: from the average hand, or from that of a GLB file."""
+    return average_hand
+
+
+def average_hand(side: str = "right", shape: HandShape | None = None) -> HandModel:
+    """Return the average adult hand in a shape."""
+    shape = shape or HandShape()
+    anatomy = make_anatomy(side, shape.scale, shape.finger_lengths, shape.finger_widths, shape.palm)
+    lean, smooth = hand_mesh(anatomy, "lean"), hand_mesh(anatomy, "medium")
+    return HandModel(anatomy, lean, smooth, partial(hand_mesh, anatomy, "fine"))

@@ -17,11 +17,11 @@ from posetrack_cli import __version__
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
+from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import hand_model
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker, state_arrays, state_from_arrays
 from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
@@ -102,14 +102,12 @@ class HandRun:
         check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
         if frames_ahead(recording, options) == 0:
             raise self._nothing_to_track()  # before a file is made that would have to be overwritten
-        hand = config.hand
-        self._anatomy = make_anatomy(hand.side, hand.scale, hand.finger_lengths)
+        hand = hand_model(config.hand)
+        self._anatomy = hand.anatomy
         self._camera = recording.cameras[0]
-        scorer = RenderedCosts(
-            context, self._anatomy, self._camera, config.observation, config.filter.particles
-        )
+        scorer = RenderedCosts(context, hand, self._camera, config.observation, config.filter.particles)
         self.tracker = HandTracker(config, self._anatomy, self._camera, scorer)
-        self._mesh = None if config.output.mesh == "none" else hand_mesh(self._anatomy, config.output.mesh)
+        self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
         self._start_pose = None if options.init == INIT_CENTRE else read_pose(Path(options.init))
         renderer = str(describe(context))
         self._record = run_record(recording, self._camera, config, options, renderer, self._start_pose)

@@ -123,17 +123,37 @@ def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
     return SkinnedMesh(new[:, :3], new[:, 3:], triangles)
 
 
-def smoothed_through(mesh: SkinnedMesh, steps: int) -> SkinnedMesh:
-    """Subdivide so that the smooth surface passes through the given vertices.
+@dataclass(frozen=True)
+class Smoothing:
+    """How a smooth surface follows from a closed mesh, whatever its vertices and weights are.
+
+    Attributes:
+        through: (W, V) takes the mesh's vertices to those of the surface, which passes through them.
+        blend: (W, V) takes the mesh's weights to those of the surface: averages, so no share turns negative.
+        triangles: (T, 3) of the surface; its first V vertices are the mesh's.
+    """
+
+    through: FloatArray
+    blend: FloatArray
+    triangles: IntArray
+
+
+def smoothing(triangles: IntArray, steps: int) -> Smoothing:
+    """Return ``steps`` of subdivision of a closed mesh with these triangles.
 
     Loop's scheme shrinks; solving its limit equation first gives the control mesh whose limit
-    interpolates them.
+    interpolates the given vertices.
     """
-    limit = loop_limit_matrix(mesh.triangles, len(mesh.vertices))
-    fine = SkinnedMesh(
-        np.asarray(np.linalg.solve(limit, mesh.vertices), dtype=np.float64), mesh.weights, mesh.triangles
-    )
+    count = int(triangles.max()) + 1
+    fine = SkinnedMesh(np.zeros((count, 3)), np.eye(count), triangles)
     for _ in range(steps):
         fine = loop_subdivided(fine)
-    vertices = loop_limit_matrix(fine.triangles, len(fine.vertices)) @ fine.vertices
-    return SkinnedMesh(vertices, fine.weights, fine.triangles)
+    control = np.linalg.inv(loop_limit_matrix(triangles, count))
+    limit = loop_limit_matrix(fine.triangles, len(fine.vertices))
+    return Smoothing(limit @ (fine.weights @ control), fine.weights, fine.triangles)
+
+
+def smoothed_through(mesh: SkinnedMesh, steps: int) -> SkinnedMesh:
+    """Subdivide so that the smooth surface passes through the given vertices."""
+    smooth = smoothing(mesh.triangles, steps)
+    return SkinnedMesh(smooth.through @ mesh.vertices, smooth.blend @ mesh.weights, smooth.triangles)

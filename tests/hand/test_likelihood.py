@@ -16,6 +16,7 @@ from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, paper_cost, union_cost
 from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.rendering.sums import sums_in_numpy
 from posetrack_cli.rendering.tiled import TiledDepthRenderer
@@ -91,7 +92,7 @@ class Table:
         image = drawing.depth(skinning_transforms(ANATOMY, self.truth[None]), KINECT, window)[0]
         background = np.where(image > 0, image, -1500.0 if cost == "union" else 0.0)
         self.observation = Observation(window, background.astype(np.float32), int((image > 0).sum()))
-        self.scorer = RenderedCosts(context, ANATOMY, KINECT, self.settings, 8)
+        self.scorer = RenderedCosts(context, average_hand(), KINECT, self.settings, 8)
 
     def moved(self, pose: np.ndarray, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
         out = pose.copy()

@@ -16,6 +16,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.space import tangent_vector
 from posetrack_cli.hand.start import rest_pose
@@ -325,7 +326,7 @@ def test_a_drawn_hand_is_followed_within_millimetres(context: Any, kind: str) ->
     config = HandConfig.model_validate(
         {"filter": {"kind": kind, "particles": 512}, "observation": {"tile_px": 32}}
     )
-    scorer = RenderedCosts(context, ANATOMY, KINECT, config.observation, 512)
+    scorer = RenderedCosts(context, average_hand(), KINECT, config.observation, 512)
     frames, poses = translating_hand(context, 15)
     _, estimates = run(HandTracker(config, ANATOMY, KINECT, scorer), frames)
     truth = joint_positions(ANATOMY, poses)

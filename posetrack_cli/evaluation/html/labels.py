@@ -7,6 +7,7 @@ from posetrack_cli.evaluation.metrics.catalogue import metric_of
 _UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_s")
 _SPOKEN = {
     "ess": "effective sample size",
+    "evaluations": "poses evaluated",
     "nees": "NEES",
     "velocity_nees": "velocity NEES",
     "ms_per_frame": "time per frame",

@@ -260,6 +260,7 @@ CATALOGUE: tuple[Metric, ...] = (
     Metric("confidence", "", "Confidence of the estimates, 0 to 1.", "higher", "run"),
     Metric("ms_per_frame", "ms", "Time that a frame took.", "lower", "run"),
     _number("frames_per_s", "run", "higher", "Frames over the time that they took together.", "1/s"),
+    Metric("evaluations", "", "Poses a frame whose fit to the image was evaluated.", "lower", "run"),
     _number("particles", "run", "neither", "Particles of the filter."),
     Metric("ess", "", "Effective sample size of the weights before resampling.", "higher", "run"),
     _number("resampling_rate", "run", "neither", "Share of the frames after which particles were resampled."),

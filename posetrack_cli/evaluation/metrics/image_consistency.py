@@ -19,12 +19,11 @@ from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, anatomy_of
+from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, hand_of
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, segmented, window_around
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.losses import LossLog
@@ -49,15 +48,15 @@ class HandConsistency:
 
     Args:
         context: GL context.
-        anatomy: of the hand.
+        hand: bones and skin.
         camera: of the images; lens distortion is taken out.
     """
 
-    def __init__(self, context: Any, anatomy: HandAnatomy, camera: Camera) -> None:
-        self._anatomy, self._camera, self._sampler = anatomy, camera, PixelSampler(camera)
-        self._window = ObservationSettings(window_mm=WINDOW_MM * anatomy.scale, tile_px=TILE_PX)
+    def __init__(self, context: Any, hand: HandModel, camera: Camera) -> None:
+        self._anatomy, self._camera, self._sampler = hand.anatomy, camera, PixelSampler(camera)
+        self._window = ObservationSettings(window_mm=WINDOW_MM * hand.anatomy.scale, tile_px=TILE_PX)
         self._segmentation = SegmentationSettings()
-        mesh = hand_mesh(anatomy, MESH_LEVEL)
+        mesh = hand.skin(MESH_LEVEL)
         self._renderer = TiledDepthRenderer(context, mesh, (TILE_PX, TILE_PX), 1)
 
     def compare(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
@@ -119,14 +118,14 @@ def image_consistency(
         UsageError: the images are not of the size that was tracked.
         RenderingError: nothing can be rendered here.
     """
-    anatomy, track = anatomy_of(result.run), track_of_result(result, "")
+    hand, track = hand_of(result.run), track_of_result(result, "")
     if not len(track):
         return {}
     camera = result.camera()
     check_same_size(camera, recording)
     context = open_context(device)
     try:
-        compared = _compared(track, recording, HandConsistency(context, anatomy, camera))
+        compared = _compared(track, recording, HandConsistency(context, hand, camera))
     finally:
         context.release()
     if not len(compared):

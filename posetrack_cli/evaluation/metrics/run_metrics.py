@@ -13,13 +13,15 @@ from posetrack_cli.evaluation.track import Track
 
 NO_TIMINGS = "the run recorded no timings; posetrack hand run --timings does"
 EMPTY = "the result holds no estimate"
+NOT_COUNTED = "the result does not say how many poses were evaluated"
+NO_WEIGHTS = "the tracker has no weighted particles"
 
 
 def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> None:
-    """Add time per frame, frames/s, effective sample size, resampling rate and particles."""
+    """Add time per frame, frames/s, evaluations, effective sample size, resampling rate and particles."""
     _timings(measures, track)
-    sizes = track.effective_sample_size
-    measures.summarise("ess", np.empty(0) if sizes is None else sizes, EMPTY)
+    _known(measures, "evaluations", track.evaluations, NOT_COUNTED if len(track) else EMPTY)
+    _known(measures, "ess", track.effective_sample_size, NO_WEIGHTS if len(track) else EMPTY)
     resampled = np.empty(0) if track.resampled is None else track.resampled
     if resampled.size:
         measures.metrics["resampling_rate"] = float(resampled.mean())
@@ -39,8 +41,15 @@ def run_series(track: Track) -> dict[str, FloatArray]:
         "confidence": track.confidence,
         "ms_per_frame": track.milliseconds,
         "ess": track.effective_sample_size,
+        "evaluations": track.evaluations,
     }
     return {name: values for name, values in columns.items() if values is not None}
+
+
+def _known(measures: Measures, name: str, values: FloatArray | None, nothing: str) -> None:
+    """Summarise the values that are known; where there are none, say why."""
+    values = np.empty(0) if values is None else values
+    measures.summarise(name, values[np.isfinite(values)], nothing)
 
 
 def _timings(measures: Measures, track: Track) -> None:
@@ -60,8 +69,10 @@ def _timings(measures: Measures, track: Track) -> None:
 
 
 def particle_count(run: Mapping[str, str]) -> int | None:
-    """Return ``filter.particles`` of the configuration in a run record; None where it has none."""
+    """Return the number of particles, or of the swarm, in a run record's configuration; None where it has none."""
     try:
-        return int(json.loads(run["configuration"])["filter"]["particles"])
-    except (KeyError, ValueError, TypeError):
+        configuration = json.loads(run["configuration"])
+        swarm = configuration["filter"].get("kind") == "pso"
+        return int(configuration["pso" if swarm else "filter"]["particles"])
+    except (KeyError, ValueError, TypeError, AttributeError):
         return None

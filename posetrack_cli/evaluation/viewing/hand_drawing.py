@@ -15,10 +15,10 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
 from posetrack_cli.evaluation.viewing.drawing import Shown, SkeletonDrawer
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy, make_anatomy
+from posetrack_cli.hand.anatomy import JOINT_PARENTS
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import HandModel, hand_model
 from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
 
@@ -31,12 +31,12 @@ class HandDrawer:
 
     Args:
         context: GL context.
-        anatomy: of the hand.
+        hand: bones and skin.
     """
 
-    def __init__(self, context: Any, anatomy: HandAnatomy) -> None:
-        self._context, self._anatomy = context, anatomy
-        self._mesh = hand_mesh(anatomy, MESH_LEVEL)
+    def __init__(self, context: Any, hand: HandModel) -> None:
+        self._context, self._anatomy = context, hand.anatomy
+        self._mesh = hand.skin(MESH_LEVEL)
         self._renderer: TiledDepthRenderer | None = None
         self._skeleton = SkeletonDrawer(JOINT_PARENTS, axes=False)
 
@@ -84,7 +84,7 @@ def _rim(mask: BoolArray) -> BoolArray:
     return np.asarray(mask & (eroded == 0), dtype=np.bool_)
 
 
-def anatomy_of(run: Mapping[str, str]) -> HandAnatomy:
+def hand_of(run: Mapping[str, str]) -> HandModel:
     """The hand that a run tracked, from the configuration in its record.
 
     Raises:
@@ -95,4 +95,4 @@ def anatomy_of(run: Mapping[str, str]) -> HandAnatomy:
     except (KeyError, TypeError, ValueError, UsageError) as error:
         what = "run record holds no hand's configuration"
         raise ResultError(what, found=error, expected="the record of a hand run") from error
-    return make_anatomy(hand.side, hand.scale, hand.finger_lengths)
+    return hand_model(hand)

@@ -21,7 +21,7 @@ from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.viewing.colours import TONES, TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
-from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, anatomy_of
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, hand_of
 from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
 from posetrack_cli.evaluation.viewing.panels import Panels
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, largest_viewport, moved_to
@@ -149,7 +149,7 @@ class View:
 def drawer_of(result: Result, context: Any) -> Drawer:
     """What draws the subject of a result: a hand's skin; of any other its points, bones and axes."""
     if result.subject.name == "hand":
-        return HandDrawer(context, anatomy_of(result.run))
+        return HandDrawer(context, hand_of(result.run))
     return SkeletonDrawer(result.subject.point_parents)
 
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
+from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.synthesis.edges import missing_beside_edges
 from posetrack_cli.hand.synthesis.motion import Motion, make_motion
 from posetrack_cli.hand.synthesis.options import SynthOptions
@@ -49,16 +50,21 @@ class Plan:
     """Everything about a synthetic recording but its images.
 
     Attributes:
-        anatomy: the hand.
+        hand: bones and skin.
         timeline: its instants.
         motion: poses and velocities at every instant.
         rng: of the sensor's noise, unused yet.
     """
 
-    anatomy: HandAnatomy
+    hand: HandModel
     timeline: Timeline
     motion: Motion
     rng: np.random.Generator
+
+    @property
+    def anatomy(self) -> HandAnatomy:
+        """The hand's bones."""
+        return self.hand.anatomy
 
     @property
     def written(self) -> BoolArray:
@@ -82,7 +88,7 @@ def make_plan(options: SynthOptions, noise: WalkNoise | None = None) -> Plan:
         options.frames, options.fps, drops=switches.drops, late=switches.late, rng=timing
     )
     motion = make_motion(options, timeline.seconds, moving, noise)
-    return Plan(make_anatomy(options.side, options.scale), timeline, motion, sensing)
+    return Plan(options.hand(), timeline, motion, sensing)
 
 
 def synthesise(
@@ -139,7 +145,7 @@ class _Sensor:
 
         self._switches, self._rng = options.switches, plan.rng
         self._mirrored = plan.anatomy.is_left
-        self._scene = Scene(plan.anatomy, options.switches)
+        self._scene = Scene(plan.hand, options.switches)
         self._window = Window.whole(CAMERA)
         size = (CAMERA.width, CAMERA.height)
         self._renderer = TiledDepthRenderer(context, self._scene.mesh, size, most=1)

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
+import numpy as np
+
 from posetrack_cli.errors import UsageError
+from posetrack_cli.hand.anatomy import FINGERS
+from posetrack_cli.hand.model import HandModel, hand_maker
+from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape, PerFinger, random_shape
 
 MOTIONS = ("A", "B", "C")
 SIDES = ("right", "left")
 SCALES = (0.5, 1.5)
 """Smallest and largest hand: within them the hand stays in the image wherever it may go."""
+PROPORTIONS = (0.7, 1.4)
 SPEEDS = (0.01, 100.0)
 MOST_FRAMES = 1_000_000
 
@@ -63,6 +69,9 @@ class SynthOptions:
             100.
         side: ``right`` or ``left``.
         scale: factor on the hand's lengths, 0.5 to 1.5.
+        finger_lengths, finger_widths, palm_width, palm_length, palm_thickness: see ``HandShape``; each
+            factor 0.7 to 1.4.
+        mesh: GLB file of the hand; None is the average one.
         fps: nominal frame rate, Hz.
         switches: what is added to the bare hand.
 
@@ -76,6 +85,12 @@ class SynthOptions:
     speed: float = 1.0
     side: str = "right"
     scale: float = 1.0
+    finger_lengths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
+    finger_widths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
+    palm_width: float = 1.0
+    palm_length: float = 1.0
+    palm_thickness: float = 1.0
+    mesh: str | None = None
     fps: float = 30.0
     switches: Switches = field(default_factory=Switches.all_on)
 
@@ -87,10 +102,34 @@ class SynthOptions:
         _check("fps", self.fps, 1.0 <= self.fps <= 1000.0, "1 to 1000")
         low, high = SPEEDS
         _check("speed", self.speed, low <= self.speed <= high, f"{low:g} to {high:g}")
-        low, high = SCALES
-        _check("scale", self.scale, low <= self.scale <= high, f"{low:g} to {high:g}")
+        self._check_shape()
+
+    def _check_shape(self) -> None:
+        for name, value in zip(SHAPE_NAMES, self.shape.factors, strict=True):
+            low, high = SCALES if name == "scale" else PROPORTIONS
+            option = "finger_" + name.split("_")[1] + "s" if name.split("_")[0] in FINGERS else name
+            good = bool(low <= value <= high)
+            _check(option.replace("_", "-"), f"{value:g}", good, f"{low:g} to {high:g}")
+
+    @property
+    def shape(self) -> HandShape:
+        """Size and proportions of the hand."""
+        return HandShape(**{f.name: getattr(self, f.name) for f in fields(HandShape)})
+
+    def hand(self) -> HandModel:
+        """The hand that is seen.
+
+        Raises:
+            UsageError: ``mesh`` is no hand that can be used.
+        """
+        return hand_maker(self.mesh)(self.side, self.shape)
 
 
 def _check(name: str, value: object, good: bool, expected: str) -> None:
     if not good:
         raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
+
+
+def hand_of_seed(seed: int) -> HandShape:
+    """The random hand that belongs to a seed; its stream is none of those of motion and sensor."""
+    return random_shape(np.random.default_rng(seed).spawn(4)[3])

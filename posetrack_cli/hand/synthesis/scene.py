@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.hand.anatomy import BONE_COUNT, MIRROR, HandAnatomy
+from posetrack_cli.hand.anatomy import BONE_COUNT, MIRROR
 from posetrack_cli.hand.kinematics import mirrored_poses, skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.synthesis import person
 from posetrack_cli.hand.synthesis.options import Switches
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
@@ -21,14 +21,14 @@ class Scene:
     """A hand and as much of its owner as the switches ask for.
 
     Args:
-        anatomy: the hand. A left hand has the mirror image of a right hand's owner.
+        hand: bones and skin. A left hand has the mirror image of a right hand's owner.
         switches: ``body`` and ``forearm`` are read.
     """
 
-    def __init__(self, anatomy: HandAnatomy, switches: Switches) -> None:
-        self._anatomy = anatomy
+    def __init__(self, hand: HandModel, switches: Switches) -> None:
+        self._anatomy = hand.anatomy
         self._switches = switches
-        self.mesh = joined([hand_mesh(anatomy, "fine"), *self._person_meshes()])
+        self.mesh = joined([hand.skin("fine"), *self._person_meshes()])
 
     def transforms(self, pose: FloatArray, seconds: float) -> Float32Array:
         """camera_T_rest (1, B, 3, 4) of every bone, for a pose (22,) at a time, s."""

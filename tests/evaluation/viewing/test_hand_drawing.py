@@ -11,11 +11,12 @@ from viewing_support import KINECT, open_hand, shown_pose
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.viewing.drawing import Shown
-from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, anatomy_of
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, hand_of
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
 from posetrack_cli.hand.kinematics import mirrored_poses
+from posetrack_cli.hand.model import average_hand
 
 SKIN = (150, 200, 235)
 GREEN = (0, 255, 0)
@@ -25,7 +26,7 @@ def painted(
     context: Any, shown: Shown, *, camera: Camera = KINECT, side: str = "right", outline: bool = False
 ) -> np.ndarray:
     picture = np.zeros((camera.height, camera.width, 3), np.uint8)
-    drawer = HandDrawer(context, make_anatomy(side))
+    drawer = HandDrawer(context, average_hand(side))
     (drawer.outline if outline else drawer.draw)(picture, camera, shown, GREEN if outline else SKIN)
     return picture
 
@@ -86,7 +87,7 @@ def test_a_hand_outside_the_image_is_not_drawn(context: Any, position: tuple[flo
 
 
 def test_pictures_of_changing_size(context: Any) -> None:
-    drawer = HandDrawer(context, make_anatomy())
+    drawer = HandDrawer(context, average_hand())
     shown = shown_pose(open_hand())
     for scale in (1.0, 0.5, 2.0):
         camera = Viewport.whole(KINECT, scale).camera(KINECT)
@@ -97,7 +98,7 @@ def test_pictures_of_changing_size(context: Any) -> None:
 
 def test_the_hand_of_a_run_record() -> None:
     hand = {"side": "left", "scale": 0.9, "finger_lengths": [1.0, 1.1, 1.0, 1.0, 1.0]}
-    anatomy = anatomy_of({"configuration": json.dumps({"hand": hand, "unknown": {"key": 1}})})
+    anatomy = hand_of({"configuration": json.dumps({"hand": hand, "unknown": {"key": 1}})}).anatomy
     expected = make_anatomy("left", 0.9, (1.0, 1.1, 1.0, 1.0, 1.0))
     assert anatomy.side == "left"
     np.testing.assert_allclose(anatomy.segments, expected.segments)
@@ -106,4 +107,4 @@ def test_the_hand_of_a_run_record() -> None:
 @pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"hand": {"side": "middle"}}', '{"hand": 3}'])
 def test_a_record_without_a_hand_is_one_line(text: str | None) -> None:
     with pytest.raises(ResultError, match="run record holds no hand's configuration"):
-        anatomy_of({} if text is None else {"configuration": text})
+        hand_of({} if text is None else {"configuration": text})

@@ -20,7 +20,7 @@ from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
 from posetrack_cli.evaluation.viewing.panels import LAYOUTS, Panels
 from posetrack_cli.evaluation.viewing.viewport import Viewport
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Frame
 
@@ -32,7 +32,7 @@ CAPTION_PX = 18
 
 @pytest.fixture(scope="module")
 def drawer(context: Any) -> Iterator[HandDrawer]:
-    yield HandDrawer(context, make_anatomy())
+    yield HandDrawer(context, average_hand())
 
 
 @pytest.fixture(scope="module")
