@@ -11,23 +11,25 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import FIELD_NAMES, Status, Subject
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.tracks import FILTERED
 
 MOTION_FIELDS = ("stamp_ns", "status", "position", "quaternion", "shape", "twist", "points")
 """What a truth is made from, of the fields of an Estimate."""
 _TRACK_FIELDS = tuple(name for name in FIELD_NAMES if name != "pose_rate")  # twist says the same
 
 
-def track_of_result(result: Result, name: str) -> Track:
-    """Return the estimates of a result, lost ones included.
+def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
+    """Return the estimates of one of a result's tracks, lost ones included.
 
     Args:
         result: finished or not; what of it cannot be read is in ``result.losses`` afterwards.
         name: what tables and errors call it.
+        which: ``filtered`` or ``smoothed``.
 
     Raises:
-        ResultError: nothing can be read, or the stamps do not increase strictly.
+        ResultError: nothing can be read, the stamps do not increase strictly, or there is no such track.
     """
-    columns = result.columns(fields=_TRACK_FIELDS)
+    columns = result.columns(result.topic_of_track(which), _TRACK_FIELDS)
     status = columns["status"]
     return Track(
         **_motion(columns, name, result.subject),

@@ -108,14 +108,14 @@ def estimate_to_json(estimate: Estimate) -> bytes:
     arrays = {name: getattr(estimate, name) for name in _ARRAYS}
     fields |= {name: array.tolist() for name, array in arrays.items() if array is not None}
     fields["points"] = [{"x": x, "y": y, "z": z} for x, y, z in estimate.points.tolist()]
-    numbers = {name: getattr(estimate, name) for name in UNKNOWN_NUMBERS}
-    known = {name: value for name, value in numbers.items() if value is not None and math.isfinite(value)}
-    if "effective_sample_size" in known:
-        fields["effective_sample_size"] = float(known.pop("effective_sample_size"))
     fields["resampled"] = bool(estimate.resampled)
-    fields |= {name: int(value) if name == "evaluations" else float(value) for name, value in known.items()}
+    for name in UNKNOWN_NUMBERS:
+        value = getattr(estimate, name)
+        if value is not None and math.isfinite(value):
+            fields[name] = int(value) if name == "evaluations" else float(value)
+    in_order = {name: fields[name] for name in _PROPERTIES if name in fields}
     try:
-        return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
+        return json.dumps(in_order, separators=(",", ":"), allow_nan=False).encode()
     except ValueError as error:
         raise ResultError("estimate is not finite", where=f"frame {estimate.frame_index}") from error
 
@@ -134,6 +134,7 @@ def estimate_from_json(data: bytes, where: object = "") -> Estimate:
         fields = parse_fields(data)
         arrays: dict[str, Any] = {name: _array(fields.get(name)) for name in UNKNOWN_ARRAYS}
         arrays |= {name: _array(fields[name]) for name in _ARRAYS if name not in arrays}
+        numbers: dict[str, Any] = {name: fields.get(name) for name in UNKNOWN_NUMBERS}
         points = [(point["x"], point["y"], point["z"]) for point in fields["points"]]
         return Estimate(
             frame_index=fields["frame_index"],
@@ -143,7 +144,7 @@ def estimate_from_json(data: bytes, where: object = "") -> Estimate:
             **arrays,
             points=np.array(points, dtype=np.float64).reshape(-1, 3),
             resampled=fields["resampled"],
-            **{name: fields.get(name) for name in UNKNOWN_NUMBERS},
+            **numbers,
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error

@@ -50,6 +50,7 @@ def hand_track(name: str, frames: int, error_mm: float, seed: int = 0) -> Track:
         cost=np.full(frames, 5.0),
         effective_sample_size=np.full(frames, 100.0),
         milliseconds=np.full(frames, 30.0),
+        evaluations=np.full(frames, 513.0),
         resampled=np.ones(frames, dtype=np.bool_),
     )
 

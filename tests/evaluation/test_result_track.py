@@ -29,9 +29,12 @@ def test_every_array_is_the_estimates_own(tmp_path: Path, subject: Subject) -> N
     assert found.shape_names == subject.shape_names
     assert (found.point_names, found.point_parents) == (subject.point_names, subject.point_parents)
     arrays = {field.name for field in fields(Estimate)} & {field.name for field in fields(Track)}
-    assert len(arrays) == 14
+    assert len(arrays) == 15
     for name in arrays:
         expected = [getattr(one, name) for one in own]
+        if all(value is None for value in expected) and name not in ("cost", "milliseconds"):
+            assert getattr(found, name) is None
+            continue
         expected = [np.nan if value is None else value for value in expected]
         np.testing.assert_array_equal(getattr(found, name), expected, err_msg=name)
 
@@ -53,6 +56,14 @@ def test_a_velocity_that_some_frames_have_is_nan_in_the_others(tmp_path: Path) -
     mixed = [*estimates(HAND, 2, velocity=False), *estimates(HAND, 4)[2:]]
     found: Any = track(tmp_path, mixed)
     assert np.isnan(found.twist).all(axis=1).tolist() == [True, True, False, False]
+
+
+def test_what_an_optimiser_does_not_know_is_none(tmp_path: Path) -> None:
+    unknown = {"pose_variance": None, "effective_sample_size": None}
+    own = [replace(one, **unknown, evaluations=1600) for one in estimates(HAND, 3, velocity=False)]
+    found: Any = track(tmp_path, own)
+    assert found.pose_variance is None and found.effective_sample_size is None
+    assert found.evaluations.tolist() == [1600.0] * 3
 
 
 def test_an_empty_result_is_an_empty_track(tmp_path: Path) -> None:

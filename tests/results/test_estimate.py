@@ -45,6 +45,11 @@ def test_a_velocity_may_be_unknown_but_not_in_part() -> None:
             check_estimate(with_fields(make_estimate(0), **{**unknown, name: array}), SUBJECT)
 
 
+def test_an_optimiser_knows_neither_variance_nor_weights() -> None:
+    unknown = {"pose_variance": None, "effective_sample_size": None, "evaluations": 1600}
+    check_estimate(with_fields(make_estimate(0), **unknown), SUBJECT)
+
+
 @pytest.mark.parametrize(
     ("name", "parents", "triangles", "message"),
     [

@@ -38,10 +38,16 @@ def assert_described(value: Any, schema: dict[str, Any]) -> None:
 
 
 NO_VELOCITY: dict[str, object] = {"pose_rate": None, "twist": None, "twist_variance": None}
+OPTIMISED: dict[str, object] = {
+    **NO_VELOCITY,
+    "pose_variance": None,
+    "effective_sample_size": None,
+    "evaluations": 1600,
+}
 
 
 @pytest.mark.parametrize("index", [0, 1, 3])
-@pytest.mark.parametrize("changes", [{}, NO_VELOCITY], ids=["velocity", "none"])
+@pytest.mark.parametrize("changes", [{}, NO_VELOCITY, OPTIMISED], ids=["velocity", "none", "optimised"])
 def test_every_written_field_is_described(index: int, changes: dict[str, object]) -> None:
     written = json.loads(estimate_to_json(with_fields(make_estimate(index), **changes)))
     assert_described(written, dict(ESTIMATE_SCHEMA))
@@ -49,7 +55,9 @@ def test_every_written_field_is_described(index: int, changes: dict[str, object]
 
 def test_schema_lists_every_field_of_an_estimate_in_order() -> None:
     assert set(ESTIMATE_SCHEMA["properties"]) == set(FIELD_NAMES)
-    written = list(json.loads(estimate_to_json(with_fields(make_estimate(1), milliseconds=4.5))))
+    written = list(
+        json.loads(estimate_to_json(with_fields(make_estimate(1), milliseconds=4.5, evaluations=513)))
+    )
     assert written == list(ESTIMATE_SCHEMA["properties"])
 
 
@@ -68,6 +76,14 @@ def test_reading_back_gives_the_same_bits(index: int) -> None:
         assert np.array_equal(getattr(read, name), getattr(written, name)), name
     assert isinstance(read.status, Status)
     assert read.points.dtype == np.float64
+
+
+def test_what_an_optimiser_knows_comes_back() -> None:
+    data = estimate_to_json(with_fields(make_estimate(1), **OPTIMISED))
+    assert not {name for name, value in OPTIMISED.items() if value is None} & set(json.loads(data))
+    read = estimate_from_json(data)
+    assert {name: getattr(read, name) for name in OPTIMISED} == OPTIMISED
+    assert type(read.evaluations) is int
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])

@@ -11,7 +11,14 @@ from evaluation_support import hand_track
 from metrics_support import figures, number
 
 from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, NO_TIMINGS, particle_count, run_metrics
+from posetrack_cli.evaluation.metrics.run_metrics import (
+    EMPTY,
+    NO_TIMINGS,
+    NO_WEIGHTS,
+    NOT_COUNTED,
+    particle_count,
+    run_metrics,
+)
 from posetrack_cli.evaluation.track import Track
 
 RUN = {"configuration": json.dumps({"filter": {"particles": 512}})}
@@ -59,9 +66,25 @@ def test_no_time_at_all_is_no_infinite_speed() -> None:
     assert measures.absent == {"frames_per_s": "the recorded times are 0"}
 
 
+def test_an_optimiser_is_counted_but_has_no_weights() -> None:
+    track = replace(
+        hand_track("a", 3, 0.0), evaluations=np.array([1600.0, 0.0, 1600.0]), effective_sample_size=None
+    )
+    measures = measured(
+        track, {"configuration": '{"filter":{"kind":"pso","particles":512},"pso":{"particles":64}}'}
+    )
+    assert figures(measures, "evaluations").mean == pytest.approx(3200 / 3)
+    assert measures.absent == {"ess": NO_WEIGHTS}
+    assert number(measures, "particles") == 64.0
+
+
+def test_a_result_that_does_not_count_says_so() -> None:
+    assert measured(replace(hand_track("a", 3, 0.0), evaluations=None)).absent == {"evaluations": NOT_COUNTED}
+
+
 def test_an_empty_result_has_reasons() -> None:
     measures = measured(hand_track("a", 0, 0.0))
-    assert set(measures.absent) == {"ms_per_frame", "frames_per_s", "ess", "resampling_rate"}
+    assert set(measures.absent) == {"ms_per_frame", "frames_per_s", "evaluations", "ess", "resampling_rate"}
     assert set(measures.absent.values()) == {EMPTY}
 
 
