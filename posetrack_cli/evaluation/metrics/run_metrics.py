@@ -69,7 +69,7 @@ def _timings(measures: Measures, track: Track) -> None:
 
 
 def particle_count(run: Mapping[str, str]) -> int | None:
-    """Return the size of the filter or the swarm that a run record's configuration states; None if it does not."""
+    """Return the size of the filter or the swarm in a run record's configuration; None where it has none."""
     try:
         configuration = json.loads(run["configuration"])
         swarm = configuration["filter"].get("kind") == "pso"
