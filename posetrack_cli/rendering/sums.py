@@ -2,8 +2,8 @@
 
 With r the pixels that a tile's rendering covers and o the target pixels of the observed image:
 the sum over r and o of min(|d - y|, c_max); |r and o|; |r \\ o| where there is another reading, and how
-many of those readings are in front; |r \\ o| where there is none; the sum of the readings' misfits. Every
-cost of the paper and of ours is made of these and of |o|.
+many of those readings are in front; |r \\ o| where there is none; the sum of the readings' misfits; how many
+pixels of r and o agree. Every cost of the papers and of ours is made of these and of |o|.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ class TileSums:
         misfit: (N,) sum of rho(y, d) of a pixel model over the rendered pixels that have a reading, of the
             target or not; 0 where no model is given.
         occluded: (N,) those of ``rendered_only`` whose reading is in front of what is rendered.
+        matched: (N,) those of ``both`` with |d - y| below the distance asked for; 0 where none is.
         observed: number of target pixels, the same for all tiles.
     """
 
@@ -37,17 +38,21 @@ class TileSums:
     unread: FloatArray
     misfit: FloatArray
     occluded: FloatArray
+    matched: FloatArray
     observed: float
 
     @classmethod
     def from_rows(cls, rows: Float32Array, observed: float) -> TileSums:
-        """From the (N, 8) array that the device returns; the last two columns are padding."""
-        error, both, rendered_only, unread, misfit, occluded = np.asarray(rows[:, :6], dtype=np.float64).T
-        return cls(error, both, rendered_only, unread, misfit, occluded, observed)
+        """From the (N, 8) array that the device returns; the last column is padding."""
+        return cls(*np.asarray(rows[:, :7], dtype=np.float64).T, observed=observed)
 
 
 def sums_in_numpy(
-    depth: Float32Array, observed: Float32Array, clamp_mm: float, model: PixelMixture | None = None
+    depth: Float32Array,
+    observed: Float32Array,
+    clamp_mm: float,
+    model: PixelMixture | None = None,
+    match_mm: float = 0.0,
 ) -> TileSums:
     """The reference for the device's sums.
 
@@ -56,10 +61,12 @@ def sums_in_numpy(
         observed: (h, w) depth of target pixels, mm; negative other reading; 0 no reading.
         clamp_mm: c_max.
         model: of a pixel, for the misfits.
+        match_mm: depths that differ by less agree.
     """
     r = depth > 0
     o, other, unread = observed > 0, observed < 0, observed == 0
-    error = np.minimum(np.abs(depth.astype(np.float64) - observed), clamp_mm)
+    apart = np.abs(depth.astype(np.float64) - observed)
+    error = np.minimum(apart, clamp_mm)
     return TileSums(
         np.where(r & o, error, 0.0).sum(axis=(1, 2)),
         (r & o).sum(axis=(1, 2)).astype(np.float64),
@@ -67,5 +74,6 @@ def sums_in_numpy(
         (r & unread).sum(axis=(1, 2)).astype(np.float64),
         np.zeros(len(depth)) if model is None else misfits_in_numpy(depth, observed, model),
         (r & other & (-observed < depth)).sum(axis=(1, 2)).astype(np.float64),
+        (r & o & (apart < match_mm)).sum(axis=(1, 2)).astype(np.float64),
         float(o.sum()),
     )

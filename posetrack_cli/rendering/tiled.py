@@ -112,6 +112,7 @@ class TiledDepthRenderer:
         observed: Float32Array,
         clamp_mm: float,
         model: PixelMixture | None = None,
+        match_mm: float = 0.0,
     ) -> TileSums:
         """Render and reduce on the device.
 
@@ -123,6 +124,7 @@ class TiledDepthRenderer:
                 is of something else; 0 where there is none.
             clamp_mm: c_max of eq. (4).
             model: of a pixel, for the misfits; without one they are 0.
+            match_mm: depths that differ by less agree; at 0 none do.
 
         Raises:
             RenderingError: transforms, window or observed image do not fit.
@@ -135,7 +137,7 @@ class TiledDepthRenderer:
             )
         self._check(transforms, window)  # before anything is written to the device
         self._observed.write(np.ascontiguousarray(observed, dtype=np.float32))
-        self._reduce["clamp_mm"] = clamp_mm
+        self._reduce["clamp_mm"], self._reduce["match_mm"] = clamp_mm, match_mm
         self._reduce["near_sd"] = 0.0
         for name, value in ({} if model is None else model.uniforms).items():
             self._reduce[name] = value

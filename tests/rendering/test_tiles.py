@@ -100,6 +100,20 @@ def test_sums_on_the_device_are_those_in_numpy(context: Any, hands: np.ndarray, 
     check_sums(drawing.sums(hands[:100], KINECT, window(), image, clamp), expected)
 
 
+def test_depths_that_agree_are_counted_alike_on_the_device(context: Any, hands: np.ndarray) -> None:
+    drawing = renderer(context, 100)
+    depth = drawing.depth(hands[:100], KINECT, window())
+    image = observed_image(depth[3])
+    expected = sums_in_numpy(depth, image, 40.0, match_mm=10.0).matched
+    found = drawing.sums(hands[:100], KINECT, window(), image, 40.0, match_mm=10.0)
+    np.testing.assert_allclose(found.matched, expected, atol=2.0)  # a difference of 10 mm but for rounding
+    assert expected.min() > 0 and (found.matched < found.both).all()
+    pixels = (zip(one.flat, image.flat, strict=True) for one in depth[:3])
+    by_loop = [sum(d > 0 and y > 0 and abs(d - y) < 10.0 for d, y in pairs) for pairs in pixels]
+    assert expected[:3].tolist() == by_loop
+    assert not drawing.sums(hands[:100], KINECT, window(), image, 40.0).matched.any()
+
+
 def test_sums_in_numpy_against_a_loop_over_pixels() -> None:
     rng = np.random.default_rng(0)
     depth = rng.choice([0.0, 500.0, 520.0], (3, 4, 5)).astype(np.float32)

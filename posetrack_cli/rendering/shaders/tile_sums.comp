@@ -14,6 +14,7 @@ uniform ivec2 tile_size;
 uniform int columns;  // of tiles in the atlas
 uniform float near_mm;
 uniform float clamp_mm;
+uniform float match_mm;  // depths that differ by less agree
 
 // the pixel's model (pixel_model.py); near_sd = 0: no misfits are asked for
 uniform float near_sd;
@@ -23,7 +24,7 @@ uniform float occluded_per_sd;
 uniform float outlier_per_sd;
 
 shared vec4 partial[LANES];
-shared vec2 partial_misfit[LANES];
+shared vec3 partial_more[LANES];
 
 float misfit(float d, float y) {
     float sd = near_sd + sd_growth * d * d;
@@ -47,7 +48,7 @@ void main() {
     int width = max(box.z - box.x, 0);
     int pixels = width * max(box.w - box.y, 0);
     vec4 sum = vec4(0.0);
-    vec2 misfits = vec2(0.0);  // their sum, and how many pixels are hidden
+    vec3 more = vec3(0.0);  // sum of misfits, how many pixels are hidden, how many agree
     for (int i = lane; i < pixels; i += LANES) {
         ivec2 at = box.xy + ivec2(i % width, i / width);
         float inverse = texelFetch(atlas, corner + at, 0).x;
@@ -56,22 +57,23 @@ void main() {
             float y = texelFetch(observed, at, 0).x;
             float error = min(abs(d - y), clamp_mm);
             sum += y > 0.0 ? vec4(error, 1.0, 0.0, 0.0) : vec4(0.0, 0.0, float(y < 0.0), float(y == 0.0));
-            if (near_sd > 0.0 && y != 0.0) misfits.x += misfit(d, y);
-            misfits.y += float(y < 0.0 && -y < d);
+            if (near_sd > 0.0 && y != 0.0) more.x += misfit(d, y);
+            more.y += float(y < 0.0 && -y < d);
+            more.z += float(y > 0.0 && abs(d - y) < match_mm);
         }
     }
     partial[lane] = sum;
-    partial_misfit[lane] = misfits;
+    partial_more[lane] = more;
     barrier();
     for (int half_way = LANES / 2; half_way > 0; half_way >>= 1) {
         if (lane < half_way) {
             partial[lane] += partial[lane + half_way];
-            partial_misfit[lane] += partial_misfit[lane + half_way];
+            partial_more[lane] += partial_more[lane + half_way];
         }
         barrier();
     }
     if (lane == 0) {
         sums[2 * tile] = partial[0];
-        sums[2 * tile + 1] = vec4(partial_misfit[0], 0.0, 0.0);
+        sums[2 * tile + 1] = vec4(partial_more[0], 0.0);
     }
 }
