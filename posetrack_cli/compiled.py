@@ -26,10 +26,19 @@ _OPTIONS: dict[str, Any] = {
 
 def kernel(function: Function) -> Function:
     """Compile a function of arrays and numbers when it is first called; it releases the interpreter's lock."""
+    return _compiled(function)
+
+
+def inlined(function: Function) -> Function:
+    """The same for a small function that is called per pixel: its code goes into its callers."""
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Function, **options: Any) -> Function:
     import numba
 
     _choose_cache_folder()
-    compiled: Function = numba.njit(cache=True, **_OPTIONS)(function)
+    compiled: Function = numba.njit(cache=True, **_OPTIONS, **options)(function)
     return compiled
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import kernel
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, HandAnatomy
-from posetrack_cli.hand.fitting.normal_equations import NormalEquations
+from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations
 from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, point_row, pose_bones
 
 SPHERES = 5  # a finger: at joint 2, between, at joint 1, between, near the tip
@@ -85,69 +85,83 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
 
 
 @kernel
-def _sphere(posed: Posed, f: int, k: int, out: FloatArray) -> int:
-    """Write the centre of a finger's sphere; return the bone 1 or 2 that carries it."""
-    joint2, joint1, tip = posed.centres[f, 1], posed.centres[f, 2], posed.tips[f]
-    for i in range(3):
-        if k == 0:
-            out[i] = joint2[i]
-        elif k == 1:
-            out[i] = 0.5 * (joint2[i] + joint1[i])
-        elif k == 2:
-            out[i] = joint1[i]
-        elif k == 3:
-            out[i] = 0.6 * joint1[i] + 0.4 * tip[i]
-        else:
-            out[i] = 0.3 * joint1[i] + 0.7 * tip[i]
-    return 1 if k < 2 else 2
+def place_spheres(posed: Posed, out: FloatArray) -> None:
+    """Write the centres (5, SPHERES, 3) of the fingers' spheres, camera coordinates, mm."""
+    for f in range(5):
+        for i in range(3):
+            joint2, joint1, tip = posed.centres[f, 1, i], posed.centres[f, 2, i], posed.tips[f, i]
+            out[f, 0, i] = joint2
+            out[f, 1, i] = 0.5 * (joint2 + joint1)
+            out[f, 2, i] = joint1
+            out[f, 3, i] = 0.6 * joint1 + 0.4 * tip
+            out[f, 4, i] = 0.3 * joint1 + 0.7 * tip
 
 
 @kernel
 def _add_overlap(
-    posed: Posed, f: int, h: int, k: int, m: int, about: Plausibility, equations: NormalEquations
-) -> float:
-    """Push sphere k of finger f and sphere m of finger h apart where they overlap."""
-    p, q, d = np.empty(3), np.empty(3), np.empty(3)
-    bone, other = _sphere(posed, f, k, p), _sphere(posed, h, m, q)
-    distance = 1e-9
+    posed: Posed,
+    pair: tuple[int, int, int, int],
+    p: FloatArray,
+    q: FloatArray,
+    overlap: float,
+    weight: float,
+    equations: NormalEquations,
+) -> None:
+    """Push spheres k and m (at p and q) of fingers f < h apart; palm motion moves both alike."""
+    f, h, k, m = pair
+    d = (p - q) / (np.sqrt(np.sum((p - q) ** 2)) + 1e-9)
+    reaches, row, against = np.ones((2, 3)), np.empty(ROW), np.empty(ROW)
+    reaches[0, 2], reaches[1, 2] = 1.0 if k > 1 else 0.0, 1.0 if m > 1 else 0.0
+    point_row(posed, f, reaches, 0, p[0], p[1], p[2], d[0], d[1], d[2], row)
+    point_row(posed, h, reaches, 1, q[0], q[1], q[2], d[0], d[1], d[2], against)
+    H, g, first, second = equations.matrix, equations.vector, 6 + 3 * f, 6 + 3 * h
     for i in range(3):
-        d[i] = p[i] - q[i]
-    distance += np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    overlap = about.radii[f, k] + about.radii[h, m] - about.allowed_mm - distance
-    if overlap <= 0.0:
-        return 0.0
-    for i in range(3):
-        d[i] /= distance
-    ones, row, against = np.ones(3), np.empty(9), np.empty(9)
-    ones[2] = 1.0 if bone == 2 else 0.0
-    point_row(posed, f, ones, p, d, row)
-    ones[2] = 1.0 if other == 2 else 0.0
-    point_row(posed, h, ones, q, d, against)
-    H, g, w = equations.matrix, equations.vector, about.overlap
-    first, second = 6 + 3 * f, 6 + 3 * h
-    for i in range(3):  # palm motion moves both alike
-        g[first + i] += w * row[6 + i] * overlap
-        g[second + i] -= w * against[6 + i] * overlap
+        g[first + i] += weight * row[6 + i] * overlap
+        g[second + i] -= weight * against[6 + i] * overlap
         for j in range(3):
-            if j >= i:
-                H[first + i, first + j] += w * row[6 + i] * row[6 + j]
-                H[second + i, second + j] += w * against[6 + i] * against[6 + j]
-            H[min(first, second) + i, max(first, second) + j] -= w * (
-                row[6 + i] * against[6 + j] if first < second else against[6 + i] * row[6 + j]
-            )
-    return 0.5 * w * overlap * overlap
+            H[first + i, first + j] += weight * row[6 + i] * row[6 + j]
+            H[second + i, second + j] += weight * against[6 + i] * against[6 + j]
+            H[first + i, second + j] -= weight * row[6 + i] * against[6 + j]
+            H[second + j, first + i] -= weight * row[6 + i] * against[6 + j]
 
 
 @kernel
-def add_anatomy(about: Plausibility, pose: FloatArray, posed: Posed, equations: NormalEquations) -> float:
-    """Add the potential's residuals at a pose (22,) to the upper triangle, and return U."""
+def _add_collisions(
+    about: Plausibility, posed: Posed, spheres: FloatArray, f: int, h: int, equations: NormalEquations
+) -> float:
+    """The potential of two fingers' overlaps."""
+    value = 0.0
+    for k in range(SPHERES):
+        x, y, z = spheres[f, k, 0], spheres[f, k, 1], spheres[f, k, 2]
+        for m in range(SPHERES):
+            ex, ey, ez = x - spheres[h, m, 0], y - spheres[h, m, 1], z - spheres[h, m, 2]
+            allowed = about.radii[f, k] + about.radii[h, m] - about.allowed_mm
+            square = ex * ex + ey * ey + ez * ez
+            if square < allowed * allowed:
+                overlap = allowed - np.sqrt(square)
+                value += 0.5 * about.overlap * overlap * overlap
+                pair = (f, h, k, m)
+                _add_overlap(posed, pair, spheres[f, k], spheres[h, m], overlap, about.overlap, equations)
+    return value
+
+
+@kernel
+def add_anatomy(
+    about: Plausibility, pose: FloatArray, posed: Posed, spheres: FloatArray, equations: NormalEquations
+) -> float:
+    """Add the potential's residuals at a pose (22,) to matrix and vector, and return U.
+
+    Args:
+        about: constants.
+        pose, posed: the pose and its bones.
+        spheres: (5, SPHERES, 3) room.
+        equations: to add to.
+    """
     value = _add_limits(about, pose[7:], equations)
+    place_spheres(posed, spheres)
     for f in range(5):
-        others = range(1, 5) if f == 0 else range(f + 1, min(f + 2, 5))
-        for h in others:
-            for k in range(SPHERES):
-                for m in range(SPHERES):
-                    value += _add_overlap(posed, f, h, k, m, about, equations)
+        for h in range(f + 1, 5 if f == 0 else min(f + 2, 5)):  # the thumb meets all, a finger its neighbour
+            value += _add_collisions(about, posed, spheres, f, h, equations)
     return value
 
 
@@ -157,10 +171,11 @@ def potentials(
     skeleton: Skeleton,
     poses: FloatArray,
     posed: Posed,
+    spheres: FloatArray,
     equations: NormalEquations,
     out: FloatArray,
 ) -> None:
     """Write U (N,) of poses (N, 22)."""
     for n in range(len(poses)):
         pose_bones(skeleton, poses[n], posed)
-        out[n] = add_anatomy(about, poses[n], posed, equations)
+        out[n] = add_anatomy(about, poses[n], posed, spheres, equations)

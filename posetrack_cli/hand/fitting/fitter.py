@@ -140,7 +140,7 @@ class HandFitter:
     def potentials(self, poses: FloatArray) -> FloatArray:
         """Return the anatomical potential U (N,) of poses (N, 22); exp(-U) is a factor of the likelihood."""
         out, work = np.empty(len(poses)), self._free[0]
-        potentials(self.hand.plausibility, self.hand.skeleton, poses, work.posed, work.whole, out)
+        potentials(self.hand.plausibility, self.hand.skeleton, poses, work.posed, work.spheres, work.whole, out)
         return out
 
     def _each(self, function: Callable[..., object], *arguments: Sequence[object] | FloatArray) -> list:

@@ -9,8 +9,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import kernel
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
-from posetrack_cli.hand.fitting.anatomy_terms import Plausibility, add_anatomy
-from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, complete, empty_equations
+from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
+from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, empty_equations, gather
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, draw, empty_drawing
 from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, empty_posed, pose_bones
 from posetrack_cli.hand.fitting.terms import Scratch, Terms, Tile, add_terms, empty_scratch, union_cost
@@ -40,6 +40,7 @@ class Work(NamedTuple):
     posed: Posed
     drawing: Drawing
     scratch: Scratch
+    spheres: FloatArray
     data: NormalEquations
     whole: NormalEquations
 
@@ -64,6 +65,7 @@ def make_work(hand: Hand, height: int, width: int) -> Work:
         empty_posed(),
         empty_drawing(hand.skin, height, width),
         empty_scratch(hand.skin, height, width),
+        np.zeros((5, SPHERES, 3)),
         empty_equations(),
         empty_equations(),
     )
@@ -127,8 +129,7 @@ def _solve(
     for i in range(TANGENT_SIZE):
         whole.matrix[i, i] += precision[i]
         whole.vector[i] = work.data.vector[i] + precision[i] * delta[i]
-    add_anatomy(hand.plausibility, pose, work.posed, whole)
-    complete(whole)
+    add_anatomy(hand.plausibility, pose, work.posed, work.spheres, whole)
     delta[:] = np.linalg.solve(whole.matrix, whole.vector)
 
 
@@ -136,7 +137,6 @@ def _solve(
 def _keep(pose: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
     out.pose[:], out.cost[0] = pose, cost
     out.data.matrix[:], out.data.vector[:] = data.matrix, data.vector
-    complete(out.data)
 
 
 @kernel
@@ -175,6 +175,7 @@ def descend(
             cost = add_terms(
                 tile, work.posed, hand.skin, work.drawing, terms, widening, work.scratch, work.data
             )
+            gather(work.data)
         if cost < out.cost[0]:
             _keep(pose, work.data, cost, out)
         if k < iterations:
@@ -199,6 +200,7 @@ def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, work: Work, o
     cost = terms.clamp_mm
     if draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
         cost = add_terms(tile, work.posed, hand.skin, work.drawing, terms, 1.0, work.scratch, work.data)
+        gather(work.data)
     _keep(pose, work.data, cost, out)
 
 

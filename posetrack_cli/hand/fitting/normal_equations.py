@@ -1,4 +1,8 @@
-"""Weighted normal equations of a pose's tangent vector; compiled."""
+"""Weighted normal equations of a pose's tangent vector; compiled.
+
+A skin point moves with the palm's six numbers and with the three of one finger, so residuals are summed in
+six blocks of nine unknowns, one per finger and one for the palm alone, and put together once.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +11,30 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
-from posetrack_cli.hand.fitting.skeleton import PALM
+
+ROW = 10  # palm's six unknowns, a finger's three, the residual
 
 
 class NormalEquations(NamedTuple):
     """Of residuals r_i(x (+) e) ~ r_i - J_i e with weights w_i.
 
     Attributes:
-        matrix: (21, 21) sum w J^T J; the lower triangle is filled in by ``complete``.
+        matrix: (21, 21) sum w J^T J.
         vector: (21,) sum w J^T r.
+        blocks: (6, 9, 10) the same per finger, then of the palm alone; ``gather`` adds them up.
     """
 
     matrix: FloatArray
     vector: FloatArray
+    blocks: FloatArray
 
 
 def empty_equations() -> NormalEquations:
     """Return equations of no residual."""
-    return NormalEquations(np.zeros((TANGENT_SIZE, TANGENT_SIZE)), np.zeros(TANGENT_SIZE))
+    size = TANGENT_SIZE
+    return NormalEquations(np.zeros((size, size)), np.zeros(size), np.zeros((6, ROW - 1, ROW)))
 
 
 @kernel
@@ -34,37 +42,28 @@ def clear(equations: NormalEquations) -> None:
     """Forget all residuals."""
     equations.matrix[:] = 0.0
     equations.vector[:] = 0.0
+    equations.blocks[:] = 0.0
+
+
+@inlined
+def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: float) -> None:
+    """Add one residual with its row (10,) of ``point_row``; finger PALM = -1 is the last block."""
+    block = equations.blocks
+    f = finger if finger >= 0 else 5
+    for i in range(ROW - 1):
+        scaled = weight * row[i]
+        for j in range(ROW):
+            block[f, i, j] += scaled * row[j]
 
 
 @kernel
-def add_row(
-    equations: NormalEquations, finger: int, row: FloatArray, residual: float, weight: float
-) -> None:
-    """Add one residual whose row (9,) is of ``point_row``."""
-    H, g = equations.matrix, equations.vector
-    for i in range(6):
-        scaled = weight * row[i]
-        g[i] += scaled * residual
-        for j in range(i, 6):
-            H[i, j] += scaled * row[j]
-    if finger == PALM:
-        return
-    first = 6 + 3 * finger
-    for i in range(6):
-        scaled = weight * row[i]
-        for j in range(3):
-            H[i, first + j] += scaled * row[6 + j]
-    for i in range(3):
-        scaled = weight * row[6 + i]
-        g[first + i] += scaled * residual
-        for j in range(i, 3):
-            H[first + i, first + j] += scaled * row[6 + j]
-
-
-@kernel
-def complete(equations: NormalEquations) -> None:
-    """Fill in the lower triangle of the symmetric matrix."""
-    H = equations.matrix
-    for i in range(H.shape[0]):
-        for j in range(i):
-            H[i, j] = H[j, i]
+def gather(equations: NormalEquations) -> None:
+    """Add the blocks to matrix and vector, and empty them."""
+    H, g, blocks = equations.matrix, equations.vector, equations.blocks
+    for f in range(6):
+        for i in range(6 if f == 5 else 9):
+            row = i if i < 6 else 3 * f + i
+            g[row] += blocks[f, i, 9]
+            for j in range(6 if f == 5 else 9):
+                H[row, j if j < 6 else 3 * f + j] += blocks[f, i, j]
+    blocks[:] = 0.0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.skeleton import PALM
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
@@ -115,17 +115,17 @@ def empty_drawing(skin: Skin, height: int, width: int) -> Drawing:
 @kernel
 def _place(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Pose and project the vertices; False if one is too near to be drawn."""
-    for v in range(len(skin.vertices)):
-        x, y, z = skin.vertices[v, 0], skin.vertices[v, 1], skin.vertices[v, 2]
+    vertices, indices, weights = skin.vertices, skin.bones, skin.weights
+    for v in range(len(vertices)):
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         px, py, pz = 0.0, 0.0, 0.0
-        for k in range(skin.weights.shape[1]):
-            w = skin.weights[v, k]
+        for k in range(weights.shape[1]):
+            w, b = weights[v, k], indices[v, k]
             if w == 0.0:
                 break
-            T = bones[skin.bones[v, k]]
-            px += w * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3])
-            py += w * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3])
-            pz += w * (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3])
+            px += w * (bones[b, 0, 0] * x + bones[b, 0, 1] * y + bones[b, 0, 2] * z + bones[b, 0, 3])
+            py += w * (bones[b, 1, 0] * x + bones[b, 1, 1] * y + bones[b, 1, 2] * z + bones[b, 1, 3])
+            pz += w * (bones[b, 2, 0] * x + bones[b, 2, 1] * y + bones[b, 2, 2] * z + bones[b, 2, 3])
         if pz < NEAR_MM:
             return False
         out.vertices[v, 0], out.vertices[v, 1], out.vertices[v, 2] = px, py, pz
@@ -136,39 +136,40 @@ def _place(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
     return True
 
 
-@kernel
-def _fill(out: Drawing, t: int, a: FloatArray, b: FloatArray, c: FloatArray, area: float) -> None:
-    """Draw one triangle that faces the camera; 1 / z is linear in the image."""
+@inlined
+def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float) -> None:
+    """Draw one triangle of vertices a, b, c that faces the camera; 1 / z is linear in the image."""
     height, width = out.inverse.shape
-    left = max(0, int(np.ceil(min(a[0], b[0], c[0]) - 0.5)))
-    right = min(width - 1, int(np.floor(max(a[0], b[0], c[0]) - 0.5)))
-    top = max(0, int(np.ceil(min(a[1], b[1], c[1]) - 0.5)))
-    bottom = min(height - 1, int(np.floor(max(a[1], b[1], c[1]) - 0.5)))
-    # barycentric coordinates of b and c are linear in x and y
-    share = 1.0 / area
-    bx, by = (c[1] - a[1]) * share, (a[0] - c[0]) * share
-    cx, cy = (a[1] - b[1]) * share, (b[0] - a[0]) * share
-    zb, zc = b[2] - a[2], c[2] - a[2]
+    screen, inverses = out.screen, out.inverse
+    ax, ay, az = screen[a, 0], screen[a, 1], screen[a, 2]
+    ux, uy, uz = screen[b, 0] - ax, screen[b, 1] - ay, screen[b, 2] - az
+    vx, vy, vz = screen[c, 0] - ax, screen[c, 1] - ay, screen[c, 2] - az
+    left = max(0, int(np.ceil(ax + min(0.0, ux, vx) - 0.5)))
+    right = min(width - 1, int(np.floor(ax + max(0.0, ux, vx) - 0.5)))
+    top = max(0, int(np.ceil(ay + min(0.0, uy, vy) - 0.5)))
+    bottom = min(height - 1, int(np.floor(ay + max(0.0, uy, vy) - 0.5)))
+    share = 1.0 / area  # barycentric coordinates of b and c are linear in x and y
+    bx, by, cx, cy = vy * share, -vx * share, -uy * share, ux * share
     for j in range(top, bottom + 1):
-        y = j + 0.5 - a[1]
+        y = j + 0.5 - ay
         for i in range(left, right + 1):
-            x = i + 0.5 - a[0]
+            x = i + 0.5 - ax
             beta, gamma = bx * x + by * y, cx * x + cy * y
-            if beta < 0.0 or gamma < 0.0 or beta + gamma > 1.0:
-                continue
-            inverse = a[2] + beta * zb + gamma * zc
-            if inverse > out.inverse[j, i]:
-                out.inverse[j, i] = inverse
-                out.triangle[j, i] = t
+            if beta >= 0.0 and gamma >= 0.0 and beta + gamma <= 1.0:
+                inverse = az + beta * uz + gamma * vz
+                if inverse > inverses[j, i]:
+                    inverses[j, i] = inverse
+                    out.triangle[j, i] = t
 
 
-@kernel
-def _normal(out: Drawing, t: int, p: FloatArray, q: FloatArray, r: FloatArray) -> None:
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+@inlined
+def _write_normal(out: Drawing, t: int, a: int, b: int, c: int) -> None:
+    p = out.vertices
+    ux, uy, uz = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
+    vx, vy, vz = p[c, 0] - p[a, 0], p[c, 1] - p[a, 1], p[c, 2] - p[a, 2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = np.sqrt(x * x + y * y + z * z) + 1e-30
-    out.normals[t, 0], out.normals[t, 1], out.normals[t, 2] = x / length, y / length, z / length
+    share = 1.0 / (np.sqrt(x * x + y * y + z * z) + 1e-30)
+    out.normals[t, 0], out.normals[t, 1], out.normals[t, 2] = x * share, y * share, z * share
 
 
 @kernel
@@ -179,12 +180,14 @@ def draw(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
     out.facing[:] = False
     if not _place(skin, bones, view, out):
         return False
-    for t in range(len(skin.triangles)):
-        ia, ib, ic = skin.triangles[t, 0], skin.triangles[t, 1], skin.triangles[t, 2]
-        a, b, c = out.screen[ia], out.screen[ib], out.screen[ic]
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    triangles, screen = skin.triangles, out.screen
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
+        vx, vy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
+        area = ux * vy - uy * vx
         if area < 0.0:  # counter-clockwise from outside; y runs downwards
-            out.facing[ia] = out.facing[ib] = out.facing[ic] = True
-            _normal(out, t, out.vertices[ia], out.vertices[ib], out.vertices[ic])
+            out.facing[a] = out.facing[b] = out.facing[c] = True
+            _write_normal(out, t, a, b, c)
             _fill(out, t, a, b, c, area)
     return True

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
 
 HALF = 0.5  # joint 1 bends half as far as joint 2
@@ -148,13 +148,18 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
         posed.tips[f] = at
 
 
-@kernel
+@inlined
 def point_row(
     posed: Posed,
     finger: int,
-    reach: FloatArray,
-    p: FloatArray,
-    d: FloatArray,
+    reaches: FloatArray,
+    n: int,
+    px: float,
+    py: float,
+    pz: float,
+    dx: float,
+    dy: float,
+    dz: float,
     row: FloatArray,
 ) -> None:
     """Write how fast a skin point moves along a direction, by tangent component: d . dp/dx.
@@ -164,38 +169,40 @@ def point_row(
     Args:
         posed: the pose's bones.
         finger: that moves the point, or PALM.
-        reach: (3,) skinning weight of the finger's bones from joint 3, 2, 1 outwards.
-        p: (3,) camera coordinates, mm.
-        d: (3,) unit direction.
-        row: (9,) translation, body rotation, the finger's three angles; the last are 0 for the palm.
+        reaches: (M, 3), row n: skinning weight of the finger's bones from joint 3, 2, 1 outwards.
+        n: which row.
+        px, py, pz: the point, camera coordinates, mm.
+        dx, dy, dz: unit direction.
+        row: (10,) translation, body rotation, the finger's three angles (0 for the palm); the last is left.
     """
-    palm = posed.bones[0]
-    lx, ly, lz = p[0] - palm[0, 3], p[1] - palm[1, 3], p[2] - palm[2, 3]
-    tx, ty, tz = ly * d[2] - lz * d[1], lz * d[0] - lx * d[2], lx * d[1] - ly * d[0]
+    palm = posed.bones
+    lx, ly, lz = px - palm[0, 0, 3], py - palm[0, 1, 3], pz - palm[0, 2, 3]
+    tx, ty, tz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
+    row[0], row[1], row[2] = dx, dy, dz
     for k in range(3):
-        row[k] = d[k]
-        row[3 + k] = palm[0, k] * tx + palm[1, k] * ty + palm[2, k] * tz
+        row[3 + k] = palm[0, 0, k] * tx + palm[0, 1, k] * ty + palm[0, 2, k] * tz
         row[6 + k] = 0.0
     if finger == PALM:
         return
-    axes, centres = posed.axes[finger], posed.centres[finger]
+    f, axes, centres = finger, posed.axes, posed.centres
     for joint in range(3):
-        weight = reach[joint]
+        weight = reaches[n, joint]
         if weight == 0.0:
             break
-        lx, ly, lz = p[0] - centres[joint, 0], p[1] - centres[joint, 1], p[2] - centres[joint, 2]
-        tx = weight * (ly * d[2] - lz * d[1])
-        ty = weight * (lz * d[0] - lx * d[2])
-        tz = weight * (lx * d[1] - ly * d[0])
-        first = axes[0, 0] * tx + axes[0, 1] * ty + axes[0, 2] * tz
-        second = axes[1, 0] * tx + axes[1, 1] * ty + axes[1, 2] * tz
-        if finger == 0:
+        lx, ly, lz = px - centres[f, joint, 0], py - centres[f, joint, 1], pz - centres[f, joint, 2]
+        tx = weight * (ly * dz - lz * dy)
+        ty = weight * (lz * dx - lx * dz)
+        tz = weight * (lx * dy - ly * dx)
+        first = axes[f, 0, 0] * tx + axes[f, 0, 1] * ty + axes[f, 0, 2] * tz
+        second = axes[f, 1, 0] * tx + axes[f, 1, 1] * ty + axes[f, 1, 2] * tz
+        if f == 0:
             if joint == 0:
                 row[6] += first
+            elif joint == 1:
+                row[7] += second
+                row[8] += axes[0, 2, 0] * tx + axes[0, 2, 1] * ty + axes[0, 2, 2] * tz
             else:
-                row[7] += second if joint == 1 else HALF * second
-                if joint == 1:
-                    row[8] += axes[2, 0] * tx + axes[2, 1] * ty + axes[2, 2] * tz
+                row[7] += HALF * second
         elif joint == 0:
             row[6] += first
             row[7] += second

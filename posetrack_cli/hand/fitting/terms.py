@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
-from posetrack_cli.hand.fitting.normal_equations import NormalEquations, add_row
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations, add_row
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View
 from posetrack_cli.hand.fitting.skeleton import Posed, point_row
 
@@ -78,28 +78,11 @@ def empty_scratch(skin: Skin, height: int, width: int) -> Scratch:
     return Scratch(np.zeros((height * width, 3)), np.zeros(len(skin.vertices), dtype=np.int64))
 
 
-@kernel
+@inlined
 def _robust(e: float, tau: float) -> float:
     """The factor 1 / (1 + (e / tau)^2)^2 of Geman and McClure."""
     s = 1.0 + (e / tau) * (e / tau)
     return 1.0 / (s * s)
-
-
-@kernel
-def _add_point(
-    equations: NormalEquations,
-    posed: Posed,
-    skin: Skin,
-    t: int,
-    p: FloatArray,
-    d: FloatArray,
-    residual: float,
-    weight: float,
-    row: FloatArray,
-) -> None:
-    finger = skin.triangle_fingers[t]
-    point_row(posed, finger, skin.triangle_reaches[t], p, d, row)
-    add_row(equations, finger, row, residual, weight)
 
 
 @kernel
@@ -122,11 +105,12 @@ def add_terms(
         terms: weights.
         widening: factor on the robust scales.
         scratch: room.
-        equations: residuals are added to it; the lower triangle is left out.
+        equations: residuals are added to its blocks.
     """
     height, width = tile.image.shape
     view = tile.projection
-    p, d, row = np.empty(3), np.empty(3), np.empty(9)
+    row = np.empty(ROW)
+    fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
     inverse_variance = 1.0 / (terms.sigma_mm * terms.sigma_mm)
     error, both, missed, unexplained = 0.0, 0, 0.0, 0
     for j in range(height):
@@ -140,20 +124,21 @@ def add_terms(
                     unexplained += 1
                 continue
             z = 1.0 / inverse
-            p[0], p[1], p[2] = x * z, y * z, z
             t = drawing.triangle[j, i]
             if observed > 0.0:
                 dz = observed - z
                 both += 1
                 error += min(abs(dz), terms.clamp_mm)
                 if abs(dz) < terms.gate_mm:
-                    d[:] = drawing.normals[t]
-                    residual = dz * (d[0] * x + d[1] * y + d[2])
-                    weight = inverse_variance * _robust(residual, widening * terms.surface_tau_mm)
-                    _add_point(equations, posed, skin, t, p, d, residual, weight, row)
+                    dx, dy, nz = normals[t, 0], normals[t, 1], normals[t, 2]
+                    row[9] = dz * (dx * x + dy * y + nz)
+                    weight = inverse_variance * _robust(row[9], widening * terms.surface_tau_mm)
+                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, nz, row)
+                    add_row(equations, fingers[t], row, weight)
                 elif dz > 0.0:
-                    d[0], d[1], d[2] = 0.0, 0.0, 1.0
-                    _add_point(equations, posed, skin, t, p, d, terms.gate_mm, terms.push, row)
+                    row[9] = terms.gate_mm
+                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, 0.0, 0.0, 1.0, row)
+                    add_row(equations, fingers[t], row, terms.push)
                 if abs(dz) > terms.explained_mm:
                     _note(scratch.points, unexplained, x, y, observed)
                     unexplained += 1
@@ -165,10 +150,11 @@ def add_terms(
                 dy = (tile.nearest[1, j, i] - j) / view.c * z
                 distance = np.sqrt(dx * dx + dy * dy)
                 if distance > 0.0:
-                    d[0], d[1] = dx / distance, dy / distance
-                    d[2] = -(d[0] * x + d[1] * y)
+                    row[9], dx, dy = distance, dx / distance, dy / distance
                     weight = inverse_variance * _robust(distance, widening * terms.silhouette_tau_mm)
-                    _add_point(equations, posed, skin, t, p, d, distance, weight, row)
+                    nz = -(dx * x + dy * y)
+                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, nz, row)
+                    add_row(equations, fingers[t], row, weight)
     _add_closest(posed, skin, drawing, terms, widening, scratch, unexplained, equations)
     disagree = missed + (tile.observed - both)
     union = both + disagree
@@ -177,7 +163,7 @@ def add_terms(
     return (error + terms.clamp_mm * disagree) / union
 
 
-@kernel
+@inlined
 def _note(points: FloatArray, k: int, x: float, y: float, z: float) -> None:
     points[k, 0], points[k, 1], points[k, 2] = x * z, y * z, z
 
@@ -202,26 +188,38 @@ def _add_closest(
     if facing == 0 or count == 0:
         return
     stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
-    d, row = np.empty(3), np.empty(9)
+    row, vertices = np.empty(ROW), drawing.vertices
     for k in range(0, count, stride):
-        q = scratch.points[k]
+        x, y, z = scratch.points[k, 0], scratch.points[k, 1], scratch.points[k, 2]
         best, nearest = 1e30, 0
         for m in range(facing):
-            v = drawing.vertices[scratch.vertices[m]]
-            ex, ey, ez = q[0] - v[0], q[1] - v[1], q[2] - v[2]
+            v = scratch.vertices[m]
+            ex, ey, ez = x - vertices[v, 0], y - vertices[v, 1], z - vertices[v, 2]
             square = ex * ex + ey * ey + ez * ez
             if square < best:
-                best, nearest = square, scratch.vertices[m]
+                best, nearest = square, v
         distance = np.sqrt(best)
         if distance < 1e-9:
             continue
-        p = drawing.vertices[nearest]
-        d[0], d[1], d[2] = (q[0] - p[0]) / distance, (q[1] - p[1]) / distance, (q[2] - p[2]) / distance
+        px, py, pz = vertices[nearest, 0], vertices[nearest, 1], vertices[nearest, 2]
         weight = stride / (terms.closest_mm * terms.closest_mm)
         weight *= _robust(distance, widening * terms.closest_tau_mm)
-        finger = skin.fingers[nearest]
-        point_row(posed, finger, skin.reaches[nearest], p, d, row)
-        add_row(equations, finger, row, distance, weight)
+        finger, share = skin.fingers[nearest], 1.0 / distance
+        row[9] = distance
+        point_row(
+            posed,
+            finger,
+            skin.reaches,
+            nearest,
+            px,
+            py,
+            pz,
+            share * (x - px),
+            share * (y - py),
+            share * (z - pz),
+            row,
+        )
+        add_row(equations, finger, row, weight)
 
 
 @kernel
