@@ -13,6 +13,7 @@ import click
 from posetrack_cli.cli.parameter_types import FiniteRange, only_once
 from posetrack_cli.cli.standard_output import reader_may_leave
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
+from posetrack_cli.results.tracks import FILTERED, TRACKS
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.assessment import Assessment, Request
@@ -53,6 +54,12 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     default="none",
     show_default=True,
     help="Remove one constant rigid offset first, or also each point's own.",
+)
+@click.option(
+    "--track",
+    type=click.Choice([*TRACKS, "both"]),
+    help="Which track of each result: both stand beside each other and are compared.  [default: filtered; a "
+    "page shows both]",
 )
 @click.option("--recording", type=FILE, help="The recording; measures residuals against its images.")
 @click.option("--json", "json_path", type=OUTPUT, metavar="FILE|-", help="Write everything as JSON.")
@@ -134,10 +141,13 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     gates = [parse_gate(text) for text in options["conditions"]]
     gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
     names = ("truth", "tolerance_ms", "time_offset_s", "align", "recording")
+    track = options["track"]
     request = Request(
         results=results,
         groups=groups,
         options=EvalOptions(**{name: options[name] for name in names}),
+        tracks=TRACKS if track == "both" else (track or FILTERED,),
+        page=options["html_path"] is not None and track is None,
         gates=tuple(gates),
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
         baseline_tolerance=options["baseline_tolerance"],
@@ -205,9 +215,9 @@ def _write(path: Path, text: str) -> None:
 def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
     from posetrack_cli.evaluation.html.writer import write_html
 
-    pictures = {one.name: _pictures(one, recording) for one in found.evaluations}
+    pictures = {one.name: _pictures(one, recording) for one in found.on_page}
     title = ", ".join(one.name for one in found.evaluations)
-    write_html(path, found.evaluations, found.comparison, pictures, title)
+    write_html(path, found.on_page, found.page_comparison, pictures, title)
 
 
 def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+from posetrack_cli.results.tracks import FILTERED, TRACKS
 
 FORMATS = ("csv", "tum", "npz", "json")
 _STANDARD_OUTPUT = Path("-")
@@ -29,6 +30,13 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
     type=click.Path(path_type=Path),
     help="Where to write; nothing or - is standard output.",
 )
+@click.option(
+    "--track",
+    type=click.Choice(TRACKS),
+    default=FILTERED,
+    show_default=True,
+    help="Which track of the result.",
+)
 @click.option("--topic", help="Of the estimates, such as /truth/hand/estimate.  [default: the result's own]")
 @click.option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
 @click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
@@ -36,6 +44,7 @@ def export(
     path: Path,
     format_name: str | None,
     output: Path | None,
+    track: str,
     topic: str | None,
     no_lost: bool,
     overwrite: bool,
@@ -58,7 +67,9 @@ def export(
     from posetrack_cli.results.reader import read_result
 
     result = read_result(path)
-    source = export_source(result, topic, lost=not no_lost)
+    if topic is not None and track != FILTERED:
+        raise UsageError("--topic and --track exclude each other", found=f"{topic} and {track}")
+    source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
     if output == _STANDARD_OUTPUT:
         output = None
     chosen = format_name or _BY_SUFFIX.get(output.suffix.lower() if output else "", "csv")

@@ -14,6 +14,7 @@ from posetrack_cli.cli.parameter_types import FiniteRange
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
+from posetrack_cli.results.tracks import FILTERED, TRACKS
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.viewing.outputs import Output
@@ -69,6 +70,13 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
     metavar="NEAR FAR",
     help="Depths drawn red and blue.  [default: the hand's]",
 )
+@click.option(
+    "--track",
+    type=click.Choice([*TRACKS, "both"]),
+    default=FILTERED,
+    show_default=True,
+    help="Which track of the result; both are drawn beside each other.",
+)
 @click.option("--truth", is_flag=True, help="Draw the truth's contour, green.")
 @click.option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose.")
 @recording_options
@@ -102,7 +110,9 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.view import View, ViewOptions
     from posetrack_cli.rendering.context import open_context
 
-    view_options = ViewOptions(**{name: options[name] for name in DRAWN}, sheet=is_sheet(output))
+    tracks = TRACKS if options["track"] == "both" else (options["track"],)
+    drawn = {name: options[name] for name in DRAWN}
+    view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     recording = _recording(results, options)
     return View(results, recording, view_options, open_context(options["device"]))
 

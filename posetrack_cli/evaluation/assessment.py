@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,10 @@ from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gates
-from posetrack_cli.evaluation.result_names import unique_names
+from posetrack_cli.evaluation.result_names import track_name, unique_names
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.results.reader import read_result
+from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 
 DEFAULT_TOLERANCE = 0.05
 
@@ -34,6 +36,8 @@ class Request:
         baseline_tolerance: how much, a share.
         keep_tracks: whether the evaluations keep what was compared, for reports that draw it. Without, an
             evaluation takes some kilobytes per second of recording, so that a hundred fit in memory.
+        tracks: of each result; of several, those that it has, beside each other.
+        page: whether a page is made, which shows every track of a result, also one that is not asked for.
     """
 
     results: tuple[Path, ...] = ()
@@ -43,6 +47,8 @@ class Request:
     baseline: StoredReport | None = None
     baseline_tolerance: float = DEFAULT_TOLERANCE
     keep_tracks: bool = False
+    tracks: tuple[str, ...] = (FILTERED,)
+    page: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +61,7 @@ class Assessment:
         outcomes: of every gate and of the baseline.
         notes: what limits the comparison with the baseline.
         grouped: whether the comparison is of groups.
+        beside: other tracks of the results, for the page alone.
     """
 
     evaluations: tuple[Evaluation, ...]
@@ -62,11 +69,26 @@ class Assessment:
     outcomes: tuple[GateOutcome, ...]
     notes: tuple[str, ...]
     grouped: bool
+    beside: tuple[Evaluation, ...] = ()
 
     @property
     def failed(self) -> tuple[GateOutcome, ...]:
         """The gates that failed or could not be judged."""
         return tuple(outcome for outcome in self.outcomes if outcome.failed)
+
+    @property
+    def on_page(self) -> tuple[Evaluation, ...]:
+        """What the page shows: every evaluation, the other tracks behind the one of their result."""
+        return tuple(
+            one
+            for main in self.evaluations
+            for one in (main, *(b for b in self.beside if b.path == main.path))
+        )
+
+    @property
+    def page_comparison(self) -> Comparison | None:
+        """What the page compares: the groups, else all that it shows of one recording."""
+        return compare(self.on_page) if self.beside and not self.grouped else self.comparison
 
 
 def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assessment:
@@ -77,15 +99,21 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
         report: called after each result.
 
     Raises:
-        PosetrackError: a result or its truth cannot be read, or a gate names what no result has.
+        PosetrackError: a result or its truth cannot be read, no result has a track that is asked for, or a
+            gate names what no result has.
     """
     paths = _every_path(request)
-    evaluations = {
-        path: _measured(path, name, request, report)
-        for path, name in zip(paths, unique_names(list(paths)), strict=True)
-    }
+    names = unique_names(list(paths))
+    evaluations: dict[tuple[Path, str], Evaluation] = {}
+    beside: list[Evaluation] = []
+    for path, name in zip(paths, names, strict=True):
+        for which, own in _tracks_of(path, name, names, request).items():
+            evaluations[path, which] = _measured(path, own, request, which)
+        beside += _for_page(path, name, names, request)
+        report()
+    _check_tracks(evaluations, request)
     measured = tuple(evaluations.values())
-    groups = {name: [evaluations[path] for path in files] for name, files in request.groups.items()}
+    groups = _groups(evaluations, request)
     comparison = compare_groups(groups) if groups else compare(measured)
     outcomes = check_gates(request.gates, measured)
     notes: tuple[str, ...] = ()
@@ -93,12 +121,13 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
         options = stated_options(request.options)
         against = check_baseline(request.baseline, measured, request.baseline_tolerance, options)
         outcomes, notes = [*outcomes, *against.outcomes], against.notes
-    return Assessment(measured, comparison, tuple(outcomes), notes, bool(groups))
+    return Assessment(measured, comparison, tuple(outcomes), notes, bool(groups), tuple(beside))
 
 
 def stated_options(options: EvalOptions) -> dict[str, Any]:
-    """Return the options as reports state them, paths as they were given."""
-    return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
+    """Return the options as reports state them, paths as they were given; each result states its track."""
+    stated = {key: value for key, value in asdict(options).items() if key != "track"}
+    return {key: str(value) if isinstance(value, Path) else value for key, value in stated.items()}
 
 
 def _every_path(request: Request) -> tuple[Path, ...]:
@@ -107,9 +136,42 @@ def _every_path(request: Request) -> tuple[Path, ...]:
     return tuple(dict.fromkeys((*request.results, *files)))
 
 
-def _measured(path: Path, name: str, request: Request, report: Callable[[], Any]) -> Evaluation:
-    evaluation = evaluate(path, request.options, name)
-    report()
+def _tracks_of(path: Path, name: str, names: Sequence[str], request: Request) -> dict[str, str]:
+    """The tracks of a result to measure, and what each is called."""
+    if len(request.tracks) == 1:
+        return {request.tracks[0]: name}
+    return {which: track_name(name, which, names) for which in read_result(path).tracks}
+
+
+def _for_page(path: Path, name: str, names: Sequence[str], request: Request) -> list[Evaluation]:
+    """The smoothed track of a result whose filtered one is asked for, where a page can show both."""
+    if not request.page or request.tracks != (FILTERED,) or SMOOTHED not in read_result(path).tracks:
+        return []
+    return [_measured(path, track_name(name, SMOOTHED, names), request, SMOOTHED)]
+
+
+def _check_tracks(evaluations: Mapping[tuple[Path, str], Evaluation], request: Request) -> None:
+    """Raise ResultError if several tracks are asked for and no result has more than one."""
+    if len(request.tracks) > 1 and evaluations and not any(which == SMOOTHED for _, which in evaluations):
+        read_result(next(iter(evaluations))[0]).topic_of_track(SMOOTHED)
+
+
+def _groups(
+    evaluations: Mapping[tuple[Path, str], Evaluation], request: Request
+) -> dict[str, list[Evaluation]]:
+    """The members of each group; where several tracks are measured each has a group of its own."""
+    groups: dict[str, list[Evaluation]] = {}
+    for name, files in request.groups.items():
+        for which in request.tracks:
+            members = [evaluations[path, which] for path in files if (path, which) in evaluations]
+            if members:
+                own = name if len(request.tracks) == 1 else track_name(name, which, tuple(request.groups))
+                groups[own] = members
+    return groups
+
+
+def _measured(path: Path, name: str, request: Request, which: str) -> Evaluation:
+    evaluation = evaluate(path, replace(request.options, track=which), name)
     return evaluation if request.keep_tracks else _lean(evaluation, keep_series=not request.groups)
 
 

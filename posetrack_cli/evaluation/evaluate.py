@@ -30,12 +30,14 @@ from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.results.reader import Result, read_result
+from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 
 Alignment: TypeAlias = Literal["none", "rigid", "rigid+points"]
 
 AGAINST_TRUTH = ("accuracy", "velocity", "covariance")
 LONGEST_OFFSET_S = 1e10
 """What 64 bits of nanoseconds hold, nearly 300 years, is a little less."""
+SMOOTHED_NOTE = "the smoothed track: its estimates rest on later frames, too"
 NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "in no frame the estimate and the observed hand overlap"
@@ -61,6 +63,7 @@ class EvalOptions:
         time_offset_s: added to the stamps of the truth.
         align: ``rigid`` removes one constant rigid offset first, ``rigid+points`` each point's own, too.
         recording: what the result was made from, to measure it against the images; None leaves that out.
+        track: which of the result's tracks.
 
     Raises:
         UsageError: a number that cannot be meant, or an unknown alignment.
@@ -71,6 +74,7 @@ class EvalOptions:
     time_offset_s: float = 0.0
     align: Alignment = "none"
     recording: Path | None = None
+    track: str = FILTERED
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_ms <= 1e9:
@@ -110,7 +114,7 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
     if result.subject.name not in BOTH:
         found, expected = f"subject '{result.subject.name}'", " or ".join(BOTH)
         raise ResultError("is of a subject that has no metrics", where=path, found=found, expected=expected)
-    track = track_of_result(result, name or plain_name(path))
+    track = track_of_result(result, name or plain_name(path), options.track)
     truth_losses = LossLog()
     truth = load_truth(result, options.truth, time_offset_s=options.time_offset_s, losses=truth_losses)
     return _measured(result, track, truth, truth_losses, options)
@@ -121,7 +125,7 @@ def _measured(
 ) -> Evaluation:
     pairs = None if truth is None else associate(track.stamp_ns, truth.stamp_ns, options.tolerance_ns)
     coverage = measure_coverage(track, truth, pairs, tolerance_ns=options.tolerance_ns)
-    measures = Measures(_nothing(track, truth, options), notes=_run_notes(result))
+    measures = Measures(_nothing(track, truth, options), notes=_run_notes(result, options))
     measures.metrics |= coverage_metrics(coverage)
     curve = None
     if truth is not None and pairs is not None:
@@ -147,6 +151,7 @@ def _measured(
         track=track,
         truth=truth,
         pairs=pairs,
+        which=options.track,
     )
 
 
@@ -176,8 +181,9 @@ def _readable(duration_ns: int) -> str:
     return f"{1e-6 * duration_ns:.4g} ms" if duration_ns < 10**9 else f"{1e-9 * duration_ns:.3f} s"
 
 
-def _run_notes(result: Result) -> list[str]:
-    notes = [] if result.finished else ["the run did not finish: measured over the frames that it holds"]
+def _run_notes(result: Result, options: EvalOptions) -> list[str]:
+    notes = [SMOOTHED_NOTE] if options.track == SMOOTHED else []
+    notes += [] if result.finished else ["the run did not finish: measured over the frames that it holds"]
     losses = result.summary.get("losses")
     return [*notes, f"the run could not use all of its input: {losses}"] if losses else notes
 
@@ -204,17 +210,18 @@ def _without_truth(measures: Measures, result: Result, track: Track, options: Ev
     """Add self-consistency and what the run says about itself."""
     measures.metrics |= consistency_metrics(track)
     if options.recording is not None:
-        found = _against_images(result, options.recording)
+        found = _against_images(result, options)
         measures.metrics |= {name: value for name, value in found.items() if _has_values(value)}
         measures.lack(NO_OVERLAP if found else NO_IMAGES, "residual_mm", "region_overlap")
     run_metrics(measures, track, result.run)
 
 
-def _against_images(result: Result, recording: Path) -> dict[str, Value]:
+def _against_images(result: Result, options: EvalOptions) -> dict[str, Value]:
     from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
     from posetrack_cli.evaluation.recording_of import required_recording
 
-    return image_consistency(result, required_recording(result, recording))
+    recording = required_recording(result, options.recording)
+    return image_consistency(result, recording, which=options.track)
 
 
 def _has_values(value: Value) -> bool:

@@ -13,6 +13,7 @@ from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.recording.base import Loss
+from posetrack_cli.results.tracks import FILTERED
 
 Value: TypeAlias = Statistics | float
 
@@ -52,6 +53,7 @@ class Evaluation:
         notes: what a reader of the figures must know: an alignment that was removed, an unfinished run.
         losses: data of the result that could not be read; not empty means exit code 3.
         track, truth, pairs: what was compared; truth and pairs None without truth.
+        which: of the result's tracks: ``filtered`` or ``smoothed``.
     """
 
     name: str
@@ -69,3 +71,4 @@ class Evaluation:
     track: Track
     truth: Track | None = None
     pairs: Pairs | None = None
+    which: str = FILTERED

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from posetrack_cli.recording.output import part_path
+from posetrack_cli.results.tracks import FILTERED
 
 _PART = part_path(Path("x")).suffix
 
@@ -34,6 +35,11 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     for name in with_folder:
         unique.append(_free(name, unique))
     return unique
+
+
+def track_name(name: str, which: str, taken: Sequence[str]) -> str:
+    """Return what a track is called beside others of its result: the filtered one as the result itself."""
+    return name if which == FILTERED else _free(f"{name} {which}", taken)
 
 
 def _printable(name: str) -> str:

@@ -79,10 +79,20 @@ def write_frames(
 
 def write_result(path: Path, frames: int = 90, error_mm: float = 5.0, recording: str = "aa", **more) -> Path:
     """A finished result whose wrist is off by noise of ``error_mm`` in each direction."""
+    smoothed_mm = more.pop("smoothed_mm", None)
     with begin(path, recording, more.get("seed", 0)) as writer:
         write_frames(writer, frames, error_mm, **more)
+        if smoothed_mm is not None:
+            write_smoothed_frames(writer, frames, smoothed_mm)
         writer.finish({})
     return path
+
+
+def write_smoothed_frames(writer: ResultWriter, frames: int, error_mm: float) -> None:
+    """As a backward pass does it: the last frame first."""
+    track = hand_track("smoothed", frames, error_mm, seed=3)
+    for row in reversed(range(frames)):
+        writer.write_smoothed(estimate(track, row))
 
 
 if __name__ == "__main__":

@@ -168,7 +168,8 @@ def test_images_are_looked_at_when_the_recording_is_given(
         {"residual_mm": statistics([]), "region_overlap": statistics([0.0])},
     ]
 
-    def image_consistency(result: Result, recording: object) -> dict[str, Value]:
+    def image_consistency(result: Result, recording: object, which: str) -> dict[str, Value]:
+        assert which == "filtered"
         asked.append((result.path, recording))
         return answers[len(asked) - 1]
 

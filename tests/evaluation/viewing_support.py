@@ -50,6 +50,7 @@ def make_result(
     side: str = "right",
     with_truth: bool = False,
     keep: Callable[[Estimate], bool] = lambda estimate: True,
+    smoothed: Change | None = None,
 ) -> Path:
     """A result of a recording, with the run record that ``hand run`` writes."""
     camera = recording.cameras[0]
@@ -61,6 +62,8 @@ def make_result(
             writer.add_truth(message)
         for estimate in filter(keep, truth_of(recording)):
             writer.write(change(replace(estimate, confidence=0.75)))
+        for estimate in filter(keep, truth_of(recording)) if smoothed else ():
+            writer.write_smoothed((smoothed or change)(replace(estimate, confidence=0.75)))
         writer.finish({})
     return path
 

@@ -32,6 +32,7 @@ from posetrack_cli.rendering.context import open_context
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.tracks import FILTERED
 
 WINDOW_MM = 320.0
 """A hand of scale 1 within ``reach_mm`` of its middle, whichever way it points, and some room."""
@@ -97,7 +98,7 @@ def region_overlap(sums: TileSums) -> float:
 
 
 def image_consistency(
-    result: Result, recording: StoredRecording, device: int | None = None
+    result: Result, recording: StoredRecording, device: int | None = None, which: str = FILTERED
 ) -> dict[str, Value]:
     """Metrics ``residual_mm`` and ``region_overlap`` over every frame that can be found, lost ones included.
 
@@ -109,6 +110,7 @@ def image_consistency(
         result: of a hand.
         recording: what it was made from (``search_recording``); every frame is read once.
         device: EGL device index, None for the default.
+        which: of its tracks.
 
     Returns:
         Nothing where the recording gives none of the result's frames, or the result has none.
@@ -118,7 +120,7 @@ def image_consistency(
         UsageError: the images are not of the size that was tracked.
         RenderingError: nothing can be rendered here.
     """
-    hand, track = hand_of(result.run), track_of_result(result, "")
+    hand, track = hand_of(result.run), track_of_result(result, "", which)
     if not len(track):
         return {}
     camera = result.camera()

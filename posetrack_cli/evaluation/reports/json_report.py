@@ -30,9 +30,9 @@ def json_report(
 ) -> str:
     """Return the report as JSON text.
 
-    ``results`` has for each result its name, file, subject, coverage, metrics by address (``unit`` with
-    either ``value`` or mean, sd, median, p95, max and count), absent metrics with reasons, curve, notes,
-    losses and run record; ``comparison`` the paired differences, ``gates`` the outcome of every gate.
+    ``results`` has for each result its name, file, track, subject, coverage, metrics by address (``unit``
+    with either ``value`` or mean, sd, median, p95, max and count), absent metrics with reasons, curve,
+    notes, losses and run record; ``comparison`` the paired differences, ``gates`` the outcome of every gate.
 
     Args:
         evaluations: the results.
@@ -66,6 +66,7 @@ def _result(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "name": evaluation.name,
         "file": str(evaluation.path),
+        "track": evaluation.which,
         "subject": evaluation.subject,
         "coverage": {**asdict(evaluation.coverage), "share": evaluation.coverage.share},
         "metrics": {base: _metric(base, value) for base, value in evaluation.metrics.items()},

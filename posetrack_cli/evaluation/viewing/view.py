@@ -32,6 +32,7 @@ from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.tracks import FILTERED
 
 MOST_RESULTS = len(TONES)
 MOST_IN_SHEET = 120
@@ -52,6 +53,7 @@ class ViewOptions:
         truth: whether the truth's contour is drawn.
         skeleton: whether joints, bones and axes are drawn.
         sheet: whether all pictures go onto one, each cut out around the hand by itself.
+        tracks: of each result; both tracks of one result are drawn beside each other.
     """
 
     frames: str | None = None
@@ -62,6 +64,7 @@ class ViewOptions:
     truth: bool = False
     skeleton: bool = False
     sheet: bool = False
+    tracks: tuple[str, ...] = (FILTERED,)
 
 
 class View:
@@ -82,9 +85,9 @@ class View:
         self, results: Sequence[Result], recording: StoredRecording, options: ViewOptions, context: Any
     ) -> None:
         self._recording, self._options, self._log = recording, options, LossLog()
-        self.layout = _layout(options, len(results))
+        self.layout = _layout(options, len(results) * len(options.tracks))
         truth = _truth(results[0], options)
-        layers = _layers(results, truth, context)
+        layers = _layers(results, options.tracks, truth, context)
         self._track = layers[0].track
         self.rows = _rows(options, layers[0])
         self._camera = _common_camera(results, recording)
@@ -185,12 +188,19 @@ def _truth(result: Result, options: ViewOptions) -> Track | None:
     return truth
 
 
-def _layers(results: Sequence[Result], truth: Track | None, context: Any) -> tuple[Layer, ...]:
+def _layers(
+    results: Sequence[Result], tracks: Sequence[str], truth: Track | None, context: Any
+) -> tuple[Layer, ...]:
     names = unique_names([result.path for result in results])
+    shown = [
+        (result, which, name if len(tracks) == 1 else f"{name} {which}")
+        for result, name in zip(results, names, strict=True)
+        for which in tracks
+    ]
     layers = []
-    for result, name, tone in zip(results, names, TONES, strict=False):
-        track = track_of_result(result, name)
-        shown_name = name if len(results) > 1 else ""
+    for (result, which, name), tone in zip(shown, TONES, strict=False):
+        track = track_of_result(result, name, which)
+        shown_name = name if len(shown) > 1 else ""
         layers.append(Layer(track, drawer_of(result, context), tone, shown_name, point_errors(track, truth)))
     return tuple(layers)
 
