@@ -125,14 +125,14 @@ class DetectionSettings(Settings):
 
     nearest_mm: Positive = 120.0
     farthest_mm: Positive = 1500.0
-    palm_radius_mm: tuple[Positive, Positive] = (11.0, 60.0)
-    reach_mm: Positive = 150.0
+    palm_radius_mm: tuple[Positive, Positive] = (11.0, 72.0)
+    reach_mm: Positive = 165.0
     arm_mm: Positive = 150.0
     apart_mm: Positive = 110.0
     steepest: Positive = 3.0
     most_places: Annotated[int, Field(ge=1)] = 40
     most_hands: Annotated[int, Field(ge=1)] = 4
-    least_score: Fraction = 0.3
+    least_score: Fraction = 0.4
 
 
 class InitSettings(Settings):

@@ -1,0 +1,101 @@
+"""Where a palm may be: the middles of the widest discs that fit into the surfaces of an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray, IntArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import DetectionSettings
+from posetrack_cli.hand.segmentation.surfaces import (
+    nearest_around,
+    pixel_mm,
+    points_of,
+    rims,
+    surface_labels,
+    without_pinholes,
+)
+from posetrack_cli.rendering.window import Window
+
+_BESIDE_PX = 5
+"""Missing readings part a surface from one behind it by so many pixels about."""
+_BEHIND_JUMPS = 3.0
+_APART_MM = 12.0
+"""Discs closer together than this are one place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """A depth image taken apart.
+
+    Attributes:
+        window: its pixels.
+        depth: (h, w) mm, 0 = no reading; single missing readings bridged.
+        points: (h, w, 3) mm, camera axes.
+        numbers: (h, w) of the surface, 0 = none.
+        sizes: (S,) pixels of each surface, by number.
+        behind: (h, w) which readings have a nearer surface beside them.
+        radius: (h, w) of the largest disc around a pixel that stays on its surface, mm.
+        pixel_mm: (h, w) distance of neighbouring pixels that face the camera.
+    """
+
+    window: Window
+    depth: Float32Array
+    points: Float32Array
+    numbers: ImageArray
+    sizes: IntArray
+    behind: BoolArray
+    radius: Float32Array
+    pixel_mm: Float32Array
+
+
+def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: float) -> Surfaces:
+    """Take a depth image apart into surfaces.
+
+    Args:
+        depth: (h, w) the window's readings, mm, 0 = none.
+        window: its pixels.
+        camera: its camera.
+        steepest: neighbours so many pixel distances apart in depth, and a few mm, are of two surfaces.
+    """
+    apart = pixel_mm(depth, window, camera).astype(np.float32)
+    jump = jump_mm(apart, steepest)
+    whole = without_pinholes(depth, jump)
+    count, numbers = surface_labels(whole, jump)
+    sizes = np.bincount(numbers.ravel(), minlength=count)
+    inside = ((whole > 0) & ~rims(whole, jump)).astype(np.uint8)
+    # a rim belongs half to its surface
+    radius = (cv2.distanceTransform(inside, cv2.DIST_L2, 3) + 0.5) * apart
+    radius[whole <= 0] = 0.0
+    behind = nearest_around(whole, _BESIDE_PX) < whole - _BEHIND_JUMPS * jump
+    return Surfaces(window, whole, points_of(whole, window, camera), numbers, sizes, behind, radius, apart)
+
+
+def jump_mm(apart: Float32Array, steepest: float) -> Float32Array:
+    """The step between neighbours that parts surfaces, mm: what noise makes, and a slope."""
+    jump: Float32Array = np.float32(_NOISE_MM) + np.float32(steepest) * apart
+    return jump
+
+
+_NOISE_MM = 6.0
+
+
+def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
+    """Rows and columns (K, 2) of places where a palm may be, the nearest first.
+
+    They are local maxima of the disc's radius that a palm can have, at a depth where a hand is looked for.
+    """
+    depth, radius = surfaces.depth, surfaces.radius
+    low, high = settings.palm_radius_mm
+    in_range = (depth >= settings.nearest_mm) & (depth <= settings.farthest_mm)
+    fits = in_range & (radius >= low) & (radius <= high)
+    if not fits.any():
+        return np.empty((0, 2), dtype=np.int64)
+    size = 2 * max(1, round(_APART_MM / float(np.median(surfaces.pixel_mm[fits])))) + 1
+    around = cv2.dilate(radius, np.ones((size, size), np.uint8))
+    rows, columns = np.nonzero(fits & (radius >= around))
+    order = np.argsort(depth[rows, columns], kind="stable")
+    return np.stack([rows, columns], axis=1)[order][: settings.most_places]

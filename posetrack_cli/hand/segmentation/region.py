@@ -1,0 +1,134 @@
+"""The part of a surface within reach of a palm, and where it goes on beyond."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from posetrack_cli.hand.segmentation.palms import Surfaces
+
+_RING_MM = 14.0
+"""How thick the shell is in which a region is looked at for what leads out of it."""
+_LEAST_PIXELS = 3
+_MOST_BEHIND = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Exit:
+    """Where a surface leaves the reach of a palm, or the image.
+
+    Attributes:
+        middle: (3,) mm.
+        width_mm: its largest extent.
+    """
+
+    middle: FloatArray
+    width_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """What is connected to a palm within its reach.
+
+    Attributes:
+        rows, columns: of the part of the image that it lies in.
+        mask: (h, w) its pixels in that part.
+        points: (h, w, 3) of that part, mm.
+        palm: (3,) the point on the surface that reach is counted from, mm.
+        radius_mm: of the largest disc around the palm.
+        area_mm2: seen from the front.
+        behind: share of its rim that lies behind something nearer.
+        exits: where it goes on.
+    """
+
+    rows: slice
+    columns: slice
+    mask: BoolArray
+    points: Float32Array
+    palm: FloatArray
+    radius_mm: float
+    area_mm2: float
+    behind: float
+    exits: tuple[Exit, ...]
+
+
+def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> Region:
+    """The region of the surface that a pixel shows.
+
+    Args:
+        surfaces: of the image.
+        row, column: of the palm.
+        reach_mm: straight distance from the palm within which pixels belong to the region.
+    """
+    rows, columns = _part(surfaces, row, column, reach_mm)
+    points = surfaces.points[rows, columns]
+    numbers = surfaces.numbers[rows, columns]
+    palm = surfaces.points[row, column]
+    offset = points - palm
+    squared = np.einsum("ijk,ijk->ij", offset, offset)
+    within = (numbers > 0) & (squared < reach_mm**2)
+    at = (row - rows.start, column - columns.start)
+    own = _connected(within & (numbers == numbers[at]), at)
+    exits = _exits(own, squared > (reach_mm - _RING_MM) ** 2, surfaces, rows, columns)
+    mask = own | _islands(within, numbers, surfaces, rows, columns)
+    area = float(np.sum(surfaces.pixel_mm[rows, columns][mask] ** 2))
+    radius = float(surfaces.radius[row, column])
+    rim = own & (surfaces.radius[rows, columns] <= surfaces.pixel_mm[rows, columns])
+    behind = np.count_nonzero(rim & surfaces.behind[rows, columns]) / max(1, np.count_nonzero(rim))
+    return Region(rows, columns, mask, points, palm.astype(np.float64), radius, area, behind, exits)
+
+
+def _part(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> tuple[slice, slice]:
+    """Rows and columns that the reach may cover; nearer things look larger."""
+    z, apart = float(surfaces.depth[row, column]), float(surfaces.pixel_mm[row, column])
+    half = int(np.ceil(reach_mm / apart * z / max(z - 0.5 * reach_mm, 0.5 * z)))
+    height, width = surfaces.depth.shape
+    return slice(max(0, row - half), min(height, row + half + 1)), slice(
+        max(0, column - half), min(width, column + half + 1)
+    )
+
+
+def _connected(mask: BoolArray, at: tuple[int, int]) -> BoolArray:
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    own: BoolArray = labels == labels[at]
+    return own
+
+
+def _islands(
+    within: BoolArray, numbers: ImageArray, surfaces: Surfaces, rows: slice, columns: slice
+) -> BoolArray:
+    """Surfaces wholly within reach, and not behind others: fingers before the palm are such."""
+    inside = np.bincount(numbers[within], minlength=int(numbers.max()) + 1)
+    in_all = surfaces.sizes[: len(inside)]
+    behind = np.bincount(numbers[within & surfaces.behind[rows, columns]], minlength=len(inside))
+    whole = (inside == in_all) & (inside >= _LEAST_PIXELS) & (behind <= _MOST_BEHIND * inside)
+    whole[0] = False
+    islands: BoolArray = within & whole[numbers]
+    return islands
+
+
+def _exits(
+    own: BoolArray, far: BoolArray, surfaces: Surfaces, rows: slice, columns: slice
+) -> tuple[Exit, ...]:
+    """Where a region touches the end of its reach or the image's border."""
+    height, width = surfaces.depth.shape
+    leaving = own & far
+    for at_border, edge in (
+        (rows.start == 0, np.s_[0, :]),
+        (rows.stop == height, np.s_[-1, :]),
+        (columns.start == 0, np.s_[:, 0]),
+        (columns.stop == width, np.s_[:, -1]),
+    ):
+        if at_border:
+            leaving[edge] |= own[edge]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(leaving.astype(np.uint8), connectivity=8)
+    points = surfaces.points[rows, columns]
+    exits = []
+    for number in range(1, count):
+        if stats[number, cv2.CC_STAT_AREA] >= _LEAST_PIXELS:
+            part = points[labels == number].astype(np.float64)
+            exits.append(Exit(part.mean(axis=0), float(np.linalg.norm(np.ptp(part, axis=0)))))
+    return tuple(exits)
