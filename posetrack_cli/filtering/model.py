@@ -41,6 +41,10 @@ class StateSpace(Protocol):
         """Return the weighted mean pose (S,) of poses (N, S) with weights (N,) that sum to 1."""
         ...
 
+    def log_volume(self, delta: FloatArray) -> FloatArray:
+        """Return log |det d(x (+) delta) / d delta| (N,), 0 at 0: the volume that the tangent space lacks."""
+        ...
+
 
 class Euclidean:
     """R^D, where (+) is addition and S = D."""
@@ -56,6 +60,10 @@ class Euclidean:
     def mean(self, x: FloatArray, weights: FloatArray) -> FloatArray:
         """Return sum_i w_i x_i."""
         return weights @ x
+
+    def log_volume(self, delta: FloatArray) -> FloatArray:
+        """Return zeros (N,)."""
+        return np.zeros(len(delta))
 
 
 @dataclass(frozen=True, eq=False)

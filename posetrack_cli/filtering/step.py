@@ -70,6 +70,19 @@ def weigh(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelih
     before, log_before = normalise(log_weights)
     if log_likelihood is None:
         return Weighing(before, log_weights - log_before, 0.0, effective_count(before))
+    weighing = weigh_drawn(log_weights, poses, log_likelihood)
+    return weighing._replace(log_evidence=weighing.log_evidence - log_before)
+
+
+def weigh_drawn(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelihood) -> Weighing:
+    """Return weights proportional to p(y_t | x_t) exp(log_weights), hand paper (24).
+
+    The log evidence is log sum_i p(y_t | x_{t,i}) exp(log_weights_i): weights of prior over proposal sum to 1
+    in the mean only.
+
+    Raises:
+        FilterError: as in `weigh`.
+    """
     scores = np.asarray(log_likelihood(poses), dtype=np.float64)
     if scores.shape != log_weights.shape:
         raise FilterError(
@@ -77,7 +90,7 @@ def weigh(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelih
         )
     scores = scores + log_weights
     weights, log_sum = normalise(scores)
-    return Weighing(weights, scores - log_sum, log_sum - log_before, effective_count(weights))
+    return Weighing(weights, scores - log_sum, log_sum, effective_count(weights))
 
 
 def choose_ancestors(weighing: Weighing, resampling: Resampling, rng: np.random.Generator) -> IntArray | None:

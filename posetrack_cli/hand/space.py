@@ -38,6 +38,12 @@ class HandSpace:
         out[3:7] = rotations.mean_quaternion(x[:, 3:7], weights)
         return out
 
+    def log_volume(self, delta: FloatArray) -> FloatArray:
+        """Return log of (sin(a/2) / (a/2))^2 (N,), a the angle turned by: what exp does to SO(3)'s volume."""
+        half_turns = np.sqrt(np.einsum("ni,ni->n", delta[:, 3:6], delta[:, 3:6])) / (2.0 * np.pi)
+        log_volume: FloatArray = 2.0 * np.log(np.sinc(half_turns))
+        return log_volume
+
 
 def pose_rates(pose: FloatArray, twist: FloatArray) -> FloatArray:
     """Time derivative (22,) of a pose (22,) that moves with a tangent velocity (21,)."""

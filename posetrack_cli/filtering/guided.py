@@ -1,0 +1,120 @@
+"""A proposal that looks at the frame: every particle's prior times the likelihood's local fits.
+
+The belief before the frame is the mixture sum_i w_i p_i(x) of the particles' priors; the local fits say that
+the likelihood is about l_1(x) + ... + l_K(x), each a Gaussian in the tangent space of its pose. Ancestor and
+pose are drawn together from
+
+    q(i, x) = a w_i p_i(x) + (1 - a) / C  sum_k w_i p_i(x) l_k(x)        C = sum_i sum_k w_i c_ik
+
+with a the prior's share. The product p_i l_k is the Laplace approximation, a Gaussian of mass c_ik: ancestors
+are chosen by how well their future explains the frame, as in a fully adapted auxiliary filter (Pitt and
+Shephard 1999). The importance weight, that of the hand paper's (24) for the pair (i, x), is
+
+    w_i p_i(x) p(y | x) / q(i, x) = p(y | x) / (a + (1 - a) / C  sum_k l_k(x))
+
+It does not depend on i: given x, ancestors already have their exact conditional distribution, and to sum over
+them (the marginal particle filter, Klaas et al. 2005) would cost N^2 and change nothing. It is at most
+p(y | x) / a, whatever the fits are like (a defensive mixture, Hesterberg 1995), and constant if the fits are
+exact and a = 0.
+
+On a curved space the weight takes the true densities with the volume factors of their charts. It neglects
+only what a Gaussian has beyond half a turn from its chart's pose, of the order of exp(-pi^2 / (2 N)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.laplace import Prediction, laplace_mixture
+from posetrack_cli.filtering.model import StateSpace
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.weights import normalise
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """Where a step looks for poses beside the prior.
+
+    Attributes:
+        modes: local fits of log p(y | x); without any the step looks nowhere.
+        prior_share: a, the share of particles that are drawn from the prior alone, in [0, 1].
+        inflation: s >= 1; the fits' gradients and information are divided by it, for tails wider than theirs.
+
+    Raises:
+        FilterError: a share outside [0, 1], or an inflation below 1 or not finite.
+    """
+
+    modes: LikelihoodModes
+    prior_share: float = 0.1
+    inflation: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.prior_share <= 1.0:
+            raise FilterError("prior share cannot be used", found=self.prior_share, expected="0 to 1")
+        if not 1.0 <= self.inflation < np.inf:
+            raise FilterError("inflation cannot be used", found=self.inflation, expected="finite, >= 1")
+
+    @property
+    def inflated(self) -> LikelihoodModes:
+        """The modes with the inflation applied."""
+        modes, s = self.modes, self.inflation
+        return LikelihoodModes(modes.poses, modes.gradients / s, modes.information / s, modes.log_heights)
+
+
+class Draw(NamedTuple):
+    """Poses drawn for one frame.
+
+    Attributes:
+        poses: (N, S) x.
+        increments: (N, D) x (-) x_i from their ancestors.
+        ancestors: (N,) i.
+        log_weights: (N,) log of w_i p_i(x) / q(i, x) / N: what p(y | x) is multiplied with.
+    """
+
+    poses: FloatArray
+    increments: FloatArray
+    ancestors: IntArray
+    log_weights: FloatArray
+
+
+def draw_guided(
+    prediction: Prediction, guide: Guide, space: StateSpace, scheme: str, rng: np.random.Generator
+) -> Draw:
+    """Draw as many poses as there are particles from q(i, x).
+
+    The sum of p(y | x) times the weights is an unbiased estimate of p(y_t | y_1..t-1).
+
+    Args:
+        prediction: the belief before the frame.
+        guide: at least one mode, and the shares.
+        space: the poses' space.
+        scheme: how pairs of ancestor and mode are drawn, one of `resampling_schemes`.
+        rng: source of randomness.
+
+    Raises:
+        FilterError: a mode's information is not positive semi-definite, or a fit is not finite.
+    """
+    count, a = prediction.log_weights.size, guide.prior_share
+    weights, log_sum = normalise(prediction.log_weights)
+    mixture = laplace_mixture(prediction, guide.inflated, space)
+    shares, log_mass = normalise((prediction.log_weights - log_sum + mixture.log_masses).ravel())
+    table = np.concatenate([(1.0 - a) * shares, a * weights])
+    picked, ancestors = np.divmod(resample(scheme, table, rng, count), count)
+    poses = mixture.sample(picked, ancestors, rng)
+    increments = space.local(prediction.poses[ancestors], poses)
+    log_fits = mixture.log_fits(poses, increments, ancestors) - log_mass
+    return Draw(poses, increments, ancestors, -_log_mixture(log_fits, a) - np.log(count))
+
+
+def _log_mixture(log_fits: FloatArray, prior_share: float) -> FloatArray:
+    """Return log(a + (1 - a) sum_k exp(log_fits_k)), (N,), of (K, N)."""
+    with np.errstate(divide="ignore"):  # no share is a logarithm of -inf
+        log_prior, log_rest = np.log(prior_share), np.log1p(-prior_share)
+    mixture: FloatArray = np.logaddexp(log_prior, log_rest + np.logaddexp.reduce(log_fits, axis=0))
+    return mixture
