@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
@@ -41,6 +41,8 @@ class Settings(BaseModel):
     """Base of all configuration tables: frozen, no unknown keys, no NaN, no infinity, no true for 1."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    file_keys: ClassVar[tuple[str, ...]] = ()
+    """Keys such as ``hand.mesh`` whose value names a file: in a TOML file, relative to its folder."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -56,23 +58,29 @@ class Settings(BaseModel):
 Model = TypeVar("Model", bound=Settings)
 
 
-def load_settings(model: type[Model], path: Path | None, options: Mapping[str, Any]) -> Model:
-    """Resolve a configuration. A table that is given in part keeps the default's other values.
+def load_settings(
+    model: type[Model], files: Path | Sequence[Path] | None, options: Mapping[str, Any]
+) -> Model:
+    """Resolve a configuration. A table that is given in part keeps the other values of what it overrides.
 
     Args:
         model: the configuration's type; its defaults come first.
-        path: a TOML file that overrides them, or None.
-        options: ``{"filter.particles": 512}`` from the command line, override both; None is not given.
+        files: TOML files, each overrides the defaults and the files before it.
+        options: ``{"filter.particles": 512}`` from the command line, override them all; None is not given.
 
     Raises:
         UsageError: unreadable file, unknown key, value out of range.
     """
-    values = {} if path is None else _read_toml(path)
+    defaults = {name: field.default for name, field in model.model_fields.items()}
+    values: dict[str, Any] = {}
+    where: object = "options"
+    for path in [files] if isinstance(files, Path) else files or []:
+        values, where = _overridden(values, _anchored(_read_toml(path), path, model.file_keys)), path
+        validated(model, _filled_up(values, defaults), path)  # so that an error names the file it is in
     for key, value in options.items():
         if value is not None:
             _put(values, key.split("."), value)
-    defaults = {name: field.default for name, field in model.model_fields.items()}
-    return validated(model, _filled_up(values, defaults), path or "options")
+    return validated(model, _filled_up(values, defaults), where)
 
 
 def validated(model: type[Model], values: Mapping[str, Any], where: object) -> Model:
@@ -138,6 +146,27 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise UsageError("configuration cannot be read", where=path, found=error.strerror or error) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError("not a TOML file", where=path, found=error) from error
+
+
+def _anchored(values: dict[str, Any], path: Path, file_keys: Iterable[str]) -> dict[str, Any]:
+    """Values of a file whose file names are no longer relative to its folder."""
+    for key in file_keys:
+        *tables, name = key.split(".")
+        table: Any = values
+        for part in tables:
+            table = table.get(part) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(table.get(name), str):
+            table[name] = str(path.parent / table[name])
+    return values
+
+
+def _overridden(values: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
+    """Values with those of a later file put over them, table by table."""
+    out = dict(values)
+    for key, value in later.items():
+        both_tables = isinstance(value, dict) and isinstance(out.get(key), dict)
+        out[key] = _overridden(out[key], value) if both_tables else value
+    return out
 
 
 def _filled_up(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:

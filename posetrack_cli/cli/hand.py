@@ -29,6 +29,7 @@ CONFIGURED = {
     "cost": "observation.cost",
     "side": "hand.side",
     "scale": "hand.scale",
+    "mesh": "hand.mesh",
 }
 
 
@@ -43,7 +44,12 @@ hand.add_command(hand_synth)
 @hand.command("run", short_help="Track the hand in recorded depth.")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Result to write, MCAP.")
-@click.option("--config", help="TOML file, or a shipped name: hand (the defaults), hand-paper.")
+@click.option(
+    "--config",
+    "configs",
+    multiple=True,
+    help="TOML file, or a shipped name: hand (the defaults), hand-paper; repeatable, later ones override.",
+)
 @click.option(
     "--set",
     "settings",
@@ -64,6 +70,7 @@ hand.add_command(hand_synth)
     "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: right]"
 )
 @click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's.")
+@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
 @click.option(
     "--init",
@@ -116,9 +123,9 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
     from posetrack_cli.configuration import find_configuration, load_settings, parse_assignments
     from posetrack_cli.hand.config import HandConfig
 
-    path = find_configuration(options["config"]) if options["config"] else None
+    files = [find_configuration(name) for name in options["configs"]]
     own = {key: options[name] for name, key in CONFIGURED.items() if options[name] is not None}
-    return load_settings(HandConfig, path, parse_assignments(options["settings"]) | own)
+    return load_settings(HandConfig, files, parse_assignments(options["settings"]) | own)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -163,6 +163,8 @@ class OutputSettings(Settings):
 
 class HandConfig(Settings):
     """Everything that a hand run depends on besides its recording and its seed."""
+
+    file_keys: ClassVar[tuple[str, ...]] = ("hand.mesh",)
 
     hand: HandSettings = HandSettings()
     filter: FilterSettings = FilterSettings()

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.rendering.mesh import SkinnedMesh
+
+MESH_DIGEST = "hand.mesh_sha256"
+"""Key of a run's record that tells a file's hand from any other."""
+LEAN_TRIANGLES, SMOOTH_TRIANGLES = 410, 1640
+"""What is drawn of a hand from a file: as many as the average hand has."""
 
 HandMaker = Callable[[str, HandShape], "HandModel"]
 """Makes a hand of a side (``right`` or ``left``) and a shape."""
@@ -51,7 +57,7 @@ def hand_model(settings: HandSettings) -> HandModel:
 
 def hand_maker(mesh: str | None) -> HandMaker:
     """Return what makes hands of any side and shape: from the average hand, or from that of a GLB file."""
-    return average_hand
+    return average_hand if mesh is None else _file_hand(Path(mesh))
 
 
 def average_hand(side: str = "right", shape: HandShape | None = None) -> HandModel:
@@ -60,3 +66,19 @@ def average_hand(side: str = "right", shape: HandShape | None = None) -> HandMod
     anatomy = make_anatomy(side, shape.scale, shape.finger_lengths, shape.finger_widths, shape.palm)
     lean, smooth = hand_mesh(anatomy, "lean"), hand_mesh(anatomy, "medium")
     return HandModel(anatomy, lean, smooth, partial(hand_mesh, anatomy, "fine"))
+
+
+def _file_hand(path: Path) -> HandMaker:
+    from posetrack_cli.hand.reshaping import reshaped_anatomy, reshaped_skin
+    from posetrack_cli.hand.webxr import load_hand
+    from posetrack_cli.rendering.simplify import simplified
+
+    hand = load_hand(path)
+    lean, smooth = (simplified(hand.skin, count) for count in (LEAN_TRIANGLES, SMOOTH_TRIANGLES))
+
+    def make(side: str, shape: HandShape) -> HandModel:
+        skins = [reshaped_skin(mesh, hand.anatomy, side, shape) for mesh in (lean, smooth)]
+        whole = partial(reshaped_skin, hand.skin, hand.anatomy, side, shape)
+        return HandModel(reshaped_anatomy(hand.anatomy, side, shape), *skins, whole)
+
+    return make

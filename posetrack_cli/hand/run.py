@@ -21,11 +21,11 @@ from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.model import hand_model
+from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker, state_arrays, state_from_arrays
 from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
-from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.losses import loss_line
 from posetrack_cli.recording.output import check_output
 from posetrack_cli.rendering.context import describe
@@ -280,6 +280,7 @@ def run_record(
         "timings": str(options.timings).lower(),
         "camera": json.dumps(camera.values()),
         "renderer": renderer,
+        **({} if config.hand.mesh is None else {MESH_DIGEST: file_digest(Path(config.hand.mesh))[1]}),
         **({} if start_pose is None else {"init.pose": json.dumps(start_pose.tolist())}),
         **{f"input.{key}": value for key, value in recording.identity().items()},
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,7 +19,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.model import HandModel, hand_model
+from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_model
+from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
 
@@ -88,11 +90,15 @@ def hand_of(run: Mapping[str, str]) -> HandModel:
     """The hand that a run tracked, from the configuration in its record.
 
     Raises:
-        ResultError: the record holds no configuration of a hand run.
+        ResultError: the record holds no configuration of a hand run, or the hand's file has changed since.
+        UsageError: the hand's file cannot be read.
     """
     try:
         hand = validated(HandSettings, json.loads(run["configuration"])["hand"], "run record")
     except (KeyError, TypeError, ValueError, UsageError) as error:
         what = "run record holds no hand's configuration"
         raise ResultError(what, found=error, expected="the record of a hand run") from error
-    return hand_model(hand)
+    model = hand_model(hand)
+    if hand.mesh is not None and file_digest(Path(hand.mesh))[1] != run.get(MESH_DIGEST):
+        raise ResultError("not the hand that the run tracked: its file has changed", where=hand.mesh)
+    return model

@@ -11,12 +11,14 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli import __version__
+from posetrack_cli.hand.model import MESH_DIGEST
 from posetrack_cli.hand.synthesis.frames import Plan, SyntheticFrame, make_plan, render_plan
 from posetrack_cli.hand.synthesis.options import SWITCH_NAMES, SynthOptions
 from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.hand.synthesis.truth import TruthChannels
 from posetrack_cli.hand.synthesis.walk import WalkNoise
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, CHUNK_BYTES, IMAGE_TOPIC
+from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
@@ -92,6 +94,7 @@ def synth_record(options: SynthOptions, plan: Plan, noise: WalkNoise) -> dict[st
         **{f.name: str(getattr(options, f.name)) for f in fields(options) if f.name != "switches"},
         **{f"switch.{name}": str(getattr(options.switches, name)).lower() for name in SWITCH_NAMES},
         "anatomy.segments_mm": _numbers(plan.anatomy.segments),
+        **({} if options.mesh is None else {MESH_DIGEST: file_digest(Path(options.mesh))[1]}),
         "anatomy.base_positions_mm": _numbers(plan.anatomy.base_positions),
     }
     if options.motion == "A":

@@ -1,0 +1,56 @@
+"""Which tracker a configuration asks for, and what a run expects of any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.swarm.objective import RenderedObjective
+from posetrack_cli.hand.swarm.tracker import SwarmTracker
+from posetrack_cli.hand.tracker import HandTracker
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.estimate import Estimate
+
+State = TypeVar("State")
+
+
+class Tracker(Protocol[State]):
+    """A hand tracker: pure steps from one state to the next, and states that can be saved."""
+
+    def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> State:
+        """Return the state about a pose (22,) before the first frame, whose stamp is given."""
+
+    def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
+        """Advance by one frame; the state given is left as it is."""
+
+    def state_parts(self, state: State) -> tuple[dict[str, FloatArray], dict[str, int]]:
+        """Take a state apart into arrays and whole numbers, for a checkpoint."""
+
+    def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> State:
+        """Put a state together from what ``state_parts`` made of it."""
+
+
+def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: Any) -> Tracker[Any]:
+    """Return the tracker of ``filter.kind``.
+
+    Args:
+        config: parameters.
+        hand: whose motion is tracked.
+        camera: of the depth images.
+        context: GL context.
+
+    Raises:
+        RenderingError: a window that this GL cannot draw.
+        FilterError: a swarm that would not converge.
+    """
+    if config.filter.kind == "pso":
+        return SwarmTracker(config, hand.anatomy, camera, RenderedObjective(context, hand, camera, config))
+    scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
+    return HandTracker(config, hand.anatomy, camera, scorer)

@@ -1,0 +1,71 @@
+"""Meshes from files made fit for rendering: welded at seams, closed at holes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.rendering.mesh import SkinnedMesh
+
+
+def welded(mesh: SkinnedMesh, tolerance: float) -> SkinnedMesh:
+    """Join vertices that lie together, as exporters double them at the seams of textures.
+
+    Args:
+        mesh: any mesh; what is left without a triangle is left out.
+        tolerance: how far apart vertices of one place are at most, in its units.
+    """
+    cells = np.round(mesh.vertices / tolerance).astype(np.int64)
+    _, first, index = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    triangles = first[index.reshape(-1)][mesh.triangles]
+    return _used(mesh, _proper(triangles))
+
+
+def without(mesh: SkinnedMesh, beyond: FloatArray) -> SkinnedMesh:
+    """Leave out the triangles all of whose vertices are marked (V,) as beyond."""
+    marked = np.asarray(beyond, dtype=bool)[mesh.triangles].all(axis=1)
+    return _used(mesh, mesh.triangles[~marked])
+
+
+def closed(mesh: SkinnedMesh) -> SkinnedMesh:
+    """Close every hole by a fan around the middle of its rim, whose weights are the rim's mean."""
+    vertices, weights, triangles = [mesh.vertices], [mesh.weights], [mesh.triangles]
+    count = len(mesh.vertices)
+    for rim in rims(mesh.triangles):
+        vertices.append(mesh.vertices[rim].mean(axis=0, keepdims=True))
+        weights.append(mesh.weights[rim].mean(axis=0, keepdims=True))
+        triangles.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), count)], axis=1))
+        count += 1
+    return SkinnedMesh(np.concatenate(vertices), np.concatenate(weights), np.concatenate(triangles))
+
+
+def rims(triangles: IntArray) -> list[IntArray]:
+    """The rims of holes: loops of vertices along edges of one triangle only, in the triangles' sense."""
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    there = set(map(tuple, directed))
+    following: dict[int, int] = {a: b for a, b in directed if (b, a) not in there}
+    loops: list[IntArray] = []
+    while following:
+        start, vertex = next(iter(following.items()))
+        del following[start]
+        loop = [start]
+        while vertex in following:
+            loop.append(vertex)
+            vertex = following.pop(vertex)
+        if vertex == start and len(loop) > 2:  # an open chain is a flaw, not a hole
+            loops.append(np.array(loop))
+    return loops
+
+
+def _proper(triangles: IntArray) -> IntArray:
+    """The triangles with three different vertices, each once."""
+    a, b, c = triangles.T
+    kept = triangles[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+    return kept[np.sort(first)]
+
+
+def _used(mesh: SkinnedMesh, triangles: IntArray) -> SkinnedMesh:
+    """The mesh of some of its triangles, without the vertices that none of them has."""
+    used, index = np.unique(triangles, return_inverse=True)
+    return SkinnedMesh(mesh.vertices[used], mesh.weights[used], index.reshape(-1, 3))
