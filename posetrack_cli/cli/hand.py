@@ -57,7 +57,12 @@ hand.add_command(hand_synth)
     multiple=True,
     help="Set any key of the configuration, such as observation.sigma_mm=5; repeatable.",
 )
-@click.option("--filter", "filter_kind", type=click.Choice(["rbpf", "pf"]), help="Filter.  [default: rbpf]")
+@click.option(
+    "--filter",
+    "filter_kind",
+    type=click.Choice(["rbpf", "pf", "pso"]),
+    help="Filter; pso is the optimiser of Oikonomidis et al. 2011 instead.  [default: rbpf]",
+)
 @click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512]")
 @click.option("--proposal", type=click.Choice(["marginal", "paper"]), help="Proposal of the RBPF.")
 @click.option(
@@ -144,7 +149,9 @@ def _progress(total: int | None, start: int, stride: int) -> Iterator[Any]:
             done = len(range(start, estimate.frame_index + 1, stride))
             if bar.n == 0:
                 bar.n = bar.initial = bar.last_print_n = done - 1  # frames before this run took it no time
-            bar.set_postfix_str(f"ESS {estimate.effective_sample_size:.0f} {estimate.status}", refresh=False)
+            size = estimate.effective_sample_size
+            weights = "" if size is None else f"ESS {size:.0f} "
+            bar.set_postfix_str(f"{weights}{estimate.status}", refresh=False)
             bar.update(done - bar.n)
 
         yield report

@@ -41,7 +41,7 @@ class HandSettings(Settings):
 class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md)."""
 
-    kind: Literal["rbpf", "pf"] = "rbpf"
+    kind: Literal["rbpf", "pf", "pso"] = "rbpf"
     particles: Annotated[int, Field(ge=1, le=1_000_000)] = 512
     proposal: Literal["marginal", "paper"] = "marginal"
     discretisation: Literal["exact", "euler"] = "exact"
@@ -126,7 +126,7 @@ class DetectionSettings(Settings):
     nearest_mm: Positive = 120.0
     farthest_mm: Positive = 1500.0
     palm_radius_mm: tuple[Positive, Positive] = (11.0, 72.0)
-    reach_mm: Positive = 165.0
+    reach_mm: Positive = 170.0
     arm_mm: Positive = 150.0
     apart_mm: Positive = 110.0
     steepest: Positive = 3.0
@@ -144,6 +144,29 @@ class InitSettings(Settings):
     )
     velocity: ComponentSettings = ComponentSettings(
         position_mm=30.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05
+    )
+
+
+class PsoSettings(Settings):
+    """The optimiser of Oikonomidis et al. 2011 (``hand/swarm``); only the filter "pso" asks.
+
+    ``cognitive`` and ``social`` are c_1 and c_2 of the swarm, ``clamp_mm`` and ``match_mm`` are d_M and d_m
+    of the objective, ``overlap_mm`` lambda and ``crossing_mm_per_rad`` lambda_k.
+    """
+
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 64
+    generations: Annotated[int, Field(ge=1, le=100_000)] = 25
+    cognitive: NotNegative = 2.8
+    social: NotNegative = 1.3
+    redraw_every: Annotated[int, Field(ge=0)] = 3
+    redraw_share: Fraction = 0.5
+    clamp_mm: Positive = 40.0
+    match_mm: Positive = 10.0
+    overlap_mm: NotNegative = 200.0
+    crossing_mm_per_rad: NotNegative = 100.0
+    reach_mm: Positive = 250.0
+    spread: ComponentSettings = ComponentSettings(
+        position_mm=10.0, rotation_rad=0.2, flexion_rad=0.1, abduction_rad=0.1
     )
 
 
@@ -173,5 +196,6 @@ class HandConfig(Settings):
     segmentation: SegmentationSettings = SegmentationSettings()
     detection: DetectionSettings = DetectionSettings()
     init: InitSettings = InitSettings()
+    pso: PsoSettings = PsoSettings()
     status: StatusSettings = StatusSettings()
     output: OutputSettings = OutputSettings()

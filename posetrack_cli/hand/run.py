@@ -20,10 +20,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.start import centre_pose, read_pose
-from posetrack_cli.hand.tracker import HandState, HandTracker, state_arrays, state_from_arrays
+from posetrack_cli.hand.trackers import Tracker, make_tracker
 from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.losses import loss_line
@@ -105,8 +104,7 @@ class HandRun:
         hand = hand_model(config.hand)
         self._anatomy = hand.anatomy
         self._camera = recording.cameras[0]
-        scorer = RenderedCosts(context, hand, self._camera, config.observation, config.filter.particles)
-        self.tracker = HandTracker(config, self._anatomy, self._camera, scorer)
+        self.tracker = make_tracker(config, hand, self._camera, context)
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
         self._start_pose = None if options.init == INIT_CENTRE else read_pose(Path(options.init))
         renderer = str(describe(context))
@@ -145,7 +143,8 @@ class HandRun:
                 state, estimate = self._timed_step(state, frame, rng)
                 truth.send(frame.stamp_ns)
                 if writer.write(estimate, self._vertices(estimate)):
-                    writer.save_checkpoint(_checkpoint(state, rng, frame.index, writer.frames_written))
+                    checkpoint = _checkpoint(self.tracker, state, rng, frame.index, writer.frames_written)
+                    writer.save_checkpoint(checkpoint)
                 report(estimate)
                 tracked += 1
                 if stopped():
@@ -153,15 +152,15 @@ class HandRun:
             self._finish(writer)
         return self._outcome(writer, tracked, began, stopped=False)
 
-    def _open(self) -> tuple[ResultWriter, HandState | None, np.random.Generator, int]:
-        """The writer, and where to go on: state, random generator, last frame written."""
+    def _open(self) -> tuple[ResultWriter, Any, np.random.Generator, int]:
+        """The writer, and where to go on: state if there is one, random generator, last frame written."""
         options, flush = self._options, self._config.output.flush_frames
         rng = np.random.default_rng(options.seed)
         if options.resume:
             writer, checkpoint = ResultWriter.resume(
                 options.output, self._subject(), self._camera, self._record, flush_frames=flush
             )
-            return writer, *_restored(checkpoint, rng)
+            return writer, *_restored(self.tracker, checkpoint, rng)
         writer = ResultWriter(
             options.output,
             self._subject(),
@@ -170,7 +169,7 @@ class HandRun:
             flush_frames=flush,
             overwrite=options.overwrite,
         )
-        writer.save_checkpoint(_checkpoint(None, rng, -1, 0))
+        writer.save_checkpoint(_checkpoint(self.tracker, None, rng, -1, 0))
         return writer, None, rng, -1
 
     def _frames(self) -> Any:
@@ -188,9 +187,7 @@ class HandRun:
             return self._start_pose
         return centre_pose(frame.depth, self._camera, self._anatomy, self._config.init.depth_mm)
 
-    def _timed_step(
-        self, state: HandState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[HandState, Estimate]:
+    def _timed_step(self, state: Any, frame: Frame, rng: np.random.Generator) -> tuple[Any, Estimate]:
         began = time.perf_counter()
         state, estimate = self.tracker.step(state, frame, rng)
         if self._options.timings:
@@ -298,21 +295,22 @@ def _carry_truth(messages: Iterator[TruthMessage], writer: ResultWriter) -> Any:
         stamp = yield
 
 
-def _checkpoint(state: HandState | None, rng: np.random.Generator, index: int, frames: int) -> Checkpoint:
+def _checkpoint(
+    tracker: Tracker[Any], state: Any, rng: np.random.Generator, index: int, frames: int
+) -> Checkpoint:
     record: dict[str, Any] = {"rng": rng.bit_generator.state}
     if state is None:
         return Checkpoint(index, frames, {}, record)
-    record |= {"stamp_ns": state.stamp_ns, "misses": state.misses, "unseen_ns": state.unseen_ns}
-    return Checkpoint(index, frames, state_arrays(state), record)
+    arrays, numbers = tracker.state_parts(state)
+    return Checkpoint(index, frames, arrays, record | {"numbers": numbers})
 
 
 def _restored(
-    checkpoint: Checkpoint, rng: np.random.Generator
-) -> tuple[HandState | None, np.random.Generator, int]:
+    tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator
+) -> tuple[Any, np.random.Generator, int]:
     record = checkpoint.state
     rng.bit_generator.state = record["rng"]
     if not checkpoint.arrays:
         return None, rng, checkpoint.frame_index
-    counted = (record[name] for name in ("stamp_ns", "misses", "unseen_ns"))
-    state = state_from_arrays(checkpoint.arrays, *counted)
+    state = tracker.state_from_parts(checkpoint.arrays, record["numbers"])
     return state, rng, checkpoint.frame_index

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -21,7 +21,8 @@ from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer, log_gibbs
-from posetrack_cli.hand.observation import Observation, PixelSampler, everything, segmented, window_around
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace, inside_limits, pose_rates, tangent_vector
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
@@ -65,7 +66,7 @@ class HandTracker:
     def __init__(self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, scorer: PoseScorer) -> None:
         self.config, self.anatomy, self.camera = config, anatomy, camera
         self.scorer = scorer
-        self._sampler = PixelSampler(camera)
+        self._observer = Observer(config, anatomy, camera, segment=config.observation.cost != "paper")
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self._dynamics = dynamics(config)
@@ -112,7 +113,9 @@ class HandTracker:
         pose, velocity = posterior.pose, posterior.velocity
         following = HandState(particles, frame.stamp_ns, pose, velocity, misses, unseen_ns)
         lost = cost is None or misses >= self.config.status.lost_after_frames
-        return following, self._estimate(frame, posterior, cost, confidence, lost)
+        evaluations = len(particles.poses) + 1 if seen else 0  # the estimate's own is one more
+        estimate = self._estimate(frame, posterior, cost, confidence, lost)
+        return following, replace(estimate, evaluations=evaluations)
 
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""
@@ -122,13 +125,16 @@ class HandTracker:
 
     def observe(self, depth: ImageArray, predicted: FloatArray) -> Observation:
         """Cut the window around a predicted pose (22,) and find the target pixels in it."""
-        joints = joint_positions(self.anatomy, predicted[None])[0]
-        window = window_around(joints, self.camera, self.config.observation)
-        tile = self._sampler.sample(depth, window)
-        if self.config.observation.cost == "paper":
-            return everything(tile, window)
-        settings, scale = self.config.segmentation, self.anatomy.scale
-        return segmented(tile, window, self.camera, predicted, joints, settings, scale)
+        return self._observer.observe(depth, predicted)
+
+    def state_parts(self, state: HandState) -> tuple[dict[str, FloatArray], dict[str, int]]:
+        """Take a state apart into arrays and whole numbers, for a checkpoint."""
+        numbers = {"stamp_ns": state.stamp_ns, "misses": state.misses, "unseen_ns": state.unseen_ns}
+        return state_arrays(state), numbers
+
+    def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> HandState:
+        """Put a state together from what ``state_parts`` made of it."""
+        return state_from_arrays(arrays, **numbers)
 
     def _log_likelihood(self, observation: Observation) -> LogLikelihood | None:
         """None where there is nothing to compare with: the filter then only predicts."""
