@@ -9,13 +9,14 @@ from pathlib import Path
 
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
+from posetrack_cli.hand.lean_mesh import LEAN_TRIANGLES, bent_hands, lean_mesh
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 MESH_DIGEST = "hand.mesh_sha256"
 """Key of a run's record that tells a file's hand from any other."""
-LEAN_TRIANGLES, SMOOTH_TRIANGLES = 410, 1640
+SMOOTH_TRIANGLES = 1640
 """What is drawn of a hand from a file: as many as the average hand has."""
 
 HandMaker = Callable[[str, HandShape], "HandModel"]
@@ -64,17 +65,19 @@ def average_hand(side: str = "right", shape: HandShape | None = None) -> HandMod
     """Return the average adult hand in a shape."""
     shape = shape or HandShape()
     anatomy = make_anatomy(side, shape.scale, shape.finger_lengths, shape.finger_widths, shape.palm)
-    lean, smooth = hand_mesh(anatomy, "lean"), hand_mesh(anatomy, "medium")
-    return HandModel(anatomy, lean, smooth, partial(hand_mesh, anatomy, "fine"))
+    smooth = hand_mesh(anatomy, "medium")
+    return HandModel(anatomy, lean_mesh(anatomy), smooth, partial(hand_mesh, anatomy, "fine"))
 
 
 def _file_hand(path: Path) -> HandMaker:
     from posetrack_cli.hand.reshaping import reshaped_anatomy, reshaped_skin
     from posetrack_cli.hand.webxr import load_hand
+    from posetrack_cli.rendering.decimation import decimated
     from posetrack_cli.rendering.simplify import simplified
 
     hand = load_hand(path)
-    lean, smooth = (simplified(hand.skin, count) for count in (LEAN_TRIANGLES, SMOOTH_TRIANGLES))
+    smooth = simplified(hand.skin, SMOOTH_TRIANGLES)
+    lean = decimated(smooth, LEAN_TRIANGLES, bent_hands(hand.anatomy))
 
     def make(side: str, shape: HandShape) -> HandModel:
         skins = [reshaped_skin(mesh, hand.anatomy, side, shape) for mesh in (lean, smooth)]

@@ -44,7 +44,10 @@ class TileSums:
     @classmethod
     def from_rows(cls, rows: Float32Array, observed: float) -> TileSums:
         """From the (N, 8) array that the device returns; the last column is padding."""
-        return cls(*np.asarray(rows[:, :7], dtype=np.float64).T, observed=observed)
+        error, both, rendered_only, unread, misfit, occluded, matched = np.asarray(
+            rows[:, :7], dtype=np.float64
+        ).T
+        return cls(error, both, rendered_only, unread, misfit, occluded, matched, observed)
 
 
 def sums_in_numpy(

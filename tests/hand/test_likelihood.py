@@ -15,7 +15,6 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, paper_cost, union_cost
-from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.rendering.sums import sums_in_numpy
@@ -88,7 +87,7 @@ class Table:
         self.truth = REST.copy()
         self.truth[:3] = [0.0, 60.0, 650.0]
         window = window_around(joint_positions(ANATOMY, self.truth[None])[0], KINECT, self.settings)
-        drawing = TiledDepthRenderer(context, hand_mesh(ANATOMY), (64, 64), 1)
+        drawing = TiledDepthRenderer(context, average_hand().lean, (64, 64), 1)
         image = drawing.depth(skinning_transforms(ANATOMY, self.truth[None]), KINECT, window)[0]
         background = np.where(image > 0, image, -1500.0 if cost == "union" else 0.0)
         self.observation = Observation(window, background.astype(np.float32), int((image > 0).sum()))

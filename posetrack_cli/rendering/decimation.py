@@ -1,0 +1,288 @@
+"""Fewer triangles for a skinned mesh: edges collapse where that changes its surface least, in many poses.
+
+Quadric error metrics (Garland and Heckbert 1997), summed over poses of the bones so that a straight finger
+keeps the rings that it bends at (Mohr and Gleicher 2003, deformation sensitive decimation).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.rendering.closest import closest_points
+from posetrack_cli.rendering.mesh import SkinnedMesh, edges_of
+
+SHARES = (0.0, 0.5, 1.0)
+"""Of an edge's second end in the weights of the vertex that replaces both."""
+REGULAR = 1e-4
+"""Share of a quadric's trace that pulls a new vertex to its edge: a flat surface leaves it free."""
+LEAST_COSINE = 0.2
+"""Of the angle by which a triangle may turn when an edge beside it collapses: it must not fold over."""
+RIM_WEIGHT = 10.0
+"""Of the planes that hold an open mesh's rim, relative to those of its triangles."""
+FIT_RIDGE = 1e-3
+"""How firmly a vertex of the fit holds to the surface's nearest vertex, relative to the median one's area."""
+_IDENTITY = np.eye(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Decimation:
+    """How a mesh with fewer triangles follows another whose triangles and weights stay, in any shape.
+
+    Attributes:
+        fit: (W, V) takes the other's vertices to the new ones.
+        weights: (W, B) of the new vertices.
+        triangles: (T, 3) of them.
+    """
+
+    fit: FloatArray
+    weights: FloatArray
+    triangles: IntArray
+
+    def of(self, vertices: FloatArray) -> SkinnedMesh:
+        """The mesh with fewer triangles of the other one with these vertices (V, 3)."""
+        return SkinnedMesh(self.fit @ vertices, self.weights, self.triangles)
+
+
+def decimated(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None = None) -> SkinnedMesh:
+    """Return a mesh of at most so many triangles with nearly the same surface; see ``decimation``."""
+    return decimation(mesh, triangles, transforms).of(mesh.vertices)
+
+
+def decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None = None) -> Decimation:
+    """Collapse edges of a mesh until few triangles are left, then fit what is left to the whole surface.
+
+    The cost of a collapse is the sum over poses of the area-weighted squared distances of the new vertex
+    from the planes of the triangles that it stands for; the vertex lies where that is least. Planes touch
+    a round surface from outside and chords run inside, so at last the vertices are moved to where the
+    mean squared distance of the surfaces is least: the mean distance vanishes with it.
+
+    Args:
+        mesh: closed or with a rim.
+        triangles: how many are wanted; more are left where the mesh's topology asks for them.
+        transforms: (K, B, 3, 4) of the bones in the poses that count; by default only the rest pose.
+    """
+    if transforms is None:
+        transforms = np.tile(np.eye(3, 4), (1, mesh.weights.shape[1], 1, 1))
+    work = _Collapsing(mesh, np.asarray(transforms, dtype=np.float64))
+    work.run(triangles)
+    coarse = work.result()
+    return Decimation(_fit(coarse, mesh), coarse.weights, coarse.triangles)
+
+
+class _Placements(NamedTuple):
+    """Where the vertices that replace edges would lie: costs (E,), rest positions (E, 3), weights (E, B)."""
+
+    costs: FloatArray
+    vertices: FloatArray
+    weights: FloatArray
+
+
+class _Collapsing:
+    """A mesh while its edges collapse; a vertex keeps its number, one that is gone is used no more."""
+
+    def __init__(self, mesh: SkinnedMesh, transforms: FloatArray) -> None:
+        self._vertices, self._weights = mesh.vertices.copy(), mesh.weights.copy()
+        self._triangles = mesh.triangles.copy()
+        self._transforms = transforms
+        self._quadrics = _vertex_quadrics(mesh, transforms)
+        self._alive = np.ones(len(mesh.triangles), dtype=np.bool_)
+        self._around: list[set[int]] = [set() for _ in mesh.vertices]
+        for index, corners in enumerate(mesh.triangles.tolist()):
+            for corner in corners:
+                self._around[corner].add(index)
+        self._changes = [0] * len(mesh.vertices)
+        self._order = itertools.count()  # among equal costs the earlier offer is first
+        self._heap: list[tuple[float, int, int, int, int, FloatArray, FloatArray]] = []
+
+    def run(self, wanted: int) -> None:
+        """Collapse the cheapest edge until few enough triangles are left, or no edge may collapse."""
+        left = len(self._triangles)
+        if left > wanted:
+            self._offer(edges_of(self._triangles)[0])
+        while left > wanted and self._heap:
+            _, _, a, b, stamp, vertex, weights = heapq.heappop(self._heap)
+            if stamp != self._changes[a] + self._changes[b] or not self._may_collapse(a, b, vertex, weights):
+                continue
+            left -= self._collapse(a, b, vertex, weights)
+            self._offer(np.array([(min(a, c), max(a, c)) for c in sorted(self._neighbours(a))]))
+
+    def result(self) -> SkinnedMesh:
+        """Return what is left."""
+        used, index = np.unique(self._triangles[self._alive], return_inverse=True)
+        return SkinnedMesh(self._vertices[used], self._weights[used], index.reshape(-1, 3))
+
+    def _offer(self, edges: IntArray) -> None:
+        placements = self._placed(edges)
+        for (a, b), cost, vertex, weights in zip(edges.tolist(), *placements, strict=True):
+            stamp = self._changes[a] + self._changes[b]
+            heapq.heappush(self._heap, (float(cost), next(self._order), a, b, stamp, vertex, weights))
+
+    def _placed(self, edges: IntArray) -> _Placements:
+        """The cheapest placements over all shares."""
+        options = self._placed_with(np.tile(edges, (len(SHARES), 1)), np.repeat(SHARES, len(edges)))
+        best = options.costs.reshape(len(SHARES), -1).argmin(axis=0) * len(edges) + np.arange(len(edges))
+        return _Placements(*(values[best] for values in options))
+
+    def _placed_with(self, edges: IntArray, shares: FloatArray) -> _Placements:
+        """The least of sum_k |T_k r|^2_Q over rest positions r, T_k being linear in the weights."""
+        a, b = edges.T
+        weights = (1.0 - shares)[:, None] * self._weights[a] + shares[:, None] * self._weights[b]
+        middle = 0.5 * (self._vertices[a] + self._vertices[b])
+        rest = _pulled_back(self._quadrics[a] + self._quadrics[b], weights, self._transforms)
+        matrix, vector = rest[:, :3, :3], rest[:, :3, 3]
+        trace = np.trace(matrix, axis1=1, axis2=2)
+        # an edge without area has no quadric: it collapses in its middle
+        regular = matrix + (REGULAR * trace + np.finfo(np.float64).tiny)[:, None, None] * _IDENTITY
+        gradient = (matrix @ middle[..., None])[..., 0] + vector
+        r = np.ones((len(edges), 4))
+        r[:, :3] = middle - np.linalg.solve(regular, gradient[..., None])[..., 0]
+        length2 = ((self._vertices[a] - self._vertices[b]) ** 2).sum(axis=1)
+        costs = (r * (rest @ r[..., None])[..., 0]).sum(axis=1) + REGULAR * trace * length2
+        return _Placements(costs, r[:, :3], weights)
+
+    def _neighbours(self, vertex: int) -> set[int]:
+        return set(self._triangles[list(self._around[vertex])].ravel().tolist()) - {vertex}
+
+    def _may_collapse(self, a: int, b: int, vertex: FloatArray, weights: FloatArray) -> bool:
+        """Whether the surface stays a surface (the link condition) and nothing folds over in any pose."""
+        dying = self._around[a] & self._around[b]
+        kept = sorted((self._around[a] | self._around[b]) - dying)
+        if not kept or len(self._neighbours(a) & self._neighbours(b)) != len(dying):
+            return False
+        before = self._triangles[kept]
+        return self._stays_unfolded(before, (before == a) | (before == b), vertex, weights)
+
+    def _stays_unfolded(
+        self, triangles: IntArray, moved: BoolArray, vertex: FloatArray, weights: FloatArray
+    ) -> bool:
+        used, index = np.unique(triangles, return_inverse=True)
+        corners = _posed(self._vertices[used], self._weights[used], self._transforms)[index.reshape(-1, 3)]
+        after = corners.copy()
+        after[moved] = _posed(vertex[None], weights[None], self._transforms)
+        old, new = _normals(corners), _normals(after)
+        cosine = (old * new).sum(axis=-1)
+        limit2 = LEAST_COSINE**2 * (old**2).sum(axis=-1) * (new**2).sum(axis=-1)
+        return bool(((cosine > 0) & (cosine**2 > limit2)).all())
+
+    def _collapse(self, a: int, b: int, vertex: FloatArray, weights: FloatArray) -> int:
+        """Put a in the place of both; return how many triangles vanish."""
+        dying = self._around[a] & self._around[b]
+        for index in dying:
+            self._alive[index] = False
+            for corner in self._triangles[index].tolist():
+                self._around[corner].discard(index)
+        for index in self._around[b]:
+            row = self._triangles[index]
+            row[row == b] = a
+        self._around[a] |= self._around[b]
+        self._around[b] = set()
+        self._vertices[a], self._weights[a] = vertex, weights
+        self._quadrics[a] += self._quadrics[b]
+        # counts only grow, so the sum over an edge's ends is the same only if neither has changed
+        self._changes[a] += 1
+        self._changes[b] += 1
+        return len(dying)
+
+
+def _vertex_quadrics(mesh: SkinnedMesh, transforms: FloatArray) -> FloatArray:
+    """(V, K, 4, 4): sums over a vertex's triangles of area times the squared distance from their planes."""
+    corners = np.moveaxis(mesh.posed(transforms), 0, 1)[mesh.triangles]  # (T, 3, K, 3)
+    normals = _normals(corners)
+    planes = _plane_quadrics(0.5 * normals, corners[:, 0])
+    total = np.zeros((len(mesh.vertices), len(transforms), 4, 4))
+    for corner in range(3):
+        np.add.at(total, mesh.triangles[:, corner], planes)
+    for triangle, corner in _rim(mesh.triangles):
+        ends = [corner, (corner + 1) % 3]
+        first, second = corners[triangle, ends]
+        outwards = np.cross(second - first, normals[triangle])
+        outwards *= (np.linalg.norm(second - first, axis=1) / np.linalg.norm(normals[triangle], axis=1))[
+            :, None
+        ]
+        total[mesh.triangles[triangle, ends]] += RIM_WEIGHT * _plane_quadrics(outwards, first)
+    return total
+
+
+def _plane_quadrics(normals: FloatArray, points: FloatArray) -> FloatArray:
+    """(..., 4, 4) of planes through points, weighted by their normals' lengths."""
+    weight = np.linalg.norm(normals, axis=-1)[..., None]
+    unit = np.divide(normals, weight, out=np.zeros_like(normals), where=weight > 0)
+    plane = np.concatenate([unit, -np.einsum("...i,...i->...", unit, points)[..., None]], axis=-1)
+    quadrics: FloatArray = weight[..., None] * plane[..., :, None] * plane[..., None, :]
+    return quadrics
+
+
+def _rim(triangles: IntArray) -> list[tuple[int, int]]:
+    """Triangles and their corners from which an edge runs that no other triangle has."""
+    directed = {
+        (row[k], row[(k + 1) % 3]): (index, k)
+        for index, row in enumerate(triangles.tolist())
+        for k in range(3)
+    }
+    return [place for (a, b), place in directed.items() if (b, a) not in directed]
+
+
+def _pulled_back(quadrics: FloatArray, weights: FloatArray, transforms: FloatArray) -> FloatArray:
+    """Quadrics (E, K, 4, 4) of posed points as one (E, 4, 4) of the rest point: sum_k T_k^T Q_k T_k."""
+    blended = np.zeros((len(weights), len(transforms), 4, 4))
+    blended[:, :, :3] = _blended(weights, transforms)
+    blended[:, :, 3, 3] = 1.0
+    total: FloatArray = (np.swapaxes(blended, 2, 3) @ quadrics @ blended).sum(axis=1)
+    return total
+
+
+def _blended(weights: FloatArray, transforms: FloatArray) -> FloatArray:
+    """Blends (N, K, 3, 4) of the bones' transforms (K, B, 3, 4) with weights (N, B)."""
+    poses, bones = transforms.shape[:2]
+    by_bone = np.swapaxes(transforms.reshape(poses, bones, 12), 0, 1).reshape(bones, poses * 12)
+    blended: FloatArray = (weights @ by_bone).reshape(-1, poses, 3, 4)
+    return blended
+
+
+def _posed(vertices: FloatArray, weights: FloatArray, transforms: FloatArray) -> FloatArray:
+    """Points (N, 3) with weights (N, B) in every pose: (N, K, 3)."""
+    blended = _blended(weights, transforms)
+    posed: FloatArray = (blended[..., :3] @ vertices[:, None, :, None])[..., 0] + blended[..., 3]
+    return posed
+
+
+def _normals(corners: FloatArray) -> FloatArray:
+    """Twice the vector areas (T, K, 3) of triangles (T, 3, K, 3)."""
+    normals: FloatArray = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals
+
+
+def _fit(coarse: SkinnedMesh, mesh: SkinnedMesh) -> FloatArray:
+    """(W, V): the coarse vertices whose surface is nearest to points all over a mesh, in the mean square.
+
+    With s = S v the points (vertices and middles of triangles), a their areas and B their barycentric
+    coordinates on the coarse surface where they are nearest: min over x of sum a |B x - S v|^2.
+    """
+    points, areas = _surface_points(mesh)
+    triangle, shares = closest_points(points @ mesh.vertices, coarse.vertices[coarse.triangles])
+    onto = np.zeros((len(points), len(coarse.vertices)))
+    onto[np.arange(len(points))[:, None], coarse.triangles[triangle]] = shares
+    weighted = (onto * areas[:, None]).T
+    normal = weighted @ onto
+    ridge = FIT_RIDGE * float(np.median(np.diag(normal)))
+    offsets = coarse.vertices[:, None] - mesh.vertices[None]
+    nearest = np.eye(len(mesh.vertices))[(offsets**2).sum(axis=-1).argmin(axis=1)]
+    regular = normal + ridge * np.eye(len(normal))
+    return np.asarray(np.linalg.solve(regular, weighted @ points + ridge * nearest), dtype=np.float64)
+
+
+def _surface_points(mesh: SkinnedMesh) -> tuple[FloatArray, FloatArray]:
+    """Points all over a mesh as averages (P, V) of its vertices, and the area (P,) each stands for."""
+    count, faces = len(mesh.vertices), len(mesh.triangles)
+    middles = np.zeros((faces, count))
+    middles[np.arange(faces)[:, None], mesh.triangles] = 1.0 / 3.0
+    areas = 0.5 * np.linalg.norm(_normals(mesh.vertices[mesh.triangles][:, :, None])[:, 0], axis=-1)
+    # a triangle's middle stands for one half of it and its corners for the other
+    at_vertices = np.bincount(mesh.triangles.ravel(), np.repeat(areas / 6.0, 3), minlength=count)
+    return np.concatenate([np.eye(count), middles]), np.concatenate([at_vertices, 0.5 * areas])
