@@ -6,11 +6,13 @@ copy of (pose, velocity), observed in its pose.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
+from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.kalman import (
     Gaussian,
     constant_velocity,
@@ -20,6 +22,7 @@ from posetrack_cli.filtering.kalman import (
 )
 from posetrack_cli.filtering.marginal import initialise_marginal, marginal_step
 from posetrack_cli.filtering.model import Dynamics, Euclidean
+from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import initialise_particle, particle_step
 from posetrack_cli.filtering.posterior import Posterior
 from posetrack_cli.filtering.resampling import Resampling
@@ -41,13 +44,15 @@ class Exact:
 
 @dataclass(frozen=True)
 class World:
-    """Time steps (T,), dimension D, and whether there is a velocity."""
+    """Time steps (T,), dimension D, whether there is a velocity, and what of the pose is observed (M, D)."""
 
     steps: np.ndarray
     dimension: int = 1
     discretisation: str = "exact"
     moving: bool = True
     space: Euclidean = field(default_factory=Euclidean)
+    mixing: np.ndarray | None = None
+    start_sd: float = START_SD
 
     @property
     def dynamics(self) -> Dynamics:
@@ -62,11 +67,12 @@ class World:
 
     @property
     def sensor(self) -> np.ndarray:
-        return np.eye(self.dimension, (1 + self.moving) * self.dimension)
+        pose = np.eye(self.dimension, (1 + self.moving) * self.dimension)
+        return pose if self.mixing is None else self.mixing @ pose
 
     @property
     def start(self) -> Gaussian:
-        sd = [START_SD] * self.dimension + [START_VELOCITY_SD] * (self.dimension if self.moving else 0)
+        sd = [self.start_sd] * self.dimension + [START_VELOCITY_SD] * (self.dimension if self.moving else 0)
         return Gaussian(np.zeros(len(sd)), np.diag(np.square(sd)))
 
     def observations(self, seed: int) -> np.ndarray:
@@ -76,16 +82,27 @@ class World:
         for dt in self.steps:
             F, Q = self.transition(dt)
             state = rng.multivariate_normal(F @ state, Q)
-            seen.append(self.sensor @ state + rng.standard_normal(self.dimension))
+            seen.append(self.sensor @ state + rng.standard_normal(len(self.sensor)))
         return np.array(seen)
 
     def log_likelihood(self, y: np.ndarray):
-        constant = 0.5 * self.dimension * np.log(2.0 * np.pi * OBSERVATION_VARIANCE)
-        return lambda poses: -0.5 * np.square(poses - y).sum(axis=1) / OBSERVATION_VARIANCE - constant
+        constant = 0.5 * y.size * np.log(2.0 * np.pi * OBSERVATION_VARIANCE)
+        mixing = self.sensor[:, : self.dimension]
+        return lambda poses: (
+            -0.5 * np.square(poses @ mixing.T - y).sum(axis=1) / OBSERVATION_VARIANCE - constant
+        )
+
+    def exact_modes(self, y: np.ndarray, poses: np.ndarray) -> LikelihoodModes:
+        """The likelihood of y, expanded about each of some poses (K, D): a quadratic, and so exact."""
+        mixing = self.sensor[:, : self.dimension]
+        information = mixing.T @ mixing / OBSERVATION_VARIANCE
+        gradients = (y - poses @ mixing.T) @ mixing / OBSERVATION_VARIANCE
+        heights = self.log_likelihood(y)(poses)
+        return LikelihoodModes(poses, gradients, np.tile(information, (len(poses), 1, 1)), heights)
 
     def kalman(self, observations: np.ndarray) -> Exact:
         belief, H = self.start, self.sensor
-        R = OBSERVATION_VARIANCE * np.eye(self.dimension)
+        R = OBSERVATION_VARIANCE * np.eye(len(H))
         beliefs, evidence, transitions, gains = [], [], [], []
         for dt, y in zip(self.steps, observations, strict=True):
             F, Q = self.transition(dt)
@@ -109,29 +126,37 @@ class World:
         seed: int,
         resampling: Resampling,
         proposal: str = "marginal",
+        guide: Callable[[np.ndarray], Guide | None] = lambda y: None,
     ) -> list[Posterior]:
         rng, ones = np.random.default_rng(seed), np.ones(self.dimension)
         state = initialise_marginal(
-            0.0 * ones, START_SD * ones, START_VELOCITY_SD * ones, count, self.space, rng
+            0.0 * ones, self.start_sd * ones, START_VELOCITY_SD * ones, count, self.space, rng
         )
         posteriors = []
         for dt, y in zip(self.steps, observations, strict=True):
             score = self.log_likelihood(y)
             state, posterior = marginal_step(
-                state, dt, self.dynamics, self.space, score, resampling, rng, proposal
+                state, dt, self.dynamics, self.space, score, resampling, rng, proposal, guide(y)
             )
             posteriors.append(posterior)
         return posteriors
 
     def particle(
-        self, observations: np.ndarray, count: int, seed: int, resampling: Resampling
+        self,
+        observations: np.ndarray,
+        count: int,
+        seed: int,
+        resampling: Resampling,
+        guide: Callable[[np.ndarray], Guide | None] = lambda y: None,
     ) -> list[Posterior]:
         rng, ones = np.random.default_rng(seed), np.ones(self.dimension)
-        state = initialise_particle(0.0 * ones, START_SD * ones, count, self.space, rng)
+        state = initialise_particle(0.0 * ones, self.start_sd * ones, count, self.space, rng)
         posteriors = []
         for dt, y in zip(self.steps, observations, strict=True):
             score = self.log_likelihood(y)
-            state, posterior = particle_step(state, dt, self.dynamics, self.space, score, resampling, rng)
+            state, posterior = particle_step(
+                state, dt, self.dynamics, self.space, score, resampling, rng, guide(y)
+            )
             posteriors.append(posterior)
         return posteriors
 

@@ -44,6 +44,20 @@ def test_retract_undoes_local(x: np.ndarray, y: np.ndarray) -> None:
 
 
 @relaxed
+@given(pose_strategy(), tangents)
+def test_volume_is_the_determinant_of_retract(pose: np.ndarray, delta: np.ndarray) -> None:
+    """The Jacobian by central differences: x (+) (delta + step) as seen from x (+) delta."""
+    step = 1e-5
+    poses, steps = np.repeat(pose[None], 21, axis=0), step * np.eye(21)
+    moved = [SPACE.retract(poses, delta + sign * steps) for sign in (1.0, -1.0)]
+    centre = SPACE.retract(pose[None], delta[None])
+    ahead, behind = (SPACE.local(np.repeat(centre, 21, axis=0), y) for y in moved)
+    log_determinant = np.linalg.slogdet((ahead - behind) / (2.0 * step))[1]
+    # rounding of 300 mm over the step, and the third derivative times step^2
+    np.testing.assert_allclose(SPACE.log_volume(delta[None])[0], log_determinant, atol=1e-6)
+
+
+@relaxed
 @given(pose_strategy(), pose_strategy(), tangents)
 def test_rotations_move_in_the_body_s_frame(x: np.ndarray, turn: np.ndarray, delta: np.ndarray) -> None:
     # turning the world changes nothing in what the body sees of its own rotation
