@@ -63,7 +63,7 @@ hand.add_command(hand_synth)
     type=click.Choice(["rbpf", "pf", "pso"]),
     help="Filter; pso is the optimiser of Oikonomidis et al. 2011 instead.  [default: rbpf]",
 )
-@click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512]")
+@click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512; pso: 64]")
 @click.option("--proposal", type=click.Choice(["marginal", "paper"]), help="Proposal of the RBPF.")
 @click.option(
     "--resampling",
@@ -130,7 +130,11 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
 
     files = [find_configuration(name) for name in options["configs"]]
     own = {key: options[name] for name, key in CONFIGURED.items() if options[name] is not None}
-    return load_settings(HandConfig, files, parse_assignments(options["settings"]) | own)
+    assigned = parse_assignments(options["settings"]) | own
+    config = load_settings(HandConfig, files, assigned)
+    if config.filter.kind != "pso" or options["particles"] is None:
+        return config
+    return load_settings(HandConfig, files, assigned | {"pso.particles": options["particles"]})  # a swarm's
 
 
 @contextmanager
