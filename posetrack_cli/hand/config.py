@@ -43,7 +43,7 @@ class FilterSettings(Settings):
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
     particles: Annotated[int, Field(ge=1, le=1_000_000)] = 512
-    proposal: Literal["marginal", "paper"] = "marginal"
+    proposal: Literal["guided", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
     ess_threshold: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
@@ -108,12 +108,17 @@ class ObservationSettings(Settings):
 
 
 class SegmentationSettings(Settings):
-    """Which readings are the hand's; only the union cost needs to know."""
+    """Which readings are the hand's; only costs that know of regions ask. Lengths grow with the hand."""
 
     in_front_mm: Positive = 70.0
     behind_mm: Positive = 70.0
+    aside_mm: Positive = 60.0
     reach_mm: Positive = 140.0
-    forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 12.0
+    steepest: Positive = 3.0
+    least_share: Fraction = 0.5
+    forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 8.0
+    wrist_sd_mm: Positive = 40.0
+    margin_mm: NotNegative = 60.0
 
 
 class DetectionSettings(Settings):
@@ -170,6 +175,28 @@ class PsoSettings(Settings):
     )
 
 
+class FitSettings(Settings):
+    """Local fits of the pose to the frame, from which the guided proposal is made.
+
+    ``prior`` is the standard deviation of a usual frame's motion about the prediction, for the fits only.
+    ``sharpening`` is how much sharper the likelihood is than a fit's own residuals: the outline adds to it.
+    Fits whose cost is at most ``alternative_mm`` above the best, and a joint of which lies ``apart_mm`` from
+    it, are modes of their own.
+    """
+
+    starts: Annotated[int, Field(ge=1, le=64)] = 6
+    iterations: Annotated[int, Field(ge=1, le=100)] = 6
+    polish: Annotated[int, Field(ge=0, le=100)] = 2
+    prior: ComponentSettings = ComponentSettings(
+        position_mm=12.0, rotation_rad=0.12, flexion_rad=0.33, abduction_rad=0.1
+    )
+    sharpening: Positive = 1.6
+    prior_share: Fraction = 0.05
+    alternative_mm: NotNegative = 1.0
+    apart_mm: NotNegative = 6.0
+    most_modes: Annotated[int, Field(ge=1, le=64)] = 4
+
+
 class StatusSettings(Settings):
     """When a track counts as lost: confidence 1 - D / c_max stays below for so many frames."""
 
@@ -196,6 +223,7 @@ class HandConfig(Settings):
     segmentation: SegmentationSettings = SegmentationSettings()
     detection: DetectionSettings = DetectionSettings()
     init: InitSettings = InitSettings()
+    fit: FitSettings = FitSettings()
     pso: PsoSettings = PsoSettings()
     status: StatusSettings = StatusSettings()
     output: OutputSettings = OutputSettings()

@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.filtering.errors import check_time_step
+from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
 from posetrack_cli.filtering.model import Dynamics, LogLikelihood
 from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
@@ -19,8 +20,9 @@ from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.likelihood import PoseScorer, log_gibbs
+from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace, inside_limits, pose_rates, tangent_vector
@@ -60,12 +62,20 @@ class HandTracker:
         config: parameters.
         anatomy: the hand.
         camera: of the depth images.
-        scorer: the likelihood's costs.
+        scorer: the likelihood.
+        guiding: local fits for the guided proposal; None for proposals that do not look at the frame.
     """
 
-    def __init__(self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, scorer: PoseScorer) -> None:
+    def __init__(
+        self,
+        config: HandConfig,
+        anatomy: HandAnatomy,
+        camera: Camera,
+        scorer: PoseScorer,
+        guiding: Guiding | None = None,
+    ) -> None:
         self.config, self.anatomy, self.camera = config, anatomy, camera
-        self.scorer = scorer
+        self.scorer, self._guiding = scorer, guiding
         self._observer = Observer(config, anatomy, camera, segment=config.observation.cost != "paper")
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
@@ -101,11 +111,15 @@ class HandTracker:
         elapsed_ns = frame.stamp_ns - state.stamp_ns
         check_time_step(elapsed_ns * 1e-9)
         dt = min(elapsed_ns * 1e-9, self.config.motion.gap_max_s)
-        observation = self.observe(frame.depth, self.predict(state, dt))
+        predicted = self.predict(state, dt)
+        observation = self.observe(frame.depth, predicted)
         seen = observation.target_pixels > 0
         if not seen:
             dt = min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9)
-        particles, posterior = self._filter(state.particles, dt, self._log_likelihood(observation), rng)
+        guide = self._guide(observation, predicted, state.pose, dt, rng) if seen else None
+        particles, posterior = self._filter(
+            state.particles, dt, self._log_likelihood(observation), guide, rng
+        )
         cost = self._cost_of(posterior.pose, observation)
         confidence = 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
         misses = state.misses + 1 if confidence < self.config.status.lost_below else 0
@@ -140,17 +154,39 @@ class HandTracker:
         """None where there is nothing to compare with: the filter then only predicts."""
         if observation.target_pixels == 0:
             return None
-        return lambda poses: log_gibbs(self.scorer.costs(poses, observation), self.config.observation)
+        if self._guiding is None:
+            return lambda poses: self.scorer.log_likelihood(poses, observation)
+        fitter = self._guiding.fitter
+        return lambda poses: self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses)
+
+    def _guide(
+        self,
+        observation: Observation,
+        predicted: FloatArray,
+        still: FloatArray,
+        dt: float,
+        rng: np.random.Generator,
+    ) -> Guide | None:
+        if self._guiding is None or dt <= 0.0:
+            return None
+        fits = self._guiding.fit(observation, predicted, still[None], dt, rng)
+        return Guide(fits.modes, self.config.fit.prior_share)
 
     def _filter(
-        self, particles: FilterState, dt: float, score: LogLikelihood | None, rng: np.random.Generator
+        self,
+        particles: FilterState,
+        dt: float,
+        score: LogLikelihood | None,
+        guide: Guide | None,
+        rng: np.random.Generator,
     ) -> tuple[FilterState, Posterior]:
         if dt <= 0.0:
             return particles, self._standing_still(particles)
         common = (dt, self._dynamics, self._space, score, self._resampling, rng)
         if isinstance(particles, MarginalState):
-            return marginal_step(particles, *common, proposal=self.config.filter.proposal)
-        return particle_step(particles, *common)
+            proposal = "paper" if self.config.filter.proposal == "paper" else "marginal"
+            return marginal_step(particles, *common, proposal=proposal, guide=guide)
+        return particle_step(particles, *common, guide=guide)
 
     def _standing_still(self, particles: FilterState) -> Posterior:
         """What is known of the hand when neither time nor an observation moves it."""

@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.swarm.objective import RenderedObjective
@@ -53,4 +54,5 @@ def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: A
     if config.filter.kind == "pso":
         return SwarmTracker(config, hand.anatomy, camera, RenderedObjective(context, hand, camera, config))
     scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
-    return HandTracker(config, hand.anatomy, camera, scorer)
+    guiding = Guiding(config, hand, camera) if config.filter.proposal == "guided" else None
+    return HandTracker(config, hand.anatomy, camera, scorer, guiding)

@@ -11,7 +11,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.fitting.anatomy_terms import plausibility_of, potentials
+from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
 from posetrack_cli.hand.fitting.gauss_newton import (
     Fit,
     Hand,
@@ -24,8 +24,9 @@ from posetrack_cli.hand.fitting.gauss_newton import (
     empty_fit,
     make_work,
 )
+from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.raster import View, skin_of
-from posetrack_cli.hand.fitting.skeleton import skeleton_of
+from posetrack_cli.hand.fitting.skeleton import pose_bones, skeleton_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
@@ -128,6 +129,13 @@ class HandFitter:
         fit = empty_fit()
         assess(self.hand, tile, pose, self._terms, self._free[0], fit)
         return fit
+
+    def anatomy(self, pose: FloatArray) -> NormalEquations:
+        """Return gradient and information of exp(-U) at a pose (22,), U the anatomical potential."""
+        equations, work = empty_equations(), self._free[0]
+        pose_bones(self.hand.skeleton, pose, work.posed)
+        add_anatomy(self.hand.plausibility, pose, work.posed, work.spheres, equations)
+        return equations
 
     def costs(self, tile: Tile, poses: FloatArray) -> FloatArray:
         """Return union costs (N,), mm, of poses (N, 22)."""

@@ -1,0 +1,128 @@
+"""What a frame says about where the hand is: local fits, as approximations of the likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import FitSettings, HandConfig
+from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
+from posetrack_cli.hand.fitting.gauss_newton import Fit
+from posetrack_cli.hand.fitting.starts import fit_starts
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.likelihood import pixel_mixture, reading_share
+from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.space import HandSpace, tangent_vector
+
+USUAL_STEP_S = 1.0 / 30.0
+THUMB_SD = (0.25, 0.25, 0.15)  # rad; a thumb moves less than a finger (hand-findings.md)
+
+
+class LocalFits(NamedTuple):
+    """The fits of one frame.
+
+    Attributes:
+        modes: approximations of log p(y | x), the best first.
+        cost: union cost D of the best, mm, with the smooth skin.
+        renders: how many poses were drawn for it.
+    """
+
+    modes: LikelihoodModes
+    cost: float
+    renders: int
+
+
+class Guiding:
+    """Fits a hand to frames from several starts.
+
+    Args:
+        config: parameters.
+        hand: the model.
+        camera: of the depth images.
+    """
+
+    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
+        self._config, self._settings, self._camera = config, config.fit, camera
+        self._anatomy, self._space = hand.anatomy, HandSpace()
+        terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
+        self._sigma_mm = terms.sigma_mm
+        self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
+        self._mixture = pixel_mixture(config.observation.mixture)
+
+    def fit(
+        self,
+        observation: Observation,
+        expected: FloatArray,
+        others: FloatArray,
+        dt: float,
+        rng: np.random.Generator,
+    ) -> LocalFits:
+        """Return the fits of one frame.
+
+        Args:
+            observation: with at least one target pixel.
+            expected: (22,) prediction, the prior's mean but for its position.
+            others: (M, 22) further starts.
+            dt: time since the frame before, s.
+            rng: of the starts' scatter.
+        """
+        settings, fitter = self._settings, self.fitter
+        tile = fitter.tile(observation)
+        starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
+        prior = PosePrior(expected, motion_precision(settings, dt))
+        priors = [prior.about(start[:3]) for start in starts]
+        fits = fitter.descend(tile, starts, priors, settings.iterations)
+        best = fitter.swapped(tile, fits)
+        fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
+        modes = self._modes(tile, observation, fits)
+        renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
+        return LocalFits(modes, float(min(fit.cost[0] for fit in fits)), renders + len(modes))
+
+    def _modes(self, tile: Tile, observation: Observation, fits: Sequence[Fit]) -> LikelihoodModes:
+        chosen = [self.fitter.assessed(tile, fit.pose) for fit in self._distinct(fits)]
+        z = float(np.median(observation.image[observation.image > 0]))
+        share = self.share(observation, z)
+        scale = share * self._settings.sharpening * (self._sigma_mm / self._mixture.noise_sd(np.array(z))) ** 2
+        anatomy = [self.fitter.anatomy(fit.pose) for fit in chosen]
+        pixels = share * tile.observed * float(self._mixture.unexplained(np.array(z)))
+        clamp = self._config.observation.clamp_mm
+        return LikelihoodModes(
+            np.array([fit.pose for fit in chosen]),
+            np.array([scale * fit.data.vector + own.vector for fit, own in zip(chosen, anatomy, strict=True)]),
+            np.array([scale * fit.data.matrix + own.matrix for fit, own in zip(chosen, anatomy, strict=True)]),
+            np.array([-pixels * fit.cost[0] / clamp for fit in chosen]),
+        )
+
+    def share(self, observation: Observation, depth_mm: float) -> float:
+        """How much of an independent reading a pixel of the window is."""
+        correlation = self._config.observation.mixture.correlation_mm
+        return reading_share(depth_mm, observation.window.step, self._camera, correlation)
+
+    def _distinct(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The best fit, and others nearly as good whose joints lie elsewhere."""
+        order = sorted(fits, key=lambda fit: float(fit.cost[0]))
+        limit = float(order[0].cost[0]) + self._settings.alternative_mm
+        chosen: list[Fit] = []
+        joints: list[FloatArray] = []
+        for fit in order:
+            here = joint_positions(self._anatomy, fit.pose[None])[0]
+            apart = [np.linalg.norm(here - there, axis=1).max() for there in joints]
+            if fit.cost[0] <= limit and min(apart, default=np.inf) > self._settings.apart_mm:
+                chosen.append(fit)
+                joints.append(here)
+        return chosen[: self._settings.most_modes]
+
+
+def motion_precision(settings: FitSettings, dt: float) -> FloatArray:
+    """1 / variance (21,) of a pose after dt seconds about its prediction, for the fits alone."""
+    sd = tangent_vector(settings.prior)
+    sd[6:9] = np.minimum(sd[6:9], THUMB_SD)
+    precision: FloatArray = USUAL_STEP_S / dt / np.square(sd)
+    return precision
