@@ -12,8 +12,8 @@ import click
 
 from posetrack_cli.cli.parameter_types import FiniteRange, only_once
 from posetrack_cli.cli.standard_output import reader_may_leave
+from posetrack_cli.cli.track_option import BOTH, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
-from posetrack_cli.results.tracks import FILTERED, TRACKS
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.assessment import Assessment, Request
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.pictures import Picture
 
 STANDARD_OUTPUT = Path("-")
+TEXT_REPORTS = ("json_path", "csv_path", "curve_path")
 WORST_FRAMES = 6
 FILE = click.Path(path_type=Path)
 OUTPUT = click.Path(path_type=Path, allow_dash=True)
@@ -56,14 +57,27 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     help="Remove one constant rigid offset first, or also each point's own.",
 )
 @click.option(
+    "--joint-offsets",
+    type=click.Choice(["bone", "palm", "camera"]),
+    help="Of a hand, also remove each joint's constant offset, a median, for a truth whose joints are marked "
+    "by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
+)
+@click.option(
     "--track",
-    type=click.Choice([*TRACKS, "both"]),
+    type=click.Choice([*TRACKS, BOTH]),
     help="Which track of each result: both stand beside each other and are compared.  [default: filtered; a "
     "page shows both]",
 )
 @click.option("--recording", type=FILE, help="The recording; measures residuals against its images.")
 @click.option("--json", "json_path", type=OUTPUT, metavar="FILE|-", help="Write everything as JSON.")
 @click.option("--csv", "csv_path", type=OUTPUT, metavar="FILE|-", help="Write one figure a line as CSV.")
+@click.option(
+    "--curve",
+    "curve_path",
+    type=OUTPUT,
+    metavar="FILE|-",
+    help="Write the share of frames with joint errors below D = 0..100 mm as CSV.",
+)
 @click.option("--html", "html_path", type=FILE, metavar="FILE", help="Write a page with tables and plots.")
 @click.option(
     "--fail-if",
@@ -140,13 +154,13 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
     gates = [parse_gate(text) for text in options["conditions"]]
     gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
-    names = ("truth", "tolerance_ms", "time_offset_s", "align", "recording")
+    names = ("truth", "tolerance_ms", "time_offset_s", "align", "recording", "joint_offsets")
     track = options["track"]
     request = Request(
         results=results,
         groups=groups,
         options=EvalOptions(**{name: options[name] for name in names}),
-        tracks=TRACKS if track == "both" else (track or FILTERED,),
+        tracks=chosen_tracks(track),
         page=options["html_path"] is not None and track is None,
         gates=tuple(gates),
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
@@ -160,7 +174,8 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
 def _check_reports(request: Request, options: dict[str, Any]) -> None:
     from posetrack_cli.evaluation.reports.report_files import check_reports
 
-    reports = [options[name] for name in ("json_path", "csv_path", "html_path") if options[name] is not None]
+    names = (*TEXT_REPORTS, "html_path")
+    reports = [options[name] for name in names if options[name] is not None]
     if reports.count(STANDARD_OUTPUT) > 1:
         raise UsageError("only one report can go to standard output")
     if STANDARD_OUTPUT in reports and sys.stdout is None:
@@ -191,6 +206,7 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
     """Write what was asked for, also when a gate failed."""
     from posetrack_cli.evaluation.assessment import stated_options
     from posetrack_cli.evaluation.reports.csv_report import csv_report
+    from posetrack_cli.evaluation.reports.curve_report import curve_report
     from posetrack_cli.evaluation.reports.json_report import json_report
 
     stated = stated_options(request.options)
@@ -199,6 +215,8 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
         _write(options["json_path"], text)
     if options["csv_path"] is not None:
         _write(options["csv_path"], csv_report(found.evaluations, found.comparison))
+    if options["curve_path"] is not None:
+        _write(options["curve_path"], curve_report(found.evaluations))
     if options["html_path"] is not None:
         _write_page(found, options["html_path"], options["recording"])
 
@@ -248,7 +266,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     from posetrack_cli.evaluation.reports.table import closing_lines, tables
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
-    if sys.stdout is None or STANDARD_OUTPUT in (options["json_path"], options["csv_path"]):
+    if sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
     shown = found.evaluations[:given] if found.grouped else found.evaluations
     made = tables(shown, parts=options["parts"]) if shown else []

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from posetrack_cli.cli.track_option import FILTERED, TRACKS
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
-from posetrack_cli.results.tracks import FILTERED, TRACKS
 
 FORMATS = ("csv", "tum", "npz", "json")
 _STANDARD_OUTPUT = Path("-")

@@ -13,8 +13,8 @@ import click
 from posetrack_cli.cli.parameter_types import FiniteRange
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
 from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.cli.track_option import BOTH, FILTERED, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
-from posetrack_cli.results.tracks import FILTERED, TRACKS
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.viewing.outputs import Output
@@ -72,7 +72,7 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
 )
 @click.option(
     "--track",
-    type=click.Choice([*TRACKS, "both"]),
+    type=click.Choice([*TRACKS, BOTH]),
     default=FILTERED,
     show_default=True,
     help="Which track of the result; both are drawn beside each other.",
@@ -110,7 +110,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.view import View, ViewOptions
     from posetrack_cli.rendering.context import open_context
 
-    tracks = TRACKS if options["track"] == "both" else (options["track"],)
+    tracks = chosen_tracks(options["track"])
     drawn = {name: options[name] for name in DRAWN}
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     recording = _recording(results, options)

@@ -59,7 +59,7 @@ def remove_constant_offset(
     _check(track, truth, points)
     if not len(pairs.estimate):
         return track, IDENTITY_NOTE
-    mine, theirs = _tracked(track, pairs)
+    mine, theirs = tracked_pairs(track, pairs)
     turn, shift = _offset(track, truth, mine, theirs)
     aligned = _moved(track, turn, shift)
     note = f"one constant rigid offset removed: {_readable(turn, shift)}"
@@ -83,8 +83,8 @@ def _check(track: Track, truth: Track, points: bool) -> None:
         raise UsageError("truth and result have other points and cannot be aligned", where=truth.name)
 
 
-def _tracked(track: Track, pairs: Pairs) -> tuple[IntArray, IntArray]:
-    """Return the pairs' rows that are not lost, or all if all are."""
+def tracked_pairs(track: Track, pairs: Pairs) -> tuple[IntArray, IntArray]:
+    """Return the rows, of track and truth, of the pairs that are not lost, or of all if all are."""
     if track.lost is None or track.lost[pairs.estimate].all():
         return pairs.estimate, pairs.truth
     kept = ~track.lost[pairs.estimate]

@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.reports.json_report import FORMAT
 
 FLOOR = 0.01
 """In a figure's own unit, mm or deg: differences as small as this are rounding, not regression."""
-COMPARED_OPTIONS = ("tolerance_ms", "time_offset_s", "align")
+COMPARED_OPTIONS = ("tolerance_ms", "time_offset_s", "align", "joint_offsets")
 
 
 class _Stored(BaseModel):

@@ -15,6 +15,7 @@ from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
+from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, OffsetFrame, remove_joint_offsets
 from posetrack_cli.evaluation.metrics.catalogue import BOTH, addresses, metric_of
 from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
 from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
@@ -64,6 +65,8 @@ class EvalOptions:
         align: ``rigid`` removes one constant rigid offset first, ``rigid+points`` each point's own, too.
         recording: what the result was made from, to measure it against the images; None leaves that out.
         track: which of the result's tracks.
+        joint_offsets: whose axes the constant offset of each of a hand's joints is removed in, see
+            ``remove_joint_offsets``; None removes none.
 
     Raises:
         UsageError: a number that cannot be meant, or an unknown alignment.
@@ -75,6 +78,7 @@ class EvalOptions:
     align: Alignment = "none"
     recording: Path | None = None
     track: str = FILTERED
+    joint_offsets: OffsetFrame | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_ms <= 1e9:
@@ -86,6 +90,9 @@ class EvalOptions:
         if self.align not in get_args(Alignment):
             known = ", ".join(get_args(Alignment))
             raise UsageError("no such alignment", found=repr(self.align), expected=f"one of {known}")
+        if self.joint_offsets not in (None, *get_args(OffsetFrame)):
+            found, known = repr(self.joint_offsets), ", ".join(get_args(OffsetFrame))
+            raise UsageError("no such axes of joints' offsets", found=found, expected=f"one of {known}")
 
     @property
     def tolerance_ns(self) -> int:
@@ -127,10 +134,12 @@ def _measured(
     coverage = measure_coverage(track, truth, pairs, tolerance_ns=options.tolerance_ns)
     measures = Measures(_nothing(track, truth, options), notes=_run_notes(result, options))
     measures.metrics |= coverage_metrics(coverage)
-    curve = None
+    curve = offsets = None
     if truth is not None and pairs is not None:
         measures.notes += doubts(result, track, truth, options.truth)
         track = _aligned(measures, track, truth, pairs, options)
+        if options.joint_offsets is not None:
+            track, offsets = _without_offsets(measures, result, Matched(track, truth, pairs), options)
         curve = _against_truth(measures, Matched(track, truth, pairs), coverage)
     _without_truth(measures, result, track, options)
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
@@ -152,6 +161,7 @@ def _measured(
         truth=truth,
         pairs=pairs,
         which=options.track,
+        joint_offsets=offsets,
     )
 
 
@@ -195,6 +205,23 @@ def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, optio
     aligned, note = remove_constant_offset(track, truth, pairs, points=options.align == "rigid+points")
     measures.notes.append(note)
     return aligned
+
+
+def _without_offsets(
+    measures: Measures, result: Result, matched: Matched, options: EvalOptions
+) -> tuple[Track, JointOffsets | None]:
+    """The estimate without the constant offset of each joint, which a note tells about."""
+    if matched.estimate.subject != "hand" or options.joint_offsets is None:
+        found = f"a {matched.estimate.subject}"
+        raise UsageError("--joint-offsets is for hands", where=result.path, found=found)
+    from posetrack_cli.evaluation.viewing.hand_drawing import hand_of
+
+    anatomy = hand_of(result.run).anatomy
+    track, offsets = remove_joint_offsets(
+        matched.estimate, matched.truth, matched.pairs, anatomy, options.joint_offsets
+    )
+    measures.notes.append(NO_FRAME if offsets is None else offsets.note)
+    return track, offsets
 
 
 def _against_truth(measures: Measures, matched: Matched, coverage: Coverage) -> Curve | None:

@@ -10,6 +10,7 @@ from typing import TypeAlias
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.recording.base import Loss
@@ -20,15 +21,18 @@ Value: TypeAlias = Statistics | float
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The field's curve: share of frames whose largest joint error is below D.
+    """The field's curve: share of frames whose largest, or mean, joint error is below D.
 
     Attributes:
         thresholds_mm: (T,) D, increasing.
-        share: (T,) 0 to 1, of all frames that should have been tracked: missed ones count as not below.
+        share: (T,) 0 to 1, of all frames that should have been tracked, whose largest joint error is below:
+            missed ones count as not below.
+        mean_share: (T,) the same of the mean over the joints.
     """
 
     thresholds_mm: FloatArray
     share: FloatArray
+    mean_share: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,7 @@ class Evaluation:
         losses: data of the result that could not be read; not empty means exit code 3.
         track, truth, pairs: what was compared; truth and pairs None without truth.
         which: of the result's tracks: ``filtered`` or ``smoothed``.
+        joint_offsets: the constant offset that each joint was rid of; None where that was not asked for.
     """
 
     name: str
@@ -72,3 +77,4 @@ class Evaluation:
     truth: Track | None = None
     pairs: Pairs | None = None
     which: str = FILTERED
+    joint_offsets: JointOffsets | None = None

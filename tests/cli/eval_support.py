@@ -28,7 +28,7 @@ from posetrack_cli.results import (
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 SUBJECT = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
-CONFIGURATION = '{"filter": {"kind": "rbpf", "particles": 64}}'
+CONFIGURATION = '{"filter": {"kind": "rbpf", "particles": 64}, "hand": {"side": "right"}}'
 
 
 def estimate(track: Track, row: int, status: Status = Status.TRACKING) -> Estimate:

@@ -569,3 +569,39 @@ def test_a_closed_standard_output_stops_no_report(result: Path, tmp_path: Path) 
     done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1 and "joint_error_mm.mean is" in done.stderr and len(lines(done.stderr)) == 1
     assert json.loads(page.read_text())["results"][0]["name"] == "rbpf"
+
+
+def test_the_curve_is_written_as_csv(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(result, "--curve", "-") == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert [row["d_mm"] for row in rows] == [str(d) for d in range(101)]
+    assert evaluate(result, "--json", "-") == 0
+    metrics = json.loads(capsys.readouterr().out)["results"][0]["metrics"]
+    assert float(rows[10]["rbpf largest"]) == metrics["frames_within_10mm"]["value"]
+    assert float(rows[10]["rbpf mean"]) == metrics["frames_mean_within_10mm"]["value"]
+    assert float(rows[10]["rbpf mean"]) >= float(rows[10]["rbpf largest"])
+
+
+def test_joints_of_another_convention(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The truth's joints are all marked 12 mm farther from the camera."""
+    result, truth = write_result(tmp_path / "r.mcap", 60, error_mm=1.0), hand_track("truth", 60, 0.0)
+    names = [f"{name}_{axis}_mm" for name in truth.point_names for axis in "xyz"]
+    rows = (truth.points + np.array([0.0, 0.0, 12.0])).reshape(60, -1)
+    lines = [",".join(["stamp_ns", *names])]
+    lines += [",".join(map(str, [stamp, *row])) for stamp, row in zip(truth.stamp_ns, rows, strict=True)]
+    (tmp_path / "truth.csv").write_text("\n".join(lines))
+    errors, removed = {}, {}
+    for axes in ("none", "camera"):
+        more = [] if axes == "none" else ["--joint-offsets", axes]
+        assert evaluate(result, "--truth", tmp_path / "truth.csv", *more, "--json", "-") == 0
+        (found,) = json.loads(capsys.readouterr().out)["results"]
+        errors[axes] = found["metrics"]["joint_error_mm"]["mean"]
+        removed[axes] = found["joint_offsets"]
+    assert errors["none"] > 11.0
+    assert errors["camera"] < 3.0  # 1 mm of noise in each direction, and what it turns the hand by
+    assert removed["none"] is None and removed["camera"]["axes"] == "camera"
+    assert removed["camera"]["mm"]["index_tip"][2] == pytest.approx(12.0, abs=1.0)
+    assert evaluate(result, "--truth", tmp_path / "truth.csv", "--joint-offsets", "bone") == 0
+    told = capsys.readouterr().out
+    assert "Offsets of the joints removed" in told and "one constant offset per joint removed" in told
+    assert "index_tip" in told

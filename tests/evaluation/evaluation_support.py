@@ -82,7 +82,7 @@ def hand_evaluation(name: str = "a", frames: int = 300, error_mm: float = 5.0, *
         "absent": {"velocity_error_mm_s": "the truth has no velocity"},
         "series": {"joint_error_mm": errors.mean(axis=1), "largest_joint_error_mm": largest},
         "series_stamp_ns": track.stamp_ns,
-        "curve": Curve(thresholds, share),
+        "curve": Curve(thresholds, share, share),
         "notes": (),
         "losses": (),
         "track": track,

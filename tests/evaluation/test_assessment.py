@@ -68,4 +68,5 @@ def test_options_are_stated_as_plain_values() -> None:
         "time_offset_s": 0.0,
         "align": "none",
         "recording": None,
+        "joint_offsets": None,
     }

@@ -29,17 +29,18 @@ GROUP_TITLES: dict[Group, str] = {
 }
 """The groups in the order of every table."""
 
+_AXES = ("x", "y", "z", "about_x", "about_y", "about_z")
 STATE_PARTS: dict[str, tuple[str, ...]] = {
-    "hand": ("position", "rotation", "angles"),
-    "head": ("position", "rotation"),
+    "hand": ("position", "rotation", "angles", *_AXES, *ANGLE_NAMES),
+    "head": ("position", "rotation", *_AXES),
 }
-"""Parts of the state that the covariance metrics tell apart."""
+"""Parts of the state that the covariance metrics tell apart, down to its single entries."""
 
 HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 """Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
 
 WITHIN_MM = (10, 20, 30, 40, 50, 80)
-"""Thresholds D of the metrics ``frames_within_<D>mm``."""
+"""Thresholds D of the metrics ``frames_within_<D>mm`` and ``frames_mean_within_<D>mm``."""
 
 HAND: Subjects = ("hand",)
 HEAD: Subjects = ("head",)
@@ -102,13 +103,26 @@ def _error(
     return Metric(name, unit, meaning, "lower", group, subjects, part)
 
 
-def _within(threshold_mm: int) -> Metric:
+def _within(threshold_mm: int, which: Literal["largest", "mean"] = "largest") -> Metric:
     meaning = (
-        "Share of the frames with truth, those that the result missed included, whose largest joint error "
+        f"Share of the frames with truth, those that the result missed included, whose {which} joint error "
         f"is below {threshold_mm} mm."
     )
-    return Metric(f"frames_within_{threshold_mm}mm", "", meaning, "higher", "accuracy", HAND, scalar=True)
+    name = f"frames_{'mean_' if which == 'mean' else ''}within_{threshold_mm}mm"
+    return Metric(name, "", meaning, "higher", "accuracy", HAND, scalar=True)
 
+
+def _bias(axis: str, meaning: str) -> Metric:
+    better: Better = "neither" if axis else "lower"
+    name = f"joint_bias_{f'{axis}_' if axis else ''}mm"
+    return Metric(name, "mm", meaning, better, "accuracy", HAND, "joint", scalar=True)
+
+
+_PALM_AXES = {
+    "x": "a right hand's thumb ahead",
+    "y": "the wrist ahead",
+    "z": "the back of the hand ahead",
+}
 
 _NEES = (
     "Squared error in stated standard deviations, summed over {what}: 21 entries for a hand, 6 for a head; "
@@ -159,6 +173,12 @@ CATALOGUE: tuple[Metric, ...] = (
     _error("fingertip_error_mm", "mm", HAND, "Joint error over the fingertips."),
     _error("largest_joint_error_mm", "mm", HAND, "Largest joint error of a frame, over frames."),
     *(_within(threshold) for threshold in WITHIN_MM),
+    *(_within(threshold, "mean") for threshold in WITHIN_MM),
+    _bias("", "Length of a joint's mean error vector where tracked, over all joints the mean length."),
+    *(
+        _bias(axis, f"Mean of the joints' errors along the palm's {axis} axis, {towards}, where tracked.")
+        for axis, towards in _PALM_AXES.items()
+    ),
     _error("wrist_position_mm", "mm", HAND, "Distance between the estimated and the true wrist."),
     _error(
         "wrist_rotation_deg",

@@ -21,7 +21,7 @@ from posetrack_cli.evaluation.metrics.catalogue import STATE_PARTS
 from posetrack_cli.evaluation.metrics.measures import Common, Matched, Measures, common_columns, shape_columns
 from posetrack_cli.evaluation.metrics.velocity_metrics import NO_VELOCITY, SHAPE, known_frames, velocity_lacks
 
-PART_COLUMNS = {"position": slice(0, 3), "rotation": slice(3, 6), "angles": slice(6, None)}
+_BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6), "angles": slice(6, None)}
 POSE = ("nees", "inside_90")
 VELOCITY = ("velocity_nees", "velocity_inside_90")
 NO_SHAPE = Common((), (), (), ())
@@ -101,5 +101,15 @@ def _add(
     measures.add(nees, normalised.sum(axis=1), known)
     inside = pose_errors.inside_interval(normalised[known])
     measures.share(inside_90, inside)
-    for part in STATE_PARTS[matched.estimate.subject]:
-        measures.share(f"{inside_90}.{part}", inside[:, PART_COLUMNS[part]])
+    parts = STATE_PARTS[matched.estimate.subject]
+    for part in parts:
+        measures.share(f"{inside_90}.{part}", inside[:, _columns(part, parts)])
+
+
+def _columns(part: str, parts: tuple[str, ...]) -> slice:
+    """The columns of a part of the state; single entries follow the blocks in the state's order."""
+    if part in _BLOCKS:
+        return _BLOCKS[part]
+    entries = [name for name in parts if name not in _BLOCKS]
+    column = entries.index(part)
+    return slice(column, column + 1)

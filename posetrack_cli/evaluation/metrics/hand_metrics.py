@@ -9,6 +9,7 @@ from posetrack_cli.evaluation.evaluation import Curve
 from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.evaluation.metrics.catalogue import WITHIN_MM
 from posetrack_cli.evaluation.metrics.covariance_metrics import covariance_metrics
+from posetrack_cli.evaluation.metrics.joint_bias import BIAS_METRICS, joint_bias
 from posetrack_cli.evaluation.metrics.measures import (
     Common,
     Matched,
@@ -26,6 +27,7 @@ CURVE_MM: FloatArray = np.arange(0.0, 101.0)
 OTHER_JOINTS = "the truth has other joints"
 _WRIST = JOINT_NAMES[0]
 _WITHIN = tuple(f"frames_within_{threshold}mm" for threshold in WITHIN_MM)
+_MEAN_WITHIN = tuple(f"frames_mean_within_{threshold}mm" for threshold in WITHIN_MM)
 _JOINT_METRICS = (
     "joint_error_mm",
     "joint_error_tracked_mm",
@@ -58,7 +60,7 @@ def _joints(measures: Measures, matched: Matched, missed: int) -> Curve | None:
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
     reason = matched.lacks("points") or ("" if joints.names else OTHER_JOINTS)
     if reason:
-        measures.lack(reason, *_JOINT_METRICS, *_WITHIN)
+        measures.lack(reason, *_JOINT_METRICS, *_WITHIN, *_MEAN_WITHIN, *BIAS_METRICS)
         return None
     if joints.lacking:
         total = len(joints.names) + len(joints.lacking)
@@ -70,6 +72,7 @@ def _joints(measures: Measures, matched: Matched, missed: int) -> Curve | None:
     measures.add_parts("joint_error_mm", errors, joints.names)
     _tracked(measures, matched, errors)
     _fingers(measures, errors, joints.names)
+    joint_bias(measures, matched, joints)
     return _largest(measures, errors, missed)
 
 
@@ -112,15 +115,16 @@ def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | Non
     Due are the frames with a truth: those matched and those that the result missed, which count as not
     below. An estimate without truth cannot be judged and is not among them; coverage counts it.
     """
-    largest = errors.max(axis=1)
+    largest, mean = errors.max(axis=1), errors.mean(axis=1)
     measures.add("largest_joint_error_mm", largest)
     due = len(errors) + missed
     if not due:
-        measures.lack(measures.nothing, *_WITHIN)
+        measures.lack(measures.nothing, *_WITHIN, *_MEAN_WITHIN)
         return None
-    for name, share in zip(_WITHIN, pose_errors.share_below(largest, np.array(WITHIN_MM), due), strict=True):
-        measures.metrics[name] = float(share)
-    return Curve(CURVE_MM, pose_errors.share_below(largest, CURVE_MM, due))
+    for names, values in ((_WITHIN, largest), (_MEAN_WITHIN, mean)):
+        shares = pose_errors.share_below(values, np.array(WITHIN_MM), due)
+        measures.metrics |= {name: float(share) for name, share in zip(names, shares, strict=True)}
+    return Curve(CURVE_MM, *(pose_errors.share_below(values, CURVE_MM, due) for values in (largest, mean)))
 
 
 def _wrist(measures: Measures, matched: Matched) -> None:

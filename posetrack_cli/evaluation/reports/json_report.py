@@ -16,6 +16,7 @@ from posetrack_cli import __version__
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
 from posetrack_cli.evaluation.gates import GateOutcome
+from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import metric_of
 from posetrack_cli.evaluation.statistics import Statistics
 
@@ -32,7 +33,8 @@ def json_report(
 
     ``results`` has for each result its name, file, track, subject, coverage, metrics by address (``unit``
     with either ``value`` or mean, sd, median, p95, max and count), absent metrics with reasons, curve,
-    notes, losses and run record; ``comparison`` the paired differences, ``gates`` the outcome of every gate.
+    joint offsets that were removed, notes, losses and run record; ``comparison`` the paired differences,
+    ``gates`` the outcome of every gate.
 
     Args:
         evaluations: the results.
@@ -72,6 +74,7 @@ def _result(evaluation: Evaluation) -> dict[str, Any]:
         "metrics": {base: _metric(base, value) for base, value in evaluation.metrics.items()},
         "absent": dict(evaluation.absent),
         "curve": None if evaluation.curve is None else _curve(evaluation.curve),
+        "joint_offsets": _offsets(evaluation.joint_offsets),
         "notes": list(evaluation.notes),
         "losses": [asdict(loss) for loss in evaluation.losses],
         "run": dict(evaluation.run),
@@ -84,7 +87,18 @@ def _metric(base: str, value: Value) -> dict[str, Any]:
 
 
 def _curve(curve: Curve) -> dict[str, list[float]]:
-    return {"thresholds_mm": curve.thresholds_mm.tolist(), "share": curve.share.tolist()}
+    return {
+        "thresholds_mm": curve.thresholds_mm.tolist(),
+        "share": curve.share.tolist(),
+        "mean_share": curve.mean_share.tolist(),
+    }
+
+
+def _offsets(removed: JointOffsets | None) -> dict[str, Any] | None:
+    if removed is None:
+        return None
+    joints = dict(zip(removed.names, removed.offsets.tolist(), strict=True))
+    return {"axes": removed.frame, "mm": joints}
 
 
 def _comparison(comparison: Comparison) -> dict[str, Any]:

@@ -6,7 +6,10 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from posetrack_cli.evaluation.evaluation import Evaluation, Value
+from posetrack_cli.evaluation.joint_offsets import AXES, JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, GROUP_TITLES, HEAD_POSE, metric_of, place_of
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
 from posetrack_cli.recording.losses import loss_line
@@ -63,9 +66,9 @@ def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Ta
         evaluations: at least one.
         parts: also a row for every joint, finger, angle or point.
     """
-    thesis = thesis_table(evaluations)
+    more = (thesis_table(evaluations), offsets_table(evaluations))
     main = _of_one(evaluations[0], parts) if len(evaluations) == 1 else _of_several(evaluations, parts)
-    return [main] if thesis is None else [main, thesis]
+    return [main, *(table for table in more if table is not None)]
 
 
 def catalogue_lines() -> Iterator[str]:
@@ -88,6 +91,28 @@ def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
     rows = tuple(_thesis_row(one, name, len(heads)) for one in heads for name in ("mean", "sd"))
     columns = tuple(name.replace("_", " ") for name in HEAD_POSE)
     return Table("Absolute errors of the pose", columns, (Section("", rows),))
+
+
+def offsets_table(evaluations: Sequence[Evaluation]) -> Table | None:
+    """The constant offset that each joint was rid of, or None where no result has any."""
+    removed = {one.name: one.joint_offsets for one in evaluations if one.joint_offsets is not None}
+    if not removed:
+        return None
+    axes = {AXES[one.frame] for one in removed.values()}
+    names = dict.fromkeys(name for one in removed.values() for name in one.names)
+    rows = tuple(Row(name, tuple(_offset_cell(one, name) for one in removed.values())) for name in names)
+    title = (
+        f"Offsets of the joints removed, truth - estimate, x y z (length), mm, {' or '.join(sorted(axes))}"
+    )
+    return Table(title, tuple(removed), (Section("", rows),))
+
+
+def _offset_cell(removed: JointOffsets, name: str) -> str:
+    if name not in removed.names:
+        return ABSENT
+    row = removed.names.index(name)
+    x, y, z = np.round(removed.offsets[row], 1) + 0.0  # no -0.0
+    return f"{x:.1f} {y:.1f} {z:.1f} ({removed.lengths[row]:.1f})"
 
 
 def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:

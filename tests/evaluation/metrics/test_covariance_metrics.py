@@ -58,6 +58,8 @@ def test_nees_by_hand() -> None:
     assert number(measures, "inside_90.position") == pytest.approx(5 / 6)
     assert number(measures, "inside_90.rotation") == 1.0
     assert number(measures, "inside_90.angles") == pytest.approx(29 / 30)
+    alone = {"x": 0.5, "y": 1.0, "about_y": 1.0, "little_pip_flexion": 0.5, "little_mcp_abduction": 1.0}
+    assert {name: number(measures, f"inside_90.{name}") for name in alone} == alone
     assert number(measures, "velocity_inside_90") == pytest.approx(41 / 42)
     assert number(measures, "velocity_inside_90.rotation") == pytest.approx(5 / 6)
 

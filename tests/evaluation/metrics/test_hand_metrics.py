@@ -75,6 +75,8 @@ def test_shares_are_of_the_frames_due(small: tuple[Track, Track]) -> None:
     measures, curve = measure(*small, missed=1)
     within = {threshold: number(measures, f"frames_within_{threshold}mm") for threshold in WITHIN_MM}
     assert within == {10: 0.0, 20: 0.25, 30: 0.5, 40: 0.5, 50: 0.5, 80: 0.5}
+    mean = {threshold: number(measures, f"frames_mean_within_{threshold}mm") for threshold in WITHIN_MM}
+    assert mean == {10: 0.25, 20: 0.5, 30: 0.5, 40: 0.5, 50: 0.5, 80: 0.5}  # means 8.5, 12.5 and more
     assert curve is not None
     at = dict(zip(curve.thresholds_mm.tolist(), curve.share.tolist(), strict=True))
     assert (at[0.0], at[12.0], at[13.0], at[25.0], at[26.0], at[100.0]) == (0.0, 0.0, 0.25, 0.25, 0.5, 0.5)
@@ -255,13 +257,15 @@ def test_without_any_pair_nothing_is_measured_and_every_frame_due_is_missed() ->
 def test_a_perfect_estimate_has_no_errors() -> None:
     truth = random_hand(20)
     measures, curve = measure(truth, truth)
-    for value in measures.metrics.values():
+    for address, value in measures.metrics.items():
         if isinstance(value, Statistics):
             assert value.max <= 1e-6  # deg: the arc tangent of a quaternion's rounding
+        elif address.startswith("joint_bias"):
+            assert value == 0.0
         else:
             assert value == 1.0  # every share
     assert curve is not None
-    assert curve.share.tolist() == [0.0] + [1.0] * 100
+    assert curve.share.tolist() == curve.mean_share.tolist() == [0.0] + [1.0] * 100
     assert set(measures.metrics) <= set(addresses("hand"))
 
 
