@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from posetrack_cli.cli.hand import _progress
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.statistics import Statistics
@@ -93,6 +97,19 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     assert stopped.stopped and stopped.frames == 5
     assert track(recording, output, "--set", "output.flush_frames=2", "--resume") == 0
     assert output.read_bytes() == whole.read_bytes()
+
+
+def test_the_progress_bar_shows_no_particles_where_none_are_weighted(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with _progress(10, 0, 1) as report:
+        report(SimpleNamespace(frame_index=3, effective_sample_size=None, status="tracking"))
+    shown = terminal.getvalue().splitlines()[-1]
+    assert " 4/10 " in shown and "tracking" in shown and "ESS" not in shown
 
 
 def test_a_swarm_that_would_not_converge_is_one_line(
