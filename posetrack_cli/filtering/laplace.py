@@ -77,14 +77,14 @@ class LaplaceMixture:
             increments: (M, D) x (-) x_i.
             ancestors: (M,) i.
         """
-        offsets = in_charts(self.space, self.modes, poses)
-        slopes = self.modes.gradients[:, None] - 0.5 * offsets @ self.modes.information
+        offsets = self.space.local(self.modes.poses[:, None], poses)
+        slopes = self.modes.gradients[:, None] - offsets @ (0.5 * self.modes.information)
         log_fits: FloatArray = self.modes.log_heights[:, None] + np.einsum("kid,kid->ki", offsets, slopes)
         precision = _precision(self.prediction)
+        log_fits += self.space.log_volume(increments) - self.space.log_volume(offsets)
         true = np.square(increments - self.prediction.drift[ancestors]) @ precision
-        drawn = np.square(offsets - self.means[:, ancestors]) @ precision
-        volumes = self.space.log_volume(offsets.reshape(-1, precision.size)).reshape(drawn.shape)
-        log_fits += 0.5 * (true - drawn) + self.space.log_volume(increments) - volumes
+        offsets -= self.means[:, ancestors]
+        log_fits += 0.5 * (true - np.square(offsets, out=offsets) @ precision)
         return log_fits
 
 
@@ -102,23 +102,16 @@ def laplace_mixture(prediction: Prediction, modes: LikelihoodModes, space: State
         FilterError: a fit's information is not positive semi-definite.
     """
     centres = space.retract(prediction.poses, prediction.drift)
-    means, sd = in_charts(space, modes, centres), np.sqrt(prediction.variance)
+    means, sd = space.local(modes.poses[:, None], centres), np.sqrt(prediction.variance)
     lower = _cholesky(np.eye(sd.size) + sd[:, None] * modes.information * sd)
     inverse = np.asarray(np.linalg.inv(lower), dtype=np.float64)
     gradients = modes.gradients[:, None]
     slopes = gradients - means @ modes.information
-    whitened = (slopes * sd) @ np.swapaxes(inverse, 1, 2)
+    whitened = slopes @ np.ascontiguousarray(sd[:, None] * np.swapaxes(inverse, 1, 2))
     heights = modes.log_heights - np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
     log_masses = heights[:, None] + 0.5 * np.einsum("kid,kid->ki", means, slopes + gradients)
     log_masses += 0.5 * np.einsum("kid,kid->ki", whitened, whitened)
     return LaplaceMixture(prediction, modes, space, means, whitened, inverse, log_masses)
-
-
-def in_charts(space: StateSpace, modes: LikelihoodModes, poses: FloatArray) -> FloatArray:
-    """Return poses (N, S) as tangent vectors from each mode's pose, (K, N, D)."""
-    count, size = len(modes), len(poses)
-    charts = space.local(np.repeat(modes.poses, size, axis=0), np.tile(poses, (count, 1)))
-    return charts.reshape(count, size, -1)
 
 
 def _precision(prediction: Prediction) -> FloatArray:

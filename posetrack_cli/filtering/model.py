@@ -34,7 +34,7 @@ class StateSpace(Protocol):
         ...
 
     def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return y (-) x: the tangent vectors (N, D) that move poses x (N, S) to y (N, S)."""
+        """Return y (-) x: the tangent vectors (..., D) that move poses x (..., S) to y; broadcasts."""
         ...
 
     def mean(self, x: FloatArray, weights: FloatArray) -> FloatArray:
@@ -42,7 +42,7 @@ class StateSpace(Protocol):
         ...
 
     def log_volume(self, delta: FloatArray) -> FloatArray:
-        """Return log |det d(x (+) delta) / d delta| (N,), 0 at 0: the volume that the tangent space lacks."""
+        """Return log |det d(x (+) delta) / d delta| (...), 0 at 0: what retract does to volume."""
         ...
 
 
@@ -62,8 +62,8 @@ class Euclidean:
         return weights @ x
 
     def log_volume(self, delta: FloatArray) -> FloatArray:
-        """Return zeros (N,)."""
-        return np.zeros(len(delta))
+        """Return zeros (...)."""
+        return np.zeros(delta.shape[:-1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,11 +25,12 @@ class HandSpace:
         return out
 
     def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return y (-) x, the tangent vectors that take x to y."""
-        out = np.empty((len(y), TANGENT_SIZE))
-        out[:, :3] = y[:, :3] - x[:, :3]
-        out[:, 3:6] = rotations.logarithm(rotations.multiply(rotations.conjugate(x[:, 3:7]), y[:, 3:7]))
-        out[:, TANGENT_ANGLES] = y[:, ANGLES] - x[:, ANGLES]
+        """Return y (-) x (..., 21), the tangent vectors that take x (..., 22) to y."""
+        out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), TANGENT_SIZE))
+        np.subtract(y[..., :3], x[..., :3], out=out[..., :3])
+        between = rotations.multiply(rotations.conjugate(x[..., 3:7]), y[..., 3:7])
+        out[..., 3:6] = rotations.logarithm(between)
+        np.subtract(y[..., ANGLES], x[..., ANGLES], out=out[..., TANGENT_ANGLES])
         return out
 
     def mean(self, x: FloatArray, weights: FloatArray) -> FloatArray:
@@ -39,8 +40,8 @@ class HandSpace:
         return out
 
     def log_volume(self, delta: FloatArray) -> FloatArray:
-        """Return log of (sin(a/2) / (a/2))^2 (N,), a the angle turned by: what exp does to SO(3)'s volume."""
-        half_turns = np.sqrt(np.einsum("ni,ni->n", delta[:, 3:6], delta[:, 3:6])) / (2.0 * np.pi)
+        """Return log of (sin(a/2) / (a/2))^2 (...), a the angle turned: what exp does to volume."""
+        half_turns = np.sqrt(np.einsum("...i,...i->...", delta[..., 3:6], delta[..., 3:6])) / (2.0 * np.pi)
         log_volume: FloatArray = 2.0 * np.log(np.sinc(half_turns))
         return log_volume
 

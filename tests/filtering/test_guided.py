@@ -243,7 +243,7 @@ class Turning:
         return rot.mean_quaternion(x, weights)
 
     def log_volume(self, delta: np.ndarray) -> np.ndarray:
-        half = 0.5 * np.linalg.norm(delta, axis=1)
+        half = 0.5 * np.linalg.norm(delta, axis=-1)
         return 2.0 * np.log(np.sinc(half / np.pi))
 
 
