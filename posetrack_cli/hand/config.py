@@ -90,6 +90,7 @@ class MixtureSettings(Settings):
     sd_mm_per_m2: NotNegative = 1.42
     occluded_share: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
     outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.01
+    outline_sd_mm: Positive = 5.0
     correlation_mm: Positive = 20.0
 
 
@@ -113,9 +114,10 @@ class SegmentationSettings(Settings):
     in_front_mm: Positive = 70.0
     behind_mm: Positive = 70.0
     aside_mm: Positive = 60.0
+    vote_mm: Positive = 45.0
     reach_mm: Positive = 140.0
     steepest: Positive = 3.0
-    least_share: Fraction = 0.5
+    least_share: Fraction = 0.4
     forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 8.0
     wrist_sd_mm: Positive = 40.0
     margin_mm: NotNegative = 60.0

@@ -8,10 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
-from posetrack_cli.geometry import rotations
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.rendering.window import Window
 
 
@@ -95,63 +94,3 @@ def window_around(joints: FloatArray, camera: Camera, settings: ObservationSetti
 def everything(tile: Float32Array, window: Window) -> Observation:
     """The paper's observation: every reading in the window is a target."""
     return Observation(window, tile, int(np.count_nonzero(tile)))
-
-
-def segmented(
-    tile: Float32Array,
-    window: Window,
-    camera: Camera,
-    pose: FloatArray,
-    joints: FloatArray,
-    settings: SegmentationSettings,
-    scale: float,
-) -> Observation:
-    """The hand's pixels, told from body, background and forearm **[ours]**.
-
-    A reading is the hand's if it lies within the depths of the predicted joints and a margin, within
-    reach of their centre, and connected in the image to where the prediction falls. What lies beyond
-    the wrist is forearm: neither hand nor background.
-
-    Args:
-        tile: (h, w) depth, mm, 0 = no reading.
-        window: the pixels it shows.
-        camera: its camera.
-        pose: (22,) prediction.
-        joints: (21, 3) its joints, mm.
-        settings: margins.
-        scale: of the hand; margins grow with it.
-    """
-    points = _points(tile, window, camera)
-    near = joints[:, 2].min() - scale * settings.in_front_mm
-    far = joints[:, 2].max() + scale * settings.behind_mm
-    within = (tile > 0) & (tile > near) & (tile < far)
-    offset = points - joints.mean(axis=0)
-    within &= np.einsum("ijk,ijk->ij", offset, offset) < (scale * settings.reach_mm) ** 2
-    hand = within & _connected(within, joints, camera, window)
-    towards_elbow = rotations.matrices_from_quaternions(pose[3:7])[:, 1]
-    forearm = hand & ((points - pose[:3]) @ towards_elbow > scale * settings.forearm_mm)
-    image = np.where(hand, tile, -tile)
-    image[forearm] = 0.0
-    return Observation(window, image, int(np.count_nonzero(image > 0)))
-
-
-def _points(tile: Float32Array, window: Window, camera: Camera) -> FloatArray:
-    across = (window.columns() - camera.cx) / camera.fx
-    down = (window.rows() - camera.cy) / camera.fy
-    return np.stack([tile * across, tile * down[:, None], tile], axis=-1)
-
-
-def _connected(mask: BoolArray, joints: FloatArray, camera: Camera, window: Window) -> BoolArray:
-    """The connected parts of a mask that a predicted joint falls on, or else the largest part."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    if count == 1:
-        return mask
-    pixels, _ = camera.pixels_from_points(joints)
-    at = np.rint((pixels - [window.left, window.top]) / window.step).astype(np.int64)
-    inside = ((at >= 0) & (at < [window.width, window.height])).all(axis=1)
-    hit = np.unique(labels[at[inside, 1], at[inside, 0]])
-    hit = hit[hit > 0]
-    if not hit.size:
-        hit = np.array([1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))])
-    chosen: BoolArray = np.isin(labels, hit)
-    return chosen

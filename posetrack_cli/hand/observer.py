@@ -6,8 +6,9 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.observation import Observation, PixelSampler, everything, segmented, window_around
+from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
+from posetrack_cli.hand.segmentation import PredictedHand
+from posetrack_cli.hand.segmentation import segment as segment_hand
 
 
 class Observer:
@@ -26,10 +27,9 @@ class Observer:
 
     def observe(self, depth: ImageArray, predicted: FloatArray) -> Observation:
         """Cut the window around a predicted pose (22,) and find the target pixels in it."""
-        joints = joint_positions(self._anatomy, predicted[None])[0]
-        window = window_around(joints, self._camera, self._config.observation)
-        tile = self._sampler.sample(depth, window)
+        hand = PredictedHand.of(self._anatomy, predicted)
+        window = window_around(hand.joints, self._camera, self._config.observation)
         if not self._segment:
-            return everything(tile, window)
-        settings, scale = self._config.segmentation, self._anatomy.scale
-        return segmented(tile, window, self._camera, predicted, joints, settings, scale)
+            return everything(self._sampler.sample(depth, window), window)
+        settings = self._config.segmentation
+        return segment_hand(depth, self._sampler, window, self._camera, hand, settings).observation

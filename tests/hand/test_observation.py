@@ -1,8 +1,6 @@
-"""What is looked at: pixels sampled one by one, the window about the hand, the hand's pixels in a scene."""
+"""What is looked at: pixels sampled one by one, and the window about the hand."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,11 +11,9 @@ from hypothesis import strategies as st
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.observation import PixelSampler, everything, segmented, window_around
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.hand.config import ObservationSettings
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.observation import PixelSampler, everything, window_around
 from posetrack_cli.rendering.window import Window
 
 ANATOMY = make_anatomy()
@@ -131,106 +127,3 @@ def test_the_paper_s_observation_is_every_reading() -> None:
     observation = everything(tile, Window(0, 0, 1, 2, 2))
     np.testing.assert_array_equal(observation.image, tile)
     assert observation.target_pixels == 2
-
-
-WALL_MM, ARM_MM = 1500.0, 655.0
-
-
-class Scene:
-    """A drawn hand with a forearm below its wrist, a wall behind, a blob beside it and a few holes."""
-
-    def __init__(self, context: Any) -> None:
-        self.pose = REST.copy()
-        self.pose[:3] = [0.0, 60.0, 650.0]
-        self.joints = joint_positions(ANATOMY, self.pose[None])[0]
-        self.window = window_around(self.joints, KINECT, ObservationSettings(tile_px=96, window_mm=340.0))
-        renderer = TiledDepthRenderer(context, hand_mesh(ANATOMY), (96, 96), 1)
-        self.drawn = renderer.depth(skinning_transforms(ANATOMY, self.pose[None]), KINECT, self.window)[0]
-        x = (self.window.columns()[None] - KINECT.cx) / KINECT.fx * ARM_MM
-        y = (self.window.rows()[:, None] - KINECT.cy) / KINECT.fy * ARM_MM
-        self.hand = self.drawn > 0
-        # 1 mm below the skin's end, where the limit is 12 mm, the arm is taken for the hand's
-        self.arm = (np.abs(x) < 28.0) & (y > 60.0 + 14.0) & (y < 60.0 + 100.0) & ~self.hand
-        self.blob = (np.abs(x + 95.0) < 12.0) & (np.abs(y - 30.0) < 15.0) & ~self.hand
-        self.bridge = (np.abs(x) < 28.0) & (y > 60.0) & (y <= 60.0 + 14.0) & ~self.hand
-        self.tile = np.where(self.hand, self.drawn, WALL_MM).astype(np.float32)
-        self.tile[self.arm | self.blob | self.bridge] = ARM_MM
-        self.holes = np.random.default_rng(1).random(self.tile.shape) < 0.05
-        self.tile[self.holes] = 0.0
-
-    def segmented(self, **changes: float) -> Any:
-        margins = SegmentationSettings(**changes)
-        return segmented(self.tile, self.window, KINECT, self.pose, self.joints, margins, ANATOMY.scale)
-
-
-@pytest.fixture(scope="module")
-def scene(context: Any) -> Scene:
-    return Scene(context)
-
-
-def test_the_hand_is_told_from_wall_arm_and_blob(scene: Scene) -> None:
-    observation = scene.segmented(reach_mm=250.0)  # as far as the arm reaches
-    image, read = observation.image, ~scene.holes
-    assert (scene.hand.sum(), scene.arm.sum(), scene.blob.sum()) > (800, 100, 30)
-    palm = scene.hand & read & (scene.window.rows()[:, None] < KINECT.cy + KINECT.fy * 60.0 / 650.0)
-    np.testing.assert_array_equal(image[palm], scene.tile[palm])
-    wall = ~(scene.hand | scene.arm | scene.blob | scene.bridge) & read
-    np.testing.assert_array_equal(image[wall], -WALL_MM)
-    # not connected to the hand: as deep, as near, but another thing
-    np.testing.assert_array_equal(image[scene.blob & read], -ARM_MM)
-    # the forearm is neither hand nor background
-    np.testing.assert_array_equal(image[scene.arm], 0.0)
-    np.testing.assert_array_equal(image[scene.holes], 0.0)
-    assert observation.target_pixels == (image > 0).sum()
-
-
-def test_each_margin_holds_something_back(scene: Scene) -> None:
-    usual = scene.segmented().target_pixels
-    assert scene.segmented(reach_mm=60.0).target_pixels < 0.7 * usual
-    nearest, farthest = scene.drawn[scene.hand].min(), scene.drawn[scene.hand].max()
-    joints = scene.joints[:, 2]
-    # a margin that ends inside the skin cuts the skin there; just outside, nothing
-    front, behind = joints.min() - nearest, farthest - joints.max()
-    assert front > 0
-    assert scene.segmented(in_front_mm=front + 1.0, behind_mm=70.0).target_pixels == usual
-    assert scene.segmented(in_front_mm=1e-3, behind_mm=70.0).target_pixels < usual
-    assert scene.segmented(in_front_mm=70.0, behind_mm=max(behind, 0.0) + 10.0).target_pixels == usual
-    assert scene.segmented(forearm_mm=-40.0).target_pixels < 0.9 * usual
-
-
-def test_margins_grow_with_the_hand(scene: Scene) -> None:
-    margins = SegmentationSettings(reach_mm=60.0)
-    arguments = (scene.tile, scene.window, KINECT, scene.pose, scene.joints)
-    small = segmented(*arguments, margins, 1.0).target_pixels
-    assert segmented(*arguments, margins, 1.5).target_pixels > 1.3 * small
-    wide = SegmentationSettings(reach_mm=120.0)
-    same = SegmentationSettings(reach_mm=180.0, in_front_mm=105.0, behind_mm=105.0, forearm_mm=18.0)
-    larger, expected = (segmented(*arguments, m, k).image for m, k in ((wide, 1.5), (same, 1.0)))
-    np.testing.assert_array_equal(larger, expected)
-
-
-@pytest.mark.parametrize(("margin", "taken"), [(65.0, True), (75.0, False)])
-def test_what_touches_the_hand_is_told_by_its_depth(scene: Scene, margin: float, taken: bool) -> None:
-    farthest = scene.joints[:, 2].max()
-    tile = np.where(scene.hand, scene.drawn, farthest + margin).astype(np.float32)  # 70 mm is the limit
-    found = segmented(tile, scene.window, KINECT, scene.pose, scene.joints, SegmentationSettings(), 1.0)
-    assert (found.image[~scene.hand] > 0).any() == taken
-
-
-def test_a_prediction_beside_the_hand_takes_the_largest_part(scene: Scene) -> None:
-    joints = np.tile(
-        scene.joints.mean(axis=0) + np.array([110.0, 0.0, 0.0]), (21, 1)
-    )  # all where the wall is
-    margins = SegmentationSettings(reach_mm=400.0)
-    found = segmented(scene.tile, scene.window, KINECT, scene.pose, joints, margins, 1.0)
-    palm = scene.hand & ~scene.holes & (scene.drawn > 560.0)
-    assert (found.image[palm] > 0).mean() > 0.9
-    assert (found.image[scene.blob] <= 0).all()
-
-
-def test_nothing_in_the_window_is_no_target(scene: Scene) -> None:
-    for value in (0.0, WALL_MM):
-        tile = np.full_like(scene.tile, value)
-        found = segmented(tile, scene.window, KINECT, scene.pose, scene.joints, SegmentationSettings(), 1.0)
-        assert found.target_pixels == 0
-        np.testing.assert_array_equal(found.image, -tile)

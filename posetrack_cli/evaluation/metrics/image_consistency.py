@@ -1,7 +1,7 @@
 """How well a hand result agrees with the images it was made from: no truth needed, and no truth either.
 
 The hand's pixels are told from the rest of an image around the estimate itself
-(``hand.observation.segmented``), so the figures are circular: they say that an estimate explains what is
+(``hand.segmentation``), so the figures are circular: they say that an estimate explains what is
 near it, not that it is right. A hand mirrored or swapped in its fingers can score well; one that has left
 the hand scores badly.
 """
@@ -22,9 +22,10 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, hand_of
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observation import PixelSampler, segmented, window_around
+from posetrack_cli.hand.observation import PixelSampler, window_around
+from posetrack_cli.hand.segmentation import PredictedHand, segment
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.stored import StoredRecording
@@ -67,12 +68,11 @@ class HandConsistency:
 
     def sums(self, pose: FloatArray, frame: Frame) -> TileSums:
         """Sums over the pixels of the window around a pose (22,)."""
-        joints = joint_positions(self._anatomy, pose[None])[0]
-        window = window_around(joints, self._camera, self._window)
-        tile = self._sampler.sample(frame.depth, window)
-        observed = segmented(
-            tile, window, self._camera, pose, joints, self._segmentation, self._anatomy.scale
-        )
+        hand = PredictedHand.of(self._anatomy, pose)
+        window = window_around(hand.joints, self._camera, self._window)
+        observed = segment(
+            frame.depth, self._sampler, window, self._camera, hand, self._segmentation
+        ).observation
         transforms = skinning_transforms(self._anatomy, pose[None])
         return self._renderer.sums(transforms, self._camera, window, observed.image, NO_CLAMP_MM)
 

@@ -11,6 +11,7 @@ from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.segmentation.surfaces import (
+    jump_mm,
     nearest_around,
     pixel_mm,
     points_of,
@@ -72,15 +73,6 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: f
     radius[whole <= 0] = 0.0
     behind = nearest_around(whole, _BESIDE_PX) < whole - _BEHIND_JUMPS * jump
     return Surfaces(window, whole, points_of(whole, window, camera), numbers, sizes, behind, radius, apart)
-
-
-def jump_mm(apart: Float32Array, steepest: float) -> Float32Array:
-    """The step between neighbours that parts surfaces, mm: what noise makes, and a slope."""
-    jump: Float32Array = np.float32(_NOISE_MM) + np.float32(steepest) * apart
-    return jump
-
-
-_NOISE_MM = 6.0
 
 
 def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import HandAnatomy
@@ -32,10 +34,9 @@ class PredictedHand:
     @property
     def wrist(self) -> FloatArray:
         """(3,) the wrist joint, mm."""
-        return self.joints[0]
+        return np.asarray(self.joints[0], dtype=np.float64)
 
     @property
     def towards_elbow(self) -> FloatArray:
         """(3,) unit vector along the palm, from the knuckles to the wrist."""
-        along: FloatArray = rotations.matrices_from_quaternions(self.pose[3:7])[:, 1]
-        return along
+        return np.asarray(rotations.matrices_from_quaternions(self.pose[3:7])[:, 1], dtype=np.float64)

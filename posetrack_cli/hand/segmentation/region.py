@@ -13,6 +13,8 @@ from posetrack_cli.hand.segmentation.palms import Surfaces
 _RING_MM = 14.0
 """How thick the shell is in which a region is looked at for what leads out of it."""
 _LEAST_PIXELS = 3
+_NEAR_PALM_MM = 80.0
+"""A palm is the widest part of what is so near to it; a finger is not."""
 _MOST_BEHIND = 0.25
 
 
@@ -39,6 +41,7 @@ class Region:
         points: (h, w, 3) of that part, mm.
         palm: (3,) the point on the surface that reach is counted from, mm.
         radius_mm: of the largest disc around the palm.
+        widest_mm: the largest such disc near the palm.
         area_mm2: seen from the front.
         behind: share of its rim that lies behind something nearer.
         exits: where it goes on.
@@ -50,6 +53,7 @@ class Region:
     points: Float32Array
     palm: FloatArray
     radius_mm: float
+    widest_mm: float
     area_mm2: float
     behind: float
     exits: tuple[Exit, ...]
@@ -76,9 +80,11 @@ def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) ->
     mask = own | _islands(within, numbers, surfaces, rows, columns)
     area = float(np.sum(surfaces.pixel_mm[rows, columns][mask] ** 2))
     radius = float(surfaces.radius[row, column])
+    widest = float(surfaces.radius[rows, columns][own & (squared < _NEAR_PALM_MM**2)].max(initial=radius))
     rim = own & (surfaces.radius[rows, columns] <= surfaces.pixel_mm[rows, columns])
-    behind = np.count_nonzero(rim & surfaces.behind[rows, columns]) / max(1, np.count_nonzero(rim))
-    return Region(rows, columns, mask, points, palm.astype(np.float64), radius, area, behind, exits)
+    hidden = int(np.count_nonzero(rim & surfaces.behind[rows, columns]))
+    behind = hidden / max(1, int(np.count_nonzero(rim)))
+    return Region(rows, columns, mask, points, palm.astype(np.float64), radius, widest, area, behind, exits)
 
 
 def _part(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> tuple[slice, slice]:

@@ -10,6 +10,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.window import Window
 
 _BESIDE = np.ones((3, 3), np.uint8)
+_NOISE_MM = 6.0
 _FAR_MM = np.float32(1e9)
 
 
@@ -26,7 +27,13 @@ def points_of(depth: Float32Array, window: Window, camera: Camera) -> Float32Arr
 
 def pixel_mm(z: float | FloatArray | Float32Array, window: Window, camera: Camera) -> FloatArray:
     """The distance of neighbouring pixels of a window on a surface that faces the camera at depth z, mm."""
-    return np.asarray(z, dtype=np.float64) * (window.step / np.sqrt(camera.fx * camera.fy))
+    per_mm = window.step / float(np.sqrt(camera.fx * camera.fy))
+    return np.multiply(z, per_mm, dtype=np.float64)
+
+
+def jump_mm(apart: Float32Array, steepest: float) -> Float32Array:
+    """The step between neighbours so far apart that parts surfaces, mm: more than noise, and a slope."""
+    return np.asarray(_NOISE_MM + steepest * apart, dtype=np.float32)
 
 
 def without_pinholes(depth: Float32Array, jump: Float32Array | float) -> Float32Array:

@@ -1,0 +1,149 @@
+"""The hand in a window around a prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import SegmentationSettings
+from posetrack_cli.hand.observation import PixelSampler
+from posetrack_cli.hand.segmentation.arm import Arm, arm_of
+from posetrack_cli.hand.segmentation.labels import Label, Segmentation
+from posetrack_cli.hand.segmentation.prediction import PredictedHand
+from posetrack_cli.hand.segmentation.silhouette import Silhouette, silhouette_of
+from posetrack_cli.hand.segmentation.surfaces import (
+    jump_mm,
+    pixel_mm,
+    points_of,
+    surface_labels,
+    without_pinholes,
+)
+from posetrack_cli.rendering.window import Window
+
+_CLOSELY_MM = 20.0
+"""A surface that is more than a hand is cut so far beside the prediction."""
+
+
+def segment(
+    depth: ImageArray,
+    sampler: PixelSampler,
+    window: Window,
+    camera: Camera,
+    predicted: PredictedHand,
+    settings: SegmentationSettings,
+) -> Segmentation:
+    """Tell the hand's pixels from its forearm, from other surfaces and from missing readings **[ours]**.
+
+    A surface is the hand's if most of what lies within the hand's reach lies at the prediction; of such a
+    surface what lies beside it. The forearm is cut off at a wrist that the image tells (``arm_of``), with the
+    prediction as a prior only: a cut that followed the prediction would let the palm slide along the arm.
+
+    Args:
+        depth: (height, width) the frame, mm, 0 = no reading.
+        sampler: of the camera.
+        window: the pixels asked for; a margin around them is looked at too, where the arm goes.
+        camera: its camera.
+        predicted: the hand as expected.
+        settings: margins.
+    """
+    margin = round(settings.margin_mm / max(float(pixel_mm(predicted.wrist[2], window, camera)), 1e-3))
+    margin = min(max(margin, 0), window.width)
+    wide = _widened(window, margin)
+    tile = sampler.sample(depth, wide)
+    labels, arm = _labels(tile, wide, camera, predicted, settings)
+    inner = np.s_[margin : margin + window.height, margin : margin + window.width]
+    return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction)
+
+
+def _widened(window: Window, margin: int) -> Window:
+    """The window with so many more tile pixels on every side."""
+    return replace(
+        window,
+        left=window.left - margin * window.step,
+        top=window.top - margin * window.step,
+        width=window.width + 2 * margin,
+        height=window.height + 2 * margin,
+    )
+
+
+def _labels(
+    tile: Float32Array,
+    window: Window,
+    camera: Camera,
+    predicted: PredictedHand,
+    settings: SegmentationSettings,
+) -> tuple[ImageArray, Arm]:
+    labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
+    silhouette = silhouette_of(predicted.joints, predicted.scale, window, camera)
+    if silhouette is None:
+        return labels, Arm(predicted.wrist, predicted.towards_elbow, None)
+    view = _View(tile, points_of(tile, window, camera), pixel_mm(tile, window, camera).astype(np.float32))
+    limb, hand = _limb(view, silhouette, predicted, settings)
+    arm = arm_of(view.points, view.apart**2, limb, hand, silhouette, window, camera, predicted, settings)
+    labels[hand] = Label.HAND
+    if arm.direction is not None:
+        beyond = (view.points - arm.wrist) @ arm.cut > settings.forearm_mm * predicted.scale
+        labels[limb & beyond] = Label.FOREARM
+    return labels, arm
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    tile: Float32Array
+    points: Float32Array
+    apart: Float32Array  # distance of neighbouring pixels, mm
+
+
+def _limb(
+    view: _View, silhouette: Silhouette, predicted: PredictedHand, settings: SegmentationSettings
+) -> tuple[BoolArray, BoolArray]:
+    """The surfaces of the hand, with whatever they go on to, and what of them is the hand or forearm.
+
+    A surface is the hand's if most of what lies within the hand's reach lies at the prediction. The one with
+    most pixels there is in any case: a hand that touches a body is one with it, and is cut out closely.
+    """
+    jump = jump_mm(view.apart, settings.steepest)
+    count, numbers = surface_labels(without_pinholes(view.tile, jump), jump)
+    read = view.tile > 0
+    at_hand = read & _beside(
+        view, silhouette, predicted, settings.vote_mm, settings.vote_mm, settings.vote_mm
+    )
+    near = read & _within_reach(view.points, predicted, settings)
+    inside = np.bincount(numbers[at_hand & near], minlength=count)
+    inside[0] = 0
+    own = inside > settings.least_share * np.bincount(numbers[near], minlength=count)
+    merged = np.zeros(count, dtype=np.bool_)
+    if inside.any():
+        merged[int(np.argmax(inside))] = True
+    merged &= ~own
+    beside = _beside(view, silhouette, predicted, settings.aside_mm, settings.in_front_mm, settings.behind_mm)
+    limb = read & (own | merged)[numbers]
+    closely = at_hand & (silhouette.outside_px * view.apart < predicted.scale * _CLOSELY_MM)
+    return limb, limb & np.where(merged[numbers], closely, beside)
+
+
+def _beside(
+    view: _View,
+    silhouette: Silhouette,
+    predicted: PredictedHand,
+    aside: float,
+    in_front: float,
+    behind: float,
+) -> BoolArray:
+    """The pixels so near to the predicted hand in the image, and in depth; mm of a hand of scale 1."""
+    scale, beyond = predicted.scale, view.tile - silhouette.depth
+    beside: BoolArray = silhouette.outside_px * view.apart < scale * aside
+    return beside & (beyond > -scale * in_front) & (beyond < scale * behind)
+
+
+def _within_reach(
+    points: Float32Array, predicted: PredictedHand, settings: SegmentationSettings
+) -> BoolArray:
+    """The points within the hand's reach, and not behind its wrist, where the arm is."""
+    offset = points - predicted.joints.mean(axis=0)
+    near = np.einsum("ijk,ijk->ij", offset, offset) < (predicted.scale * settings.reach_mm) ** 2
+    within: BoolArray = near & ((points - predicted.wrist) @ predicted.towards_elbow < 0.0)
+    return within
