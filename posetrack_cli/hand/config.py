@@ -115,9 +115,10 @@ class SegmentationSettings(Settings):
     behind_mm: Positive = 70.0
     aside_mm: Positive = 60.0
     vote_mm: Positive = 45.0
+    vote_aside_mm: Positive = 15.0
     reach_mm: Positive = 140.0
     steepest: Positive = 3.0
-    least_share: Fraction = 0.4
+    least_share: Fraction = 0.5
     forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 8.0
     wrist_sd_mm: Positive = 40.0
     margin_mm: NotNegative = 60.0

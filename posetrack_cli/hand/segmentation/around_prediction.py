@@ -23,9 +23,6 @@ from posetrack_cli.hand.segmentation.surfaces import (
 )
 from posetrack_cli.rendering.window import Window
 
-_CLOSELY_MM = 20.0
-"""A surface that is more than a hand is cut so far beside the prediction."""
-
 
 def segment(
     depth: ImageArray,
@@ -108,9 +105,8 @@ def _limb(
     jump = jump_mm(view.apart, settings.steepest)
     count, numbers = surface_labels(without_pinholes(view.tile, jump), jump)
     read = view.tile > 0
-    at_hand = read & _beside(
-        view, silhouette, predicted, settings.vote_mm, settings.vote_mm, settings.vote_mm
-    )
+    deep = settings.vote_mm
+    at_hand = read & _beside(view, silhouette, predicted, settings.vote_aside_mm, deep, deep)
     near = read & _within_reach(view.points, predicted, settings)
     inside = np.bincount(numbers[at_hand & near], minlength=count)
     inside[0] = 0
@@ -121,8 +117,7 @@ def _limb(
     merged &= ~own
     beside = _beside(view, silhouette, predicted, settings.aside_mm, settings.in_front_mm, settings.behind_mm)
     limb = read & (own | merged)[numbers]
-    closely = at_hand & (silhouette.outside_px * view.apart < predicted.scale * _CLOSELY_MM)
-    return limb, limb & np.where(merged[numbers], closely, beside)
+    return limb, limb & np.where(merged[numbers], at_hand, beside)
 
 
 def _beside(
