@@ -3,32 +3,56 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
-from posetrack_cli.errors import EXIT_DATA_LOST
+from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.recording.base import TruthMessage
+    from posetrack_cli.recording.stored import StoredRecording
 
 
 @click.command(short_help="Write a recording as one MCAP file, without loss.")
 @click.argument("recording", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("out", metavar="OUT.mcap", type=click.Path(path_type=Path))
 @recording_options
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    help="True joints of a hand as CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace OUT.mcap if it exists.")
-def convert(recording: Path, out: Path, overwrite: bool, **options: Any) -> None:
+def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
     """Write IN, a folder of depth images or an MCAP file, as Foxglove MCAP without loss.
 
     Depth in whole millimetres is stored as 16-bit PNG, copied unchanged where IN has just that; other
-    depth as 32-bit metres. Exit code 3 means that frames were lost.
+    depth as 32-bit metres. Truth that IN carries goes along; --truth adds joints as /truth/hand/points, which
+    eval measures results by. Exit code 3 means that frames were lost.
     """
     from posetrack_cli.recording.conversion import convert_recording
     from posetrack_cli.recording.losses import loss_line
     from posetrack_cli.recording.opening import open_recording
 
     source = open_recording(recording, **opening_arguments(options))
-    conversion = convert_recording(source, out, overwrite=overwrite)
+    joints = [] if truth is None else _joints(truth, source)
+    conversion = convert_recording(source, out, overwrite=overwrite, truth=joints)
     click.echo(f"{out}: {conversion.frames} frames, {out.stat().st_size} bytes")
     if conversion.losses:
         click.echo(f"{recording}: {loss_line(conversion.losses)}", err=True)
         click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _joints(path: Path, source: StoredRecording) -> list[TruthMessage]:
+    """The joints of a CSV file as messages of truth, for a recording that has none on their topic."""
+    from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+    from posetrack_cli.evaluation.truth.points_topic import points_messages, points_topic
+    from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+    from posetrack_cli.results.estimate import Subject
+
+    subject = Subject("hand", source.cameras[0].name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
+    if any(message.topic == points_topic(subject.name) for message in source.truth()):
+        raise UsageError("has true joints already", where=source.path, hint="leave --truth out")
+    return list(points_messages(load_csv_track(path, subject)))

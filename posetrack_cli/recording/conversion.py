@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,12 +45,20 @@ class _Image:
     data: bytes
 
 
-def convert_recording(recording: StoredRecording, out: Path, *, overwrite: bool = False) -> Conversion:
+def convert_recording(
+    recording: StoredRecording, out: Path, *, overwrite: bool = False, truth: Iterable[TruthMessage] = ()
+) -> Conversion:
     """Write a recording's frames, camera and truth to an MCAP file; equal input gives equal bytes.
 
     Whole millimetres go out as 16-bit PNG (foxglove.CompressedImage), copied unchanged where the
     recording stores just that; other depths as 32FC1 metres (foxglove.RawImage) in zstd chunks. The file
     is written as ``out`` + ``.part`` and renamed when it is complete.
+
+    Args:
+        recording: to write.
+        out: the file.
+        overwrite: whether an existing one may be replaced.
+        truth: more than what the recording carries, by log time.
 
     Raises:
         UsageError: if ``out`` exists and is not to be overwritten, or is the recording itself.
@@ -59,10 +67,10 @@ def convert_recording(recording: StoredRecording, out: Path, *, overwrite: bool 
     """
     check_output(out, overwrite=overwrite, source=recording.path)
     with whole_or_nothing(out) as part:
-        return _write(recording, part)
+        return _write(recording, part, truth)
 
 
-def _write(recording: StoredRecording, part: Path) -> Conversion:
+def _write(recording: StoredRecording, part: Path, truth: Iterable[TruthMessage]) -> Conversion:
     losses = LossLog()
     stored = recording.stored_frames(losses)
     first = next(stored, None)
@@ -74,7 +82,7 @@ def _write(recording: StoredRecording, part: Path) -> Conversion:
         writer = _Writer(sink, recording, encoding)
         serialised = read_ahead(_images(first, stored, recording.cameras[0].name, losses))
         with closing(serialised) as images:
-            for entry in heapq.merge(images, recording.truth(), key=_time):
+            for entry in heapq.merge(images, recording.truth(), truth, key=_time):
                 writer.write(entry)
         if not writer.frames:
             raise RecordingError("no frame can be decoded", where=recording.path)

@@ -10,8 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from posetrack_cli.cli.convert import convert
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, UsageError
+from posetrack_cli.cli.main import run
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_USAGE, UsageError
+from posetrack_cli.evaluation.truth.points_topic import points_topic
+from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.results.export.column_names import point_columns
 
 
 @pytest.fixture
@@ -62,3 +66,20 @@ def test_existing_output_needs_overwrite(tmp_path: Path, folder: Path) -> None:
     result = CliRunner().invoke(convert, [*arguments, "--overwrite"])
     assert result.exit_code == EXIT_DONE
     assert out.read_bytes() == first, "equal input gives equal bytes"
+
+
+def test_joints_of_a_csv_go_along(tmp_path: Path, folder: Path) -> None:
+    reading = ["--camera", str(tmp_path / "camera.toml"), "--fps", "30"]
+    columns = point_columns(JOINT_NAMES)
+    stamps = [0, 33_333_333, 66_666_667]  # the last frame has none
+    rows = [",".join(["stamp_ns", *columns]), *(f"{stamp}{',1.5' * len(columns)}" for stamp in stamps)]
+    truth = tmp_path / "truth.csv"
+    truth.write_text("\n".join(rows) + "\n")
+    out = tmp_path / "out.mcap"
+    assert run(["convert", str(folder), str(out), *reading, "--truth", str(truth)]) == 0
+    messages = list(open_recording(out).truth())
+    assert [(m.topic, m.log_time_ns) for m in messages] == [(points_topic("hand"), s) for s in stamps]
+    again = ["convert", str(out), str(tmp_path / "again.mcap")]
+    assert run(again) == 0
+    assert list(open_recording(tmp_path / "again.mcap").truth()) == messages
+    assert run([*again, "--overwrite", "--truth", str(truth)]) == EXIT_USAGE

@@ -17,7 +17,7 @@ from html_support import head_evaluation, picture
 from test_html_page import NASTY, shortened, without_truth
 
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation
 from posetrack_cli.evaluation.html import write_html
 from posetrack_cli.evaluation.html.downsample import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
@@ -346,6 +346,16 @@ def test_quantities_can_be_chosen(make: Make) -> None:
     assert len(page.all("#over-time-plot path.line")) == 2
     page.choose("#quantity-choice", "ess")
     assert len(page.all("#over-time-plot path.line")) == 1
+
+
+def test_the_curve_is_of_the_largest_or_of_the_mean_error(make: Make) -> None:
+    curve = Curve(np.array([0.0, 50.0, 100.0]), np.array([0.0, 0.2, 1.0]), np.array([0.0, 0.8, 1.0]))
+    page = make(hand_evaluation(frames=FRAMES, curve=curve))
+    largest = page.path_of("#curve-plot path.line")
+    page.choose("#curve-choice", "meanShare")
+    assert page.path_of("#curve-plot path.line") != largest
+    page.choose("#curve-choice", "share")
+    assert page.path_of("#curve-plot path.line") == largest
 
 
 def test_several_results_are_overlaid_and_one_is_shown_in_detail(make: Make) -> None:

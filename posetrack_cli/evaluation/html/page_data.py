@@ -142,6 +142,7 @@ def _curve(evaluation: Evaluation) -> dict[str, Any] | None:
     return {
         "thresholds": np.round(curve.thresholds_mm, 6).tolist(),
         "share": np.round(curve.share, 6).tolist(),
+        "meanShare": np.round(curve.mean_share, 6).tolist(),
     }
 
 

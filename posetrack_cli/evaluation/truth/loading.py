@@ -14,6 +14,7 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import check_point_names
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track
+from posetrack_cli.evaluation.truth.points_topic import POINTS_SCHEMA_NAME, points_topic, points_track
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_channels, read_messages
@@ -32,7 +33,8 @@ def load_truth(
     """Return what a result is to be measured against, its points in the result's order.
 
     Without a path it is what the result carries on its topics ``/truth/<subject>/...``: complete estimates,
-    or else Odometry with or without JointStates (``odometry_track``). With a path it is
+    or else Odometry with or without JointStates (``odometry_track``), or else points alone
+    (``points_track``). With a path it is
 
     - of another result its **own estimates**, such as a stereo track as the truth for a mono one, without
       those that are lost; not the truth that it carries;
@@ -84,7 +86,9 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
             f"holds no truth of a {result.subject.name}",
             where=path,
             found=", ".join(_truth_topics(path)) or "no topic of truth",
-            expected=f"{_estimate_topic(result.subject.name)} or {odometry_topic(result.subject.name)}",
+            expected=", ".join(
+                topic(result.subject.name) for topic in (_estimate_topic, odometry_topic, points_topic)
+            ),
         )
     return truth
 
@@ -106,6 +110,8 @@ def _topics_truth(path: Path, subject: Subject, name: str, losses: LossLog) -> T
         return _estimates_truth(path, subject, name, losses)
     if schemas.get(odometry_topic(subject.name)) == ODOMETRY_SCHEMA:
         return odometry_track(path, subject.name, schemas, name, losses)
+    if schemas.get(points_topic(subject.name)) == POINTS_SCHEMA_NAME:
+        return points_track(path, subject, name, losses)
     return None
 
 

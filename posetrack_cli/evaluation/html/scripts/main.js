@@ -8,7 +8,7 @@ function showReport() {
   document.querySelectorAll(".scripted").forEach((section) => { section.hidden = false; });
   const find = (id) => document.getElementById(id);
   new OverTime(store, find("quantity-choice"), find("over-time-plot"));
-  showCurve(store, find("curve-plot"));
+  showCurve(store, find("curve-choice"), find("curve-plot"));
   if (results.length && results.every((result) => result.subject === "head")) find("parts-title").textContent = "Error by point";
   new Parts(store, find("parts-plot"));
   new Trajectories(store, find("component-choice"), find("trajectory-legend"), find("trajectory-plots"));

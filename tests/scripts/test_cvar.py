@@ -1,0 +1,108 @@
+"""The conversion of annotated, head-mounted recordings: joints, missing readings, crop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.evaluation.truth.points_topic import points_topic, points_track
+from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.results.estimate import Subject
+from reproduction import cvar
+
+HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
+FILE_DIGITS = 5e-4
+"""The annotation has three decimals."""
+
+
+def annotated(names: list[str]) -> str:
+    """Joint k of the file at pixel (100 + k, 50 + 2 k), 500 + k mm away."""
+    cells = " ".join(f"{100 + k:.3f} {50 + 2 * k:.3f} {500 + k:.3f}" for k in range(21))
+    return "\n".join([str(len(names)), *(f"./CVAR/P9/{name} {cells} " for name in names)]) + "\n"
+
+
+def make_folder(path: Path, frames: int = 3, width: int = 321) -> Path:
+    path.mkdir()
+    names = [f"{index:06d}_depth.png" for index in range(frames)]
+    for index, name in enumerate(names):
+        image = np.full((240, width), 600 + index, dtype=np.uint16)
+        image[0, 0] = cvar.MISSING
+        image[:, 320:] = 7
+        assert cv2.imwrite(str(path / name), image)
+    (path / "joint.txt").write_text(annotated(names))
+    return path
+
+
+@pytest.mark.parametrize("width", [320, 321])
+def test_depth_and_joints_come_through(tmp_path: Path, width: int) -> None:
+    out = cvar.convert(make_folder(tmp_path / "P9", width=width), tmp_path / "P9.mcap")
+    recording = open_recording(out)
+    frames = list(recording.frames())
+    assert [frame.stamp_ns for frame in frames] == [0, 33_333_333, 66_666_667]
+    for index, frame in enumerate(frames):
+        assert frame.depth.shape == (240, 320)
+        assert frame.depth[0, 0] == 0.0
+        assert (frame.depth.ravel()[1:] == 600.0 + index).all()
+    assert (recording.cameras[0].fx, recording.cameras[0].cy) == (224.5, 120.0)
+    truth = points_track(out, HAND, "truth", LossLog())
+    assert truth.stamp_ns.tolist() == [frame.stamp_ns for frame in frames]
+    at = dict(zip(truth.point_names, truth.points[0], strict=True))
+    assert at["wrist"] == pytest.approx(((100 - 160) * 500 / 224.5, (50 - 120) * 500 / 230.5, 500))
+    # the file's joint 17 is the thumb's first, its joint 8 the middle finger's tip
+    assert at["thumb_cmc"] == pytest.approx(((117 - 160) * 517 / 224.5, (84 - 120) * 517 / 230.5, 517))
+    assert at["middle_tip"] == pytest.approx(((108 - 160) * 508 / 224.5, (66 - 120) * 508 / 230.5, 508))
+
+
+def test_a_frame_without_annotation_has_no_truth(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "P9")
+    (folder / "joint.txt").write_text(annotated(["000000_depth.png", "000002_depth.png"]))
+    out = cvar.convert(folder, tmp_path / "P9.mcap")
+    assert points_track(out, HAND, "truth", LossLog()).stamp_ns.tolist() == [0, 66_666_667]
+
+
+def test_joints_project_to_where_they_are_annotated() -> None:
+    uvz = np.array([[12.5, 230.0, 431.0], [160.0, 120.0, 700.0]])
+    x, y, z = cvar.unprojected(uvz).T
+    np.testing.assert_allclose(cvar.CAMERA.fx * x / z + cvar.CAMERA.cx, uvz[:, 0])
+    np.testing.assert_allclose(cvar.CAMERA.fy * y / z + cvar.CAMERA.cy, uvz[:, 1])
+    np.testing.assert_array_equal(z, uvz[:, 2])
+
+
+def test_damaged_annotations_are_named(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "P9")
+    text = (folder / "joint.txt").read_text()
+    (folder / "joint.txt").write_text(text.replace("520.000 \n", "\n", 1))
+    with pytest.raises(RecordingError, match=r"joint.txt:2: has other joints, found 62, expected 63"):
+        cvar.convert(folder, tmp_path / "P9.mcap")
+    (folder / "joint.txt").write_text(text.replace("3\n", "4\n", 1))
+    with pytest.raises(RecordingError, match="has another number of frames, found 3, expected 4"):
+        cvar.convert(folder, tmp_path / "P9.mcap")
+    with pytest.raises(RecordingError, match="no images"):
+        cvar.convert(tmp_path, tmp_path / "P9.mcap")
+
+
+def test_real_joints_lie_on_the_hand(tmp_path: Path, measured_data: Path) -> None:
+    """Behind the visible surface by 0 to 40 mm at most joints: so units, axes and order are right."""
+    out = cvar.convert(measured_data / "cvar-hand" / "P1", tmp_path / "P1.mcap")
+    recording, truth = open_recording(out), points_track(out, HAND, "truth", LossLog())
+    camera, behind = recording.cameras[0], []
+    assert truth.points is not None
+    for points, frame in zip(truth.points, recording.frames(), strict=True):
+        x, y, z = points.T
+        u = np.clip(np.rint(camera.fx * x / z + camera.cx).astype(int), 0, camera.width - 1)
+        v = np.clip(np.rint(camera.fy * y / z + camera.cy).astype(int), 0, camera.height - 1)
+        surface = frame.depth[v, u]
+        behind.append((z - surface)[surface > 0])
+    distances = np.concatenate(behind)
+    assert ((distances > 0.0) & (distances < 40.0)).mean() > 0.6
+    assert 5.0 < np.median(distances) < 20.0
+
+
+def test_the_topic_is_the_one_that_results_carry() -> None:
+    assert points_topic("hand") == "/truth/hand/points"
