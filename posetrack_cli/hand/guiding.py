@@ -54,7 +54,7 @@ class Guiding:
         terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
         self._sigma_mm = terms.sigma_mm
         self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
-        self._mixture = pixel_mixture(config.observation.mixture)
+        self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
 
     def fit(
         self,

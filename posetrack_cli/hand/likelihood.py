@@ -61,34 +61,36 @@ def log_gibbs(costs: FloatArray, settings: ObservationSettings) -> FloatArray:
     return -0.5 * scaled**2 if settings.likelihood == "gaussian" else -scaled
 
 
-def pixel_mixture(settings: MixtureSettings) -> PixelMixture:
+def pixel_mixture(settings: MixtureSettings, unread_weight: float) -> PixelMixture:
     """The pixel's model with the configuration's numbers."""
     return PixelMixture(
         near_sd_mm=settings.near_sd_mm,
         sd_mm_per_m2=settings.sd_mm_per_m2,
         occluded=settings.occluded_share,
         outlier=settings.outlier_share,
+        outline_sd_mm=settings.outline_sd_mm,
+        unread_weight=unread_weight,
     )
 
 
-def union_misfit(sums: TileSums, model: PixelMixture, unread_weight: float, depth_mm: float) -> FloatArray:
+def union_misfit(sums: TileSums, model: PixelMixture, depth_mm: float) -> FloatArray:
     """The sum of misfits over the union of rendered r and observed o **[ours]**, 0 where all agrees.
 
-        R = sum over r of rho(y, d) + m |o \\ r| + unread_weight m |r unread|
+        R = sum over r of rho(y, d) + m |o \\ r| - relief
 
-    with m the misfit of a reading that nothing explains: a target pixel on which no hand is rendered.
+    with m the misfit of a reading that nothing explains: a target pixel on which no hand is rendered; the
+    relief is what those beside a rendered pixel cost less.
 
     Args:
         sums: with misfits of ``model``.
         model: of a pixel.
-        unread_weight: what a rendered pixel without a reading counts of one that nothing explains.
         depth_mm: of the target.
 
     Returns:
         (N,) sums.
     """
-    missed = sums.observed - sums.both + unread_weight * sums.unread
-    total: FloatArray = sums.misfit + model.unexplained(np.array(depth_mm)) * missed
+    missed = sums.observed - sums.both
+    total: FloatArray = sums.misfit + model.unexplained(np.array(depth_mm)) * missed - sums.relief
     return total
 
 
@@ -148,7 +150,7 @@ class RenderedCosts:
         tile = (settings.tile_px, settings.tile_px)
         self._anatomy, self._camera, self._settings = hand.anatomy, camera, settings
         self._cost = COSTS[settings.cost]
-        self._model = pixel_mixture(settings.mixture) if settings.cost == "mixture" else None
+        self._model = pixel_mixture(settings.mixture, settings.unread_weight) if settings.cost == "mixture" else None
         self._many = TiledDepthRenderer(context, hand.lean, tile, particles)
         self._one = TiledDepthRenderer(context, hand.lean, tile, 1)
 
@@ -174,7 +176,7 @@ class RenderedCosts:
         if not targets.size:
             return Scores(costs, np.zeros_like(costs))
         z = float(np.median(targets))
-        misfit = union_misfit(sums, self._model, self._settings.unread_weight, z)
+        misfit = union_misfit(sums, self._model, z)
         correlation = self._settings.mixture.correlation_mm
         return Scores(costs, -reading_share(z, observation.window.step, self._camera, correlation) * misfit)
 

@@ -10,10 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray
 
 _LOGISTIC_OF_NORMAL = 1.702
 """1 / (1 + exp(-1.702 t)) is the normal distribution function to .01 (Camilli 1994)."""
+REACH_PX = 2
+"""So far beside itself a target pixel looks for what is drawn."""
+LOOKS_BESIDE = 2.0
+FAR_PX = 1e4
 
 
 @dataclass(frozen=True)
@@ -28,10 +32,18 @@ class PixelMixture:
 
     A reading known to be of something else (the image's negative numbers) is there whether or not the
     surface is behind it: y = min(surface, other things), so where it lies in front it says nothing about
-    the surface and costs nothing. Where it lies behind, one would look through the surface: an outlier.
-    With F the probability that noise of s(d) has not exchanged the two,
+    the surface and costs nothing. Where it lies behind, one would look through the surface: an outlier, or
+    an outline that is off by the distance x to the nearest target pixel **[ours]**. With F the probability
+    that noise of s(d) has not exchanged the two, and b(x) the share that an outline leaves,
 
-        rho(-y, d) = -log(F((d - y) / s) + (1 - F) exp(-unexplained(d)))
+        b(x) = (exp(-x^2 / (2 s_o^2)) + e) / (1 + e)      e = 1 / (exp(unexplained(d)) - 1)
+        rho(-y, d, x) = -log(F((d - y) / s) + (1 - F) b(x))
+
+    A missing reading costs ``unread_weight`` times -log b(x): beside a hand most readings are missing. A
+    target pixel that nothing covers costs ``unexplained``. It, and one whose misfit is above
+    ``LOOKS_BESIDE``, may be explained by what is drawn up to ``REACH_PX`` beside it, x away, as if the
+    outline were off there: then v N(y; d, s^2) is times exp(-x^2 / (2 s_o^2)). So an outline, also one finger's
+    before another, counts as a square near the truth, as depth does, not as an edge.
 
     Attributes:
         near_sd_mm, sd_mm_per_m2: s(d) = near_sd_mm + sd_mm_per_m2 d^2, d in metres.
@@ -39,6 +51,8 @@ class PixelMixture:
         half_life_mm: ln 2 / l, over which such things get half as frequent.
         outlier: u, the share of readings that nothing explains.
         range_mm: of the sensor, over which they are spread.
+        outline_sd_mm: s_o, of where the target's outline is seen against where it is drawn.
+        unread_weight: what a missing reading counts of one behind.
     """
 
     near_sd_mm: float = 3.0
@@ -47,6 +61,8 @@ class PixelMixture:
     half_life_mm: float = 1000.0
     outlier: float = 0.01
     range_mm: float = 4500.0
+    outline_sd_mm: float = 5.0
+    unread_weight: float = 0.2
 
     @property
     def uniforms(self) -> dict[str, float]:
@@ -59,6 +75,8 @@ class PixelMixture:
             "occluder_rate": float(rate),
             "occluded_per_sd": float(peak * self.occluded * rate),
             "outlier_per_sd": float(peak * self.outlier / self.range_mm),
+            "outline_sd": self.outline_sd_mm,
+            "unread_weight": self.unread_weight,
         }
 
     def noise_sd(self, depth: FloatArray) -> FloatArray:
@@ -69,39 +87,86 @@ class PixelMixture:
         """The misfit of a reading far behind a surface at a depth, mm."""
         return np.log1p(1.0 / (self.uniforms["outlier_per_sd"] * self.noise_sd(depth)))
 
-    def misfit(self, depth: FloatArray, reading: FloatArray) -> FloatArray:
-        """rho of readings of the surface, > 0, mm, where it is at a depth, mm."""
+    def misfit(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray | float = 0.0) -> FloatArray:
+        """rho of readings of the surface, > 0, mm, where it is at a depth, mm, and drawn so much aside, mm."""
         constants, sd = self.uniforms, self.noise_sd(depth)
         rate = constants["occluder_rate"]
         hidden = constants["occluded_per_sd"] * sd / -np.expm1(-rate * depth)
         outlier = constants["outlier_per_sd"] * sd
-        here = np.exp(-0.5 * ((reading - depth) / sd) ** 2)
+        here = np.exp(-0.5 * (((reading - depth) / sd) ** 2 + np.square(off_mm / self.outline_sd_mm)))
         before = np.where(reading <= depth, hidden * np.exp(-rate * reading), 0.0)
         best = 1.0 + hidden * np.exp(-rate * depth) + outlier
         return np.log(best / (here + before + outlier))
 
-    def misfit_of_other(self, depth: FloatArray, reading: FloatArray) -> FloatArray:
-        """rho of readings, > 0, mm, known to be of something else."""
+    def beside(self, depth: FloatArray, off_mm: FloatArray) -> FloatArray:
+        """b of an outline off by so many mm, at a depth, mm."""
+        outlier = self.uniforms["outlier_per_sd"] * self.noise_sd(depth)
+        return (np.exp(-0.5 * np.square(off_mm / self.outline_sd_mm)) + outlier) / (1.0 + outlier)
+
+    def misfit_of_other(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray) -> FloatArray:
+        """rho of readings, > 0, mm, known to be of something else, so many mm beside the target."""
         t = _LOGISTIC_OF_NORMAL * (depth - reading) / self.noise_sd(depth)
-        through = np.exp(-self.unexplained(depth))
         # the exponent is bounded: beyond, both shares are 0 or 1 in float32 too
         front = 1.0 / (1.0 + np.exp(np.clip(-t, -80.0, 80.0)))
-        return -np.log(front + (1.0 - front) * through)
+        return -np.log(front + (1.0 - front) * self.beside(depth, off_mm))
+
+    def misfit_of_unread(self, depth: FloatArray, off_mm: FloatArray) -> FloatArray:
+        """rho where there is no reading, so many mm beside the target."""
+        return -self.unread_weight * np.log(self.beside(depth, off_mm))
 
 
-def misfits_in_numpy(depth: Float32Array, observed: Float32Array, model: PixelMixture) -> FloatArray:
-    """The reference for the device's sums of misfits: (N,) over the pixels that have depth and a reading.
+def outline_distances(observed: Float32Array) -> Float32Array:
+    """(h, w) distance of each pixel from the nearest target pixel (> 0), pixels; FAR where there is none."""
+    import cv2
+
+    target = observed > 0
+    if not target.any():
+        return np.full(observed.shape, FAR_PX, dtype=np.float32)
+    distances: Float32Array = cv2.distanceTransform((~target).astype(np.uint8), cv2.DIST_L2, 5)
+    return distances
+
+
+def misfits_in_numpy(
+    depth: Float32Array, observed: Float32Array, model: PixelMixture, slope: float
+) -> tuple[FloatArray, FloatArray]:
+    """The reference for the device's sums: misfits (N,) over the drawn pixels, and relief (N,).
+
+    The relief is what target pixels that nothing covers cost less than ``unexplained`` because of what is
+    drawn beside them.
 
     Args:
         depth: (N, h, w) rendered depth, mm, 0 where nothing is drawn.
         observed: (h, w) depth of target pixels, mm; negative other reading; 0 no reading.
         model: of a pixel.
+        slope: a pixel's width, mm, per mm of depth.
     """
     d = depth.astype(np.float64)
     y = np.broadcast_to(observed.astype(np.float64), d.shape)
+    off = np.broadcast_to(outline_distances(observed), d.shape) * slope * d
     rho = np.zeros_like(d)
-    target, other = (d > 0) & (y > 0), (d > 0) & (y < 0)
+    target, other, unread = (d > 0) & (y > 0), (d > 0) & (y < 0), (d > 0) & (y == 0)
     rho[target] = model.misfit(d[target], y[target])
-    rho[other] = model.misfit_of_other(d[other], -y[other])
-    total: FloatArray = rho.sum(axis=(1, 2))
-    return total
+    rho[other] = model.misfit_of_other(d[other], -y[other], off[other])
+    rho[unread] = model.misfit_of_unread(d[unread], off[unread])
+    beside = _misfits_with_neighbours(d, y, model, slope)
+    rho = np.where(target & (rho > LOOKS_BESIDE), np.minimum(rho, beside), rho)
+    relief = np.where((d == 0) & (y > 0), np.maximum(0.0, model.unexplained(y) - beside), 0.0)
+    return rho.sum(axis=(1, 2)), relief.sum(axis=(1, 2))
+
+
+def _misfits_with_neighbours(
+    depth: FloatArray, reading: FloatArray, model: PixelMixture, slope: float
+) -> FloatArray:
+    """(N, h, w) least misfit of each target pixel with what is drawn within ``REACH_PX`` beside it."""
+    _, height, width = depth.shape
+    reach = REACH_PX
+    padded = np.pad(depth, ((0, 0), (reach, reach), (reach, reach)))
+    least = np.full(depth.shape, np.inf)
+    for j in range(-reach, reach + 1):
+        for i in range(-reach, reach + 1):
+            if 0 < i * i + j * j <= reach * reach:
+                d = padded[:, reach + j : reach + j + height, reach + i : reach + i + width]
+                use = (d > 0) & (reading > 0)
+                off = np.hypot(i, j) * slope * reading[use]
+                least[use] = np.minimum(least[use], model.misfit(d[use], reading[use], off))
+    return least

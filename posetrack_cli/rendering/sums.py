@@ -3,7 +3,7 @@
 With r the pixels that a tile's rendering covers and o the target pixels of the observed image:
 the sum over r and o of min(|d - y|, c_max); |r and o|; |r \\ o| where there is another reading, and how
 many of those readings are in front; |r \\ o| where there is none; the sum of the readings' misfits; how many
-pixels of r and o agree. Every cost of the papers and of ours is made of these and of |o|.
+pixels of r and o agree; the relief of o \\ r. Every cost of the papers and of ours is made of these and of |o|.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ class TileSums:
         both: (N,) number of pixels rendered and observed.
         rendered_only: (N,) rendered, but the reading there is not of the target.
         unread: (N,) rendered where the sensor has no reading.
-        misfit: (N,) sum of rho(y, d) of a pixel model over the rendered pixels that have a reading, of the
-            target or not; 0 where no model is given.
+        misfit: (N,) sum of rho of a pixel model over the rendered pixels; 0 where no model is given.
         occluded: (N,) those of ``rendered_only`` whose reading is in front of what is rendered.
         matched: (N,) those of ``both`` with |d - y| below the distance asked for; 0 where none is.
+        relief: (N,) what the target pixels that nothing covers cost less because something beside them is
+            covered; 0 where no model is given.
         observed: number of target pixels, the same for all tiles.
     """
 
@@ -39,15 +40,13 @@ class TileSums:
     misfit: FloatArray
     occluded: FloatArray
     matched: FloatArray
+    relief: FloatArray
     observed: float
 
     @classmethod
     def from_rows(cls, rows: Float32Array, observed: float) -> TileSums:
-        """From the (N, 8) array that the device returns; the last column is padding."""
-        error, both, rendered_only, unread, misfit, occluded, matched = np.asarray(
-            rows[:, :7], dtype=np.float64
-        ).T
-        return cls(error, both, rendered_only, unread, misfit, occluded, matched, observed)
+        """From the (N, 8) array that the device returns."""
+        return cls(*np.asarray(rows, dtype=np.float64).T, observed)
 
 
 def sums_in_numpy(
@@ -56,6 +55,7 @@ def sums_in_numpy(
     clamp_mm: float,
     model: PixelMixture | None = None,
     match_mm: float = 0.0,
+    slope: float = 0.0,
 ) -> TileSums:
     """The reference for the device's sums.
 
@@ -65,18 +65,22 @@ def sums_in_numpy(
         clamp_mm: c_max.
         model: of a pixel, for the misfits.
         match_mm: depths that differ by less agree.
+        slope: a pixel's width, mm, per mm of depth, for the misfits.
     """
     r = depth > 0
     o, other, unread = observed > 0, observed < 0, observed == 0
     apart = np.abs(depth.astype(np.float64) - observed)
     error = np.minimum(apart, clamp_mm)
+    nothing = np.zeros(len(depth))
+    misfit, relief = (nothing, nothing) if model is None else misfits_in_numpy(depth, observed, model, slope)
     return TileSums(
         np.where(r & o, error, 0.0).sum(axis=(1, 2)),
         (r & o).sum(axis=(1, 2)).astype(np.float64),
         (r & other).sum(axis=(1, 2)).astype(np.float64),
         (r & unread).sum(axis=(1, 2)).astype(np.float64),
-        np.zeros(len(depth)) if model is None else misfits_in_numpy(depth, observed, model),
+        misfit,
         (r & other & (-observed < depth)).sum(axis=(1, 2)).astype(np.float64),
         (r & o & (apart < match_mm)).sum(axis=(1, 2)).astype(np.float64),
+        relief,
         float(o.sum()),
     )

@@ -13,7 +13,7 @@ from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.bounds import BoneSpheres
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.pixel_model import PixelMixture
+from posetrack_cli.rendering.pixel_model import PixelMixture, outline_distances
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.window import Window
 
@@ -62,7 +62,8 @@ class TiledDepthRenderer:
         self._atlas.compare_func = ""  # read values, do not compare them
         self._atlas.filter = (self.context.NEAREST, self.context.NEAREST)
         self._framebuffer = self.context.framebuffer([], self._atlas)
-        self._observed = self.context.texture((width, height), 1, dtype="f4")
+        self._observed = self.context.texture((width, height), 2, dtype="f4")
+        self._readings = np.zeros((height, width, 2), dtype=np.float32)
         self._observed.filter = (self.context.NEAREST, self.context.NEAREST)
         self._transforms = self.context.buffer(reserve=self.capacity * self.bones * 48, dynamic=True)
         self._boxes = self.context.buffer(reserve=self.capacity * 16, dynamic=True)
@@ -136,9 +137,12 @@ class TiledDepthRenderer:
                 expected=(window.height, window.width),
             )
         self._check(transforms, window)  # before anything is written to the device
-        self._observed.write(np.ascontiguousarray(observed, dtype=np.float32))
+        self._readings[..., 0] = observed
+        if model is not None:
+            self._readings[..., 1] = outline_distances(observed)
+        self._observed.write(self._readings)
         self._reduce["clamp_mm"], self._reduce["match_mm"] = clamp_mm, match_mm
-        self._reduce["near_sd"] = 0.0
+        self._reduce["near_sd"], self._reduce["slope"] = 0.0, window.step / camera.fx
         for name, value in ({} if model is None else model.uniforms).items():
             self._reduce[name] = value
         rows = np.empty((len(transforms), ROW_FLOATS), dtype=np.float32)

@@ -5,7 +5,8 @@
 layout(local_size_x = LANES) in;
 
 layout(binding = 0) uniform sampler2D atlas;      // near / z, 0 where nothing is drawn
-layout(binding = 1) uniform sampler2D observed;   // z of a target pixel, < 0 other reading, 0 no reading
+// x: z of a target pixel, < 0 other reading, 0 no reading; y: distance to the nearest target pixel, pixels
+layout(binding = 1) uniform sampler2D observed;
 layout(std430, binding = 1) writeonly buffer Sums { vec4 sums[]; };  // two a tile
 
 layout(std430, binding = 3) readonly buffer Boxes { ivec4 boxes[]; };  // what a tile's mesh can cover
@@ -22,22 +23,56 @@ uniform float sd_growth;
 uniform float occluder_rate;
 uniform float occluded_per_sd;
 uniform float outlier_per_sd;
+uniform float outline_sd;
+uniform float unread_weight;
+uniform float slope;  // of rays through neighbouring pixels: a pixel's width, mm, per mm of depth
+
+const float LOOKS_BESIDE = 2.0;  // a misfit that an outline a little off may explain better
+const ivec2 NEAR[12] = ivec2[](
+    ivec2(-1, 0), ivec2(1, 0), ivec2(0, -1), ivec2(0, 1),
+    ivec2(-1, -1), ivec2(1, -1), ivec2(-1, 1), ivec2(1, 1),
+    ivec2(-2, 0), ivec2(2, 0), ivec2(0, -2), ivec2(0, 2));
 
 shared vec4 partial[LANES];
-shared vec3 partial_more[LANES];
+shared vec4 partial_more[LANES];
 
-float misfit(float d, float y) {
+// log of the density's share that an outline off by so many mm leaves, besides outliers
+float beside(float off, float outlier) {
+    float t = off / outline_sd;
+    return (exp(-0.5 * t * t) + outlier) / (1.0 + outlier);
+}
+
+float outlier_at(float d) { return outlier_per_sd * (near_sd + sd_growth * d * d); }
+
+float misfit_of_other(float d, float y, float off) {
+    float sd = near_sd + sd_growth * d * d;
+    float left = beside(off, outlier_per_sd * sd);
+    if (y == 0.0) return -unread_weight * log(left);
+    float front = 1.0 / (1.0 + exp(clamp(-1.702 * (d + y) / sd, -80.0, 80.0)));
+    return -log(front + (1.0 - front) * left);
+}
+
+float misfit(float d, float y, float off) {
     float sd = near_sd + sd_growth * d * d;
     float outlier = outlier_per_sd * sd;
-    if (y < 0.0) {
-        float front = 1.0 / (1.0 + exp(clamp(-1.702 * (d + y) / sd, -80.0, 80.0)));
-        return -log(front + (1.0 - front) * outlier / (1.0 + outlier));
-    }
     float t = (y - d) / sd;
+    float s = off / outline_sd;
     float far_end = exp(-occluder_rate * d);
     float hidden = occluded_per_sd * sd / (1.0 - far_end);
     float before = y <= d ? hidden * exp(-occluder_rate * y) : 0.0;
-    return log((1.0 + hidden * far_end + outlier) / (exp(-0.5 * t * t) + before + outlier));
+    return log((1.0 + hidden * far_end + outlier) / (exp(-0.5 * (t * t + s * s)) + before + outlier));
+}
+
+// least misfit of a target pixel with what is drawn beside it
+float misfit_with_neighbours(float y, ivec2 at, ivec2 corner) {
+    float least = 1e9;
+    for (int k = 0; k < 12; k++) {
+        ivec2 there = at + NEAR[k];
+        if (any(lessThan(there, ivec2(0))) || any(greaterThanEqual(there, tile_size))) continue;
+        float inverse = texelFetch(atlas, corner + there, 0).x;
+        if (inverse > 0.0) least = min(least, misfit(near_mm / inverse, y, length(vec2(NEAR[k])) * slope * y));
+    }
+    return least;
 }
 
 void main() {
@@ -45,21 +80,33 @@ void main() {
     int lane = int(gl_LocalInvocationIndex);
     ivec2 corner = ivec2(tile % columns, tile / columns) * tile_size;
     ivec4 box = boxes[tile];
+    if (near_sd > 0.0 && box.z > box.x) {  // pixels beside what is covered count, too
+        box = ivec4(max(box.xy - 2, ivec2(0)), min(box.zw + 2, tile_size));
+    }
     int width = max(box.z - box.x, 0);
     int pixels = width * max(box.w - box.y, 0);
     vec4 sum = vec4(0.0);
-    vec3 more = vec3(0.0);  // sum of misfits, how many pixels are hidden, how many agree
+    vec4 more = vec4(0.0);  // sum of misfits, how many pixels are hidden, how many agree, nearly met
     for (int i = lane; i < pixels; i += LANES) {
         ivec2 at = box.xy + ivec2(i % width, i / width);
         float inverse = texelFetch(atlas, corner + at, 0).x;
         if (inverse > 0.0) {
             float d = near_mm / inverse;
-            float y = texelFetch(observed, at, 0).x;
+            vec2 reading = texelFetch(observed, at, 0).xy;
+            float y = reading.x;
             float error = min(abs(d - y), clamp_mm);
             sum += y > 0.0 ? vec4(error, 1.0, 0.0, 0.0) : vec4(0.0, 0.0, float(y < 0.0), float(y == 0.0));
-            if (near_sd > 0.0 && y != 0.0) more.x += misfit(d, y);
+            if (near_sd > 0.0) {
+                float rho = y > 0.0 ? misfit(d, y, 0.0) : misfit_of_other(d, y, reading.y * slope * d);
+                if (y > 0.0 && rho > LOOKS_BESIDE) rho = min(rho, misfit_with_neighbours(y, at, corner));
+                more.x += rho;
+            }
             more.y += float(y < 0.0 && -y < d);
             more.z += float(y > 0.0 && abs(d - y) < match_mm);
+        } else if (near_sd > 0.0) {
+            float y = texelFetch(observed, at, 0).x;
+            float unexplained = log(1.0 + 1.0 / outlier_at(y));
+            if (y > 0.0) more.w += max(0.0, unexplained - misfit_with_neighbours(y, at, corner));
         }
     }
     partial[lane] = sum;
@@ -74,6 +121,6 @@ void main() {
     }
     if (lane == 0) {
         sums[2 * tile] = partial[0];
-        sums[2 * tile + 1] = vec4(partial_more[0], 0.0);
+        sums[2 * tile + 1] = partial_more[0];
     }
 }
