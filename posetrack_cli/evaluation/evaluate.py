@@ -24,7 +24,7 @@ from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, run_metrics, run_series
 from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.doubts import doubts
 from posetrack_cli.evaluation.truth.loading import load_truth
@@ -141,8 +141,8 @@ def _measured(
         if options.joint_offsets is not None:
             track, offsets = _without_offsets(measures, result, Matched(track, truth, pairs), options)
         curve = _against_truth(measures, Matched(track, truth, pairs), coverage)
-    _without_truth(measures, result, track, options)
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
+    _without_truth(measures, result, track, options, rows)
     metrics, absent = _in_order(measures, track, truth)
     return Evaluation(
         name=track.name,
@@ -233,26 +233,29 @@ def _against_truth(measures: Measures, matched: Matched, coverage: Coverage) -> 
     return None
 
 
-def _without_truth(measures: Measures, result: Result, track: Track, options: EvalOptions) -> None:
-    """Add self-consistency and what the run says about itself."""
+def _without_truth(
+    measures: Measures, result: Result, track: Track, options: EvalOptions, rows: IntArray
+) -> None:
+    """Add self-consistency and what the run says about itself; series of these rows of the track."""
     measures.metrics |= consistency_metrics(track)
     if options.recording is not None:
-        found = _against_images(result, options)
-        measures.metrics |= {name: value for name, value in found.items() if _has_values(value)}
-        measures.lack(NO_OVERLAP if found else NO_IMAGES, "residual_mm", "region_overlap")
+        _against_images(measures, result, options, rows)
     run_metrics(measures, track, result.run)
 
 
-def _against_images(result: Result, options: EvalOptions) -> dict[str, Value]:
+def _against_images(measures: Measures, result: Result, options: EvalOptions, rows: IntArray) -> None:
     from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
     from posetrack_cli.evaluation.recording_of import required_recording
 
     recording = required_recording(result, options.recording)
-    return image_consistency(result, recording, which=options.track)
-
-
-def _has_values(value: Value) -> bool:
-    return not isinstance(value, Statistics) or value.count > 0
+    found = image_consistency(result, recording, which=options.track)
+    measures.lack(NO_OVERLAP if found else NO_IMAGES, "residual_mm", "region_overlap")
+    for name, values in found.items():
+        known = np.isfinite(values)
+        if known.any():
+            measures.metrics[name] = statistics(values[known])
+        if known[rows].any():
+            measures.series[name] = rows_of(values, rows)
 
 
 def coverage_metrics(coverage: Coverage) -> dict[str, Value]:

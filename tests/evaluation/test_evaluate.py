@@ -13,9 +13,9 @@ from truth_support import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv
 
 from posetrack_cli.errors import PosetrackError, ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation, Value
+from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, addresses, metric_of
-from posetrack_cli.evaluation.statistics import Statistics, statistics
+from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
@@ -162,13 +162,14 @@ def test_images_are_looked_at_when_the_recording_is_given(
 ) -> None:
     path = write_result(tmp_path / "a.mcap", HAND, estimates(HAND, 3))
     asked: list[object] = []
-    answers: list[dict[str, Value]] = [
-        {"residual_mm": statistics([1.0, 3.0]), "region_overlap": statistics([0.5])},
+    nan = np.nan
+    answers: list[dict[str, np.ndarray]] = [
+        {"residual_mm": np.array([1.0, nan, 3.0]), "region_overlap": np.array([0.5, 0.0, 1.0])},
         {},
-        {"residual_mm": statistics([]), "region_overlap": statistics([0.0])},
+        {"residual_mm": np.full(3, nan), "region_overlap": np.array([0.0, nan, 0.0])},
     ]
 
-    def image_consistency(result: Result, recording: object, which: str) -> dict[str, Value]:
+    def image_consistency(result: Result, recording: object, which: str) -> dict[str, np.ndarray]:
         assert which == "filtered"
         asked.append((result.path, recording))
         return answers[len(asked) - 1]
@@ -186,6 +187,9 @@ def test_images_are_looked_at_when_the_recording_is_given(
     assert nothing.absent["residual_mm"] == "the recording has none of the result's frames"
     assert apart.absent["residual_mm"] == "in no frame the estimate and the observed hand overlap"
     assert mean(apart, "region_overlap") == 0.0
+    np.testing.assert_array_equal(found.series["residual_mm"], [1.0, nan, 3.0])
+    np.testing.assert_array_equal(apart.series["region_overlap"], [0.0, nan, 0.0])
+    assert "residual_mm" not in apart.series
     assert all(map(is_complete, (found, nothing, apart)))
 
 

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Value
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, hand_of
 from posetrack_cli.geometry.camera import Camera
@@ -99,12 +97,12 @@ def region_overlap(sums: TileSums) -> float:
 
 def image_consistency(
     result: Result, recording: StoredRecording, device: int | None = None, which: str = FILTERED
-) -> dict[str, Value]:
-    """Metrics ``residual_mm`` and ``region_overlap`` over every frame that can be found, lost ones included.
+) -> dict[str, FloatArray]:
+    """Metrics ``residual_mm`` and ``region_overlap`` of every frame (N,), lost ones included, NaN for none.
 
-    Both are circular: the observed hand is told from the rest around the estimate. ``residual_mm`` has no
-    value in a frame where estimate and observed hand share no pixel: its count is then smaller, and
-    ``region_overlap`` is 0 there.
+    Both are circular: the observed hand is told from the rest around the estimate. A frame that the recording
+    does not give has neither; ``residual_mm`` has no value where estimate and observed hand share no pixel,
+    and ``region_overlap`` is 0 there.
 
     Args:
         result: of a hand.
@@ -127,19 +125,18 @@ def image_consistency(
     check_same_size(camera, recording)
     context = open_context(device)
     try:
-        compared = _compared(track, recording, HandConsistency(context, hand, camera))
+        residual, overlap = _compared(track, recording, HandConsistency(context, hand, camera)).T
     finally:
         context.release()
-    if not len(compared):
-        return {}
-    residual, overlap = compared.T
-    return {"residual_mm": statistics(residual[~np.isnan(residual)]), "region_overlap": statistics(overlap)}
+    return {} if np.isnan(overlap).all() else {"residual_mm": residual, "region_overlap": overlap}
 
 
 def _compared(track: Track, recording: StoredRecording, measure: HandConsistency) -> FloatArray:
-    """Residual and overlap (M, 2) of the frames that the recording gives."""
+    """Residual and overlap (N, 2) of every frame, NaN where the recording does not give it."""
+    compared = np.full((len(track), 2), np.nan)
     if track.position is None or track.quaternion is None or track.shape is None:
-        return np.empty((0, 2))
+        return compared
     poses = np.hstack([track.position, track.quaternion, track.shape])
-    frames = matched_frames(recording, track.stamp_ns, track.frame_index, LossLog())
-    return np.array([measure.compare(poses[row], frame) for row, frame in frames]).reshape(-1, 2)
+    for row, frame in matched_frames(recording, track.stamp_ns, track.frame_index, LossLog()):
+        compared[row] = measure.compare(poses[row], frame)
+    return compared

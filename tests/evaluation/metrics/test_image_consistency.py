@@ -14,7 +14,7 @@ from viewing_support import lost_from, make_recording, make_result, moved, truth
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.evaluation import Value
 from posetrack_cli.evaluation.metrics.image_consistency import image_consistency, region_overlap, residual_mm
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.model import average_hand
@@ -45,9 +45,10 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> StoredRecording:
 
 
 def measured(tmp_path: Path, recording: StoredRecording, *changes: Any, **options: Any) -> dict[str, Value]:
-    return image_consistency(
+    found = image_consistency(
         read_result(make_result(tmp_path / "r.mcap", recording, *changes, **options)), recording
     )
+    return {name: statistics(values[~np.isnan(values)]) for name, values in found.items()}
 
 
 def statistics_of(values: dict[str, Value], name: str) -> Statistics:
