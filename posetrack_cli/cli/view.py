@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.stored import StoredRecording
     from posetrack_cli.results.reader import Result
 
-LAYOUTS = ("beside", "over", "paper", "side-by-side")
+LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
 DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
 
 
@@ -51,7 +51,8 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
     "--layout",
     type=click.Choice(LAYOUTS),
     help="Observed, rendered and both beside each other; only both; observed above and rendered below, as "
-    "in the paper; two results.  [default: beside; of two results side-by-side]",
+    "in the paper; observed and, around the estimate, hand (green), forearm (orange), other surfaces "
+    "(blue) and missing readings (purple); two results.  [default: beside; of two results side-by-side]",
 )
 @click.option(
     "--crop",

@@ -13,6 +13,7 @@ from posetrack_cli.evaluation.metrics.pose_errors import distances
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, Colour
 from posetrack_cli.evaluation.viewing.drawing import Drawer, Shown
+from posetrack_cli.evaluation.viewing.segments import HandSegments
 
 TOLERANCE_NS = 5_000_000
 """How far apart the stamps of a frame and of an estimate of it may be."""
@@ -28,6 +29,7 @@ class Layer:
         colour: of what has none of its own.
         name: what captions call it; empty where there is only one.
         error_mm: (N,) mean distance of the points from the truth, NaN where there is none.
+        segments: tells the hand's pixels from others; None where that is not drawn.
     """
 
     track: Track
@@ -35,6 +37,7 @@ class Layer:
     colour: Colour = SKIN
     name: str = ""
     error_mm: FloatArray | None = None
+    segments: HandSegments | None = None
 
     def row(self, stamp_ns: int) -> int | None:
         """The row of the estimate whose stamp is nearest within the tolerance; None without one."""

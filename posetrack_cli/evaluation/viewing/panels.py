@@ -20,7 +20,7 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.rendering.window import Window
 
-LAYOUTS = ("beside", "over", "paper", "side-by-side")
+LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
 _DIMMED, _OPACITY = 0.6, 0.8
 _BONE: Colour = (255, 255, 255)
 _BORDER_PX = 4
@@ -68,6 +68,8 @@ class Panels:
         if layout == "over":
             return [self.over(observed, frame.stamp_ns, viewport, self.layers)]
         panels = [observed]
+        if layout == "segments":
+            return [observed, *(self.segments(frame, viewport, layer) for layer in self.layers)]
         for layer in self.layers:
             panels.append(self.rendered(frame.stamp_ns, viewport, layer))
             if layout == "beside":
@@ -90,6 +92,17 @@ class Panels:
         picture = np.zeros((height, width, 3), dtype=np.uint8)
         self._draw(picture, stamp_ns, viewport, layer)
         return _marked(picture, layer.mark(stamp_ns))
+
+    def segments(self, frame: Frame, viewport: Viewport, layer: Layer) -> ImageArray:
+        """What segmentation around an estimate tells apart, over the observed depth, with the contour."""
+        whole = self.observed(frame, Viewport.whole(self.camera))
+        ground = cv2.convertScaleAbs(whole, alpha=_DIMMED)
+        shown = layer.shown(frame.stamp_ns)
+        if layer.segments is not None:
+            layer.segments.paint(ground, frame.depth, shown)
+        picture = np.ascontiguousarray(viewport.cut(ground))
+        layer.drawer.outline(picture, viewport.camera(self.camera), shown, _BONE)
+        return _marked(picture, layer.mark(frame.stamp_ns))
 
     def over(
         self, observed: ImageArray, stamp_ns: int, viewport: Viewport, layers: Sequence[Layer]

@@ -24,6 +24,7 @@ from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, hand_of
 from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
 from posetrack_cli.evaluation.viewing.panels import Panels
+from posetrack_cli.evaluation.viewing.segments import HandSegments, configuration_of
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, largest_viewport, moved_to
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
@@ -91,6 +92,8 @@ class View:
         self._track = layers[0].track
         self.rows = _rows(options, layers[0])
         self._camera = _common_camera(results, recording)
+        if self.layout == "segments":
+            layers = _with_segments(layers, results, options.tracks, self._camera)
         self._panels = Panels(
             camera=self._camera,
             sampler=PixelSampler(self._camera),
@@ -203,6 +206,23 @@ def _layers(
         shown_name = name if len(shown) > 1 else ""
         layers.append(Layer(track, drawer_of(result, context), tone, shown_name, point_errors(track, truth)))
     return tuple(layers)
+
+
+def _with_segments(
+    layers: Sequence[Layer], results: Sequence[Result], tracks: Sequence[str], camera: Camera
+) -> tuple[Layer, ...]:
+    """The layers, each with what tells the hand's pixels as its own run does.
+
+    Raises:
+        ResultError: a result of another subject than a hand.
+    """
+    sources = [result for result in results for _ in tracks]
+    return tuple(
+        replace(
+            layer, segments=HandSegments(hand_of(result.run).anatomy, configuration_of(result.run), camera)
+        )
+        for layer, result in zip(layers, sources, strict=True)
+    )
 
 
 def _rows(options: ViewOptions, layer: Layer) -> IntArray:
