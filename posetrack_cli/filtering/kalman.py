@@ -165,6 +165,23 @@ def kalman_update(
     return Gaussian(belief.mean + gain @ innovation, covariance), log_evidence
 
 
+def kalman_smooth(filtered: Gaussian, later: Gaussian, transition: FloatArray, noise: FloatArray) -> Gaussian:
+    """Return the belief of a step given all observations, also later ones (Rauch, Tung and Striebel 1965).
+
+    G = C F^T (F C F^T + Q)^-1;  m + G (m_later - F m),  C + G (C_later - F C F^T - Q) G^T.
+
+    Args:
+        filtered: the filter's belief after the step's own observation.
+        later: the smoothed belief of the next step.
+        transition: F, from this step to the next.
+        noise: Q.
+    """
+    predicted = kalman_predict(filtered, transition, noise)
+    gain = np.linalg.solve(predicted.covariance, transition @ filtered.covariance).T
+    covariance = filtered.covariance + gain @ (later.covariance - predicted.covariance) @ gain.T
+    return Gaussian(filtered.mean + gain @ (later.mean - predicted.mean), covariance)
+
+
 def check_discretisation(discretisation: str) -> None:
     """Raise FilterError unless the discretisation is known."""
     if discretisation not in DISCRETISATIONS:

@@ -80,7 +80,7 @@ class LaplaceMixture:
         offsets = self.space.local(self.modes.poses[:, None], poses)
         slopes = self.modes.gradients[:, None] - offsets @ (0.5 * self.modes.information)
         log_fits: FloatArray = self.modes.log_heights[:, None] + np.einsum("kid,kid->ki", offsets, slopes)
-        precision = _precision(self.prediction)
+        precision = precisions(self.prediction.variance, self.prediction.poses)
         log_fits += self.space.log_volume(increments) - self.space.log_volume(offsets)
         true = np.square(increments - self.prediction.drift[ancestors]) @ precision
         offsets -= self.means[:, ancestors]
@@ -114,11 +114,14 @@ def laplace_mixture(prediction: Prediction, modes: LikelihoodModes, space: State
     return LaplaceMixture(prediction, modes, space, means, whitened, inverse, log_masses)
 
 
-def _precision(prediction: Prediction) -> FloatArray:
-    """Return 1 / N (D,), and 0 where a component is frozen to within rounding: it cancels in the ratio."""
-    smallest = RESOLUTION * max(1.0, float(np.abs(prediction.poses).max()))
-    moves = prediction.variance > smallest**2
-    precision: FloatArray = np.where(moves, 1.0 / np.where(moves, prediction.variance, 1.0), 0.0)
+def precisions(variance: FloatArray, poses: FloatArray) -> FloatArray:
+    """Return 1 / variance (D,), and 0 for a component of the poses (N, S) that is frozen to within rounding.
+
+    Its density, a quotient of two roundings, then does not count.
+    """
+    smallest = RESOLUTION * max(1.0, float(np.abs(poses).max()))
+    moves = variance > smallest**2
+    precision: FloatArray = np.where(moves, 1.0 / np.where(moves, variance, 1.0), 0.0)
     return precision
 
 
