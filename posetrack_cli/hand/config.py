@@ -86,12 +86,12 @@ class MixtureSettings(Settings):
     reading each **[ours]**.
     """
 
-    near_sd_mm: Positive = 3.0
-    sd_mm_per_m2: NotNegative = 1.42
+    near_sd_mm: Positive = 1.5
+    sd_mm_per_m2: NotNegative = 0.7
     occluded_share: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
-    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.01
-    outline_sd_mm: Positive = 5.0
-    correlation_mm: Positive = 20.0
+    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.1
+    outline_sd_mm: Positive = 1.5
+    correlation_mm: Positive = 10.0
 
 
 class ObservationSettings(Settings):
@@ -133,12 +133,12 @@ class DetectionSettings(Settings):
 
     nearest_mm: Positive = 120.0
     farthest_mm: Positive = 1500.0
-    palm_radius_mm: tuple[Positive, Positive] = (11.0, 72.0)
+    palm_radius_mm: tuple[Positive, Positive] = (11.0, 85.0)
     reach_mm: Positive = 170.0
     arm_mm: Positive = 150.0
     apart_mm: Positive = 110.0
     steepest: Positive = 3.0
-    most_places: Annotated[int, Field(ge=1)] = 40
+    most_places: Annotated[int, Field(ge=1)] = 24
     most_hands: Annotated[int, Field(ge=1)] = 4
     least_score: Fraction = 0.4
 

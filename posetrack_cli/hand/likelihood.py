@@ -150,7 +150,9 @@ class RenderedCosts:
         tile = (settings.tile_px, settings.tile_px)
         self._anatomy, self._camera, self._settings = hand.anatomy, camera, settings
         self._cost = COSTS[settings.cost]
-        self._model = pixel_mixture(settings.mixture, settings.unread_weight) if settings.cost == "mixture" else None
+        self._model = (
+            pixel_mixture(settings.mixture, settings.unread_weight) if settings.cost == "mixture" else None
+        )
         self._many = TiledDepthRenderer(context, hand.lean, tile, particles)
         self._one = TiledDepthRenderer(context, hand.lean, tile, 1)
 

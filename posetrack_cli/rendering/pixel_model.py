@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray
+from posetrack_cli.arrays import Float32Array, FloatArray
 
 _LOGISTIC_OF_NORMAL = 1.702
 """1 / (1 + exp(-1.702 t)) is the normal distribution function to .01 (Camilli 1994)."""
@@ -42,8 +42,8 @@ class PixelMixture:
     A missing reading costs ``unread_weight`` times -log b(x): beside a hand most readings are missing. A
     target pixel that nothing covers costs ``unexplained``. It, and one whose misfit is above
     ``LOOKS_BESIDE``, may be explained by what is drawn up to ``REACH_PX`` beside it, x away, as if the
-    outline were off there: then v N(y; d, s^2) is times exp(-x^2 / (2 s_o^2)). So an outline, also one finger's
-    before another, counts as a square near the truth, as depth does, not as an edge.
+    outline were off there: then v N(y; d, s^2) is times exp(-x^2 / (2 s_o^2)). So an outline, also one
+    finger's before another, counts as a square near the truth, as depth does, not as an edge.
 
     Attributes:
         near_sd_mm, sd_mm_per_m2: s(d) = near_sd_mm + sd_mm_per_m2 d^2, d in metres.
@@ -55,13 +55,13 @@ class PixelMixture:
         unread_weight: what a missing reading counts of one behind.
     """
 
-    near_sd_mm: float = 3.0
-    sd_mm_per_m2: float = 1.42
+    near_sd_mm: float = 1.5
+    sd_mm_per_m2: float = 0.7
     occluded: float = 0.1
     half_life_mm: float = 1000.0
-    outlier: float = 0.01
+    outlier: float = 0.1
     range_mm: float = 4500.0
-    outline_sd_mm: float = 5.0
+    outline_sd_mm: float = 1.5
     unread_weight: float = 0.2
 
     @property
@@ -88,7 +88,7 @@ class PixelMixture:
         return np.log1p(1.0 / (self.uniforms["outlier_per_sd"] * self.noise_sd(depth)))
 
     def misfit(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray | float = 0.0) -> FloatArray:
-        """rho of readings of the surface, > 0, mm, where it is at a depth, mm, and drawn so much aside, mm."""
+        """rho of readings of the surface, > 0, where it is at a depth and drawn so much aside, mm."""
         constants, sd = self.uniforms, self.noise_sd(depth)
         rate = constants["occluder_rate"]
         hidden = constants["occluded_per_sd"] * sd / -np.expm1(-rate * depth)
@@ -122,8 +122,7 @@ def outline_distances(observed: Float32Array) -> Float32Array:
     target = observed > 0
     if not target.any():
         return np.full(observed.shape, FAR_PX, dtype=np.float32)
-    distances: Float32Array = cv2.distanceTransform((~target).astype(np.uint8), cv2.DIST_L2, 5)
-    return distances
+    return cv2.distanceTransform((~target).astype(np.uint8), cv2.DIST_L2, 5).astype(np.float32)
 
 
 def misfits_in_numpy(
@@ -157,16 +156,22 @@ def misfits_in_numpy(
 def _misfits_with_neighbours(
     depth: FloatArray, reading: FloatArray, model: PixelMixture, slope: float
 ) -> FloatArray:
-    """(N, h, w) least misfit of each target pixel with what is drawn within ``REACH_PX`` beside it."""
+    """(N, h, w) misfit of each target pixel with what fits best of what is drawn ``REACH_PX`` beside it.
+
+    Best is where (y - d)^2 / s(y)^2 + x^2 / s_o^2 is least; infinite where nothing is drawn.
+    """
     _, height, width = depth.shape
     reach = REACH_PX
     padded = np.pad(depth, ((0, 0), (reach, reach), (reach, reach)))
     least = np.full(depth.shape, np.inf)
+    misfits = np.full(depth.shape, np.inf)
     for j in range(-reach, reach + 1):
         for i in range(-reach, reach + 1):
             if 0 < i * i + j * j <= reach * reach:
                 d = padded[:, reach + j : reach + j + height, reach + i : reach + i + width]
-                use = (d > 0) & (reading > 0)
-                off = np.hypot(i, j) * slope * reading[use]
-                least[use] = np.minimum(least[use], model.misfit(d[use], reading[use], off))
-    return least
+                off = np.hypot(i, j) * slope * reading
+                square = ((reading - d) / model.noise_sd(reading)) ** 2 + (off / model.outline_sd_mm) ** 2
+                use = (d > 0) & (reading > 0) & (square < least)
+                least[use] = square[use]
+                misfits[use] = model.misfit(d[use], reading[use], off[use])
+    return misfits

@@ -3,7 +3,8 @@
 With r the pixels that a tile's rendering covers and o the target pixels of the observed image:
 the sum over r and o of min(|d - y|, c_max); |r and o|; |r \\ o| where there is another reading, and how
 many of those readings are in front; |r \\ o| where there is none; the sum of the readings' misfits; how many
-pixels of r and o agree; the relief of o \\ r. Every cost of the papers and of ours is made of these and of |o|.
+pixels of r and o agree; the relief of o \\ r. Every cost of the papers and of ours is made of these and of
+|o|.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class TileSums:
     @classmethod
     def from_rows(cls, rows: Float32Array, observed: float) -> TileSums:
         """From the (N, 8) array that the device returns."""
-        return cls(*np.asarray(rows, dtype=np.float64).T, observed)
+        error, both, rendered_only, unread, misfit, occluded, matched, relief = rows.astype(np.float64).T
+        return cls(error, both, rendered_only, unread, misfit, occluded, matched, relief, observed)
 
 
 def sums_in_numpy(

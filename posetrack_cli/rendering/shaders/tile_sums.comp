@@ -42,6 +42,8 @@ float beside(float off, float outlier) {
     return (exp(-0.5 * t * t) + outlier) / (1.0 + outlier);
 }
 
+float pow2(float x) { return x * x; }
+
 float outlier_at(float d) { return outlier_per_sd * (near_sd + sd_growth * d * d); }
 
 float misfit_of_other(float d, float y, float off) {
@@ -63,16 +65,26 @@ float misfit(float d, float y, float off) {
     return log((1.0 + hidden * far_end + outlier) / (exp(-0.5 * (t * t + s * s)) + before + outlier));
 }
 
-// least misfit of a target pixel with what is drawn beside it
+// misfit of a target pixel with what fits best of what is drawn beside it
 float misfit_with_neighbours(float y, ivec2 at, ivec2 corner) {
-    float least = 1e9;
+    float per_sd2 = 1.0 / pow2(near_sd + sd_growth * y * y);
+    float per_outline2 = pow2(slope * y / outline_sd);
+    float least = 1e30, best_depth = 0.0, best_off2 = 0.0;
     for (int k = 0; k < 12; k++) {
         ivec2 there = at + NEAR[k];
         if (any(lessThan(there, ivec2(0))) || any(greaterThanEqual(there, tile_size))) continue;
         float inverse = texelFetch(atlas, corner + there, 0).x;
-        if (inverse > 0.0) least = min(least, misfit(near_mm / inverse, y, length(vec2(NEAR[k])) * slope * y));
+        if (inverse == 0.0) continue;
+        float d = near_mm / inverse;
+        float off2 = float(NEAR[k].x * NEAR[k].x + NEAR[k].y * NEAR[k].y);
+        float square = pow2(y - d) * per_sd2 + off2 * per_outline2;
+        if (square < least) {
+            least = square;
+            best_depth = d;
+            best_off2 = off2;
+        }
     }
-    return least;
+    return best_depth > 0.0 ? misfit(best_depth, y, sqrt(best_off2) * slope * y) : 1e9;
 }
 
 void main() {
