@@ -174,7 +174,7 @@ class PsoSettings(Settings):
     crossing_mm_per_rad: NotNegative = 100.0
     reach_mm: Positive = 250.0
     spread: ComponentSettings = ComponentSettings(
-        position_mm=10.0, rotation_rad=0.2, flexion_rad=0.1, abduction_rad=0.1
+        position_mm=10.0, rotation_rad=0.2, flexion_rad=0.2, abduction_rad=0.06
     )
 
 

@@ -7,9 +7,9 @@ generation in half of the particles, the objective and its numbers (see ``object
 Otherwise: their hand has 27 numbers (position, quaternion, four angles a finger). Ours has 22, of which the
 swarm moves 21: position, body-frame rotation vector from the last solution, and 15 angles; a joint next to a
 fingertip is not free but follows its neighbour. Bounds are the joint limits and, beyond them, a box about the
-last solution. The standard deviations of the perturbations were "experimentally determined" there; the
-authors' later public tracker has 10 mm, .1 per component of the quaternion (.2 rad) and .1 rad. Window and
-segmentation are those of our filters, in depth alone; theirs used skin colour.
+last solution. The standard deviations of the perturbations were "experimentally determined" there, as here
+(the authors' later public tracker has 10 mm, .1 per component of the quaternion, that is .2 rad, and .1 rad).
+Window and segmentation are those of our filters, in depth alone; theirs used skin colour.
 """
 
 from __future__ import annotations
