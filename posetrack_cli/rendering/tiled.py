@@ -80,10 +80,16 @@ class TiledDepthRenderer:
         index = self.context.buffer(mesh.triangles.astype("i4").tobytes())
         self._vertices = self.context.vertex_array(self._draw, [(rest, "3f", "rest")], index_buffer=index)
         self._influences = self.context.buffer(influences.tobytes())
-        self._reduce = self.context.compute_shader(_shader("tile_sums.comp", {"LANES": LANES}))
+        self._reducers = {mixture: self._reducer(mixture) for mixture in (False, True)}
         self._draw["tile_size"], self._draw["grid"] = self.tile, self.grid
-        self._reduce["tile_size"], self._reduce["columns"] = self.tile, self.grid[0]
-        self._draw["near_mm"] = self._reduce["near_mm"] = NEAR_MM
+        self._draw["near_mm"] = NEAR_MM
+
+    def _reducer(self, mixture: bool) -> Any:
+        """The program that sums over tiles, with or without the misfits of a pixel's model."""
+        names = {"LANES": LANES, "MIXTURE": int(mixture)}
+        program = self.context.compute_shader(_shader("tile_sums.comp", names))
+        program["tile_size"], program["columns"], program["near_mm"] = self.tile, self.grid[0], NEAR_MM
+        return program
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
         """Render and read back.
@@ -141,26 +147,26 @@ class TiledDepthRenderer:
         if model is not None:
             self._readings[..., 1] = outline_distances(observed)
         self._observed.write(self._readings)
-        self._reduce["clamp_mm"], self._reduce["match_mm"] = clamp_mm, match_mm
-        self._reduce["near_sd"], self._reduce["slope"] = 0.0, window.step / camera.fx
-        for name, value in ({} if model is None else model.uniforms).items():
-            self._reduce[name] = value
+        program = self._reducers[model is not None]
+        uniforms = {} if model is None else {"slope": window.step / camera.fx, **model.uniforms}
+        for name, value in {"clamp_mm": clamp_mm, "match_mm": match_mm, **uniforms}.items():
+            program[name] = value
         rows = np.empty((len(transforms), ROW_FLOATS), dtype=np.float32)
         first = 0
         for part in self._passes(transforms, camera, window):
             boxes = self._spheres.tile_boxes(part, window.tile_projection(camera), self.tile, NEAR_MM)
             self._boxes.write(boxes)
-            rows[first : first + len(part)] = self._reduced(len(part))
+            rows[first : first + len(part)] = self._reduced(program, len(part))
             first += len(part)
         return TileSums.from_rows(rows, float(np.count_nonzero(observed > 0)))
 
-    def _reduced(self, count: int) -> Float32Array:
+    def _reduced(self, program: Any, count: int) -> Float32Array:
         """The sums (count, ROW_FLOATS) of the tiles that are drawn."""
         self._atlas.use(0)
         self._observed.use(1)
         self._sums.bind_to_storage_buffer(1)
         self._boxes.bind_to_storage_buffer(3)
-        self._reduce.run(count)
+        program.run(count)
         self._sums.read_into(self._rows, size=count * 4 * ROW_FLOATS)
         return self._rows[:count]
 

@@ -1,6 +1,6 @@
 #version 430
 // One work group a tile: sums over its pixels of what a cost needs (see sums.py).
-// LANES is defined by the program that loads this file.
+// LANES and MIXTURE (whether misfits are asked for) are defined by the program that loads this file.
 
 layout(local_size_x = LANES) in;
 
@@ -17,7 +17,8 @@ uniform float near_mm;
 uniform float clamp_mm;
 uniform float match_mm;  // depths that differ by less agree
 
-// the pixel's model (pixel_model.py); near_sd = 0: no misfits are asked for
+#if MIXTURE  // compiled only where asked for: on a CPU even a branch not taken costs
+// the pixel's model (pixel_model.py)
 uniform float near_sd;
 uniform float sd_growth;
 uniform float occluder_rate;
@@ -32,9 +33,6 @@ const ivec2 NEAR[12] = ivec2[](
     ivec2(-1, 0), ivec2(1, 0), ivec2(0, -1), ivec2(0, 1),
     ivec2(-1, -1), ivec2(1, -1), ivec2(-1, 1), ivec2(1, 1),
     ivec2(-2, 0), ivec2(2, 0), ivec2(0, -2), ivec2(0, 2));
-
-shared vec4 partial[LANES];
-shared vec4 partial_more[LANES];
 
 // log of the density's share that an outline off by so many mm leaves, besides outliers
 float beside(float off, float outlier) {
@@ -86,15 +84,21 @@ float misfit_with_neighbours(float y, ivec2 at, ivec2 corner) {
     }
     return best_depth > 0.0 ? misfit(best_depth, y, sqrt(best_off2) * slope * y) : 1e9;
 }
+#endif
+
+shared vec4 partial[LANES];
+shared vec4 partial_more[LANES];
 
 void main() {
     int tile = int(gl_WorkGroupID.x);
     int lane = int(gl_LocalInvocationIndex);
     ivec2 corner = ivec2(tile % columns, tile / columns) * tile_size;
     ivec4 box = boxes[tile];
-    if (near_sd > 0.0 && box.z > box.x) {  // pixels beside what is covered count, too
+#if MIXTURE
+    if (box.z > box.x) {  // pixels beside what is covered count, too
         box = ivec4(max(box.xy - 2, ivec2(0)), min(box.zw + 2, tile_size));
     }
+#endif
     int width = max(box.z - box.x, 0);
     int pixels = width * max(box.w - box.y, 0);
     vec4 sum = vec4(0.0);
@@ -108,18 +112,21 @@ void main() {
             float y = reading.x;
             float error = min(abs(d - y), clamp_mm);
             sum += y > 0.0 ? vec4(error, 1.0, 0.0, 0.0) : vec4(0.0, 0.0, float(y < 0.0), float(y == 0.0));
-            if (near_sd > 0.0) {
-                float rho = y > 0.0 ? misfit(d, y, 0.0) : misfit_of_other(d, y, reading.y * slope * d);
-                if (y > 0.0 && rho > LOOKS_BESIDE) rho = min(rho, misfit_with_neighbours(y, at, corner));
-                more.x += rho;
-            }
+#if MIXTURE
+            float rho = y > 0.0 ? misfit(d, y, 0.0) : misfit_of_other(d, y, reading.y * slope * d);
+            if (y > 0.0 && rho > LOOKS_BESIDE) rho = min(rho, misfit_with_neighbours(y, at, corner));
+            more.x += rho;
+#endif
             more.y += float(y < 0.0 && -y < d);
             more.z += float(y > 0.0 && abs(d - y) < match_mm);
-        } else if (near_sd > 0.0) {
+        }
+#if MIXTURE
+        else {
             float y = texelFetch(observed, at, 0).x;
             float unexplained = log(1.0 + 1.0 / outlier_at(y));
             if (y > 0.0) more.w += max(0.0, unexplained - misfit_with_neighbours(y, at, corner));
         }
+#endif
     }
     partial[lane] = sum;
     partial_more[lane] = more;
