@@ -42,16 +42,28 @@ def convert(folder: Path, out: Path) -> Path:
         RecordingError: the folder has no images, or an annotation that cannot be read.
         PosetrackError: it cannot be converted.
     """
-    camera, truth = out.with_suffix(".camera.toml"), out.with_suffix(".csv")
+    if posetrack([*conversion(folder, out.parent), str(out), "--overwrite"]):
+        raise PosetrackError(f"{folder}: cannot be converted")
+    return out
+
+
+def conversion(folder: Path, work: Path) -> tuple[str, ...]:
+    """Return the arguments of ``posetrack`` that convert a recording; the file to write follows.
+
+    Args:
+        folder: of the recording.
+        work: folder that gets the camera file and the truth.
+
+    Raises:
+        RecordingError: the folder has no images, or an annotation that cannot be read.
+    """
+    camera, truth = (work / f"{folder.name}{ending}" for ending in (".camera.toml", ".csv"))
     images = sorted(folder.glob("*.png"))
     if not images:
         raise RecordingError("no images", where=folder)
     camera.write_text(camera_toml(images[0]), encoding="utf-8")
     write_truth(truth, [image.name for image in images], read_annotation(folder / "joint.txt"))
-    reading = ["--camera", str(camera), "--fps", f"{RATE_HZ:g}", "--truth", str(truth)]
-    if posetrack(["convert", str(folder), str(out), *reading, "--overwrite"]):
-        raise PosetrackError(f"{folder}: cannot be converted")
-    return out
+    return ("convert", str(folder), "--camera", str(camera), "--fps", f"{RATE_HZ:g}", "--truth", str(truth))
 
 
 def camera_toml(image: Path) -> str:

@@ -70,7 +70,7 @@ def trajectories(path: Path, rows: Mapping[str, Mapping[str, Path]], components:
                 _trajectory(panel, results, component)
                 panel.set_title(title, loc="left", fontsize=9)
         panels[0][0].legend(ncols=3, fontsize=8)
-        _save(figure, path)
+        save(figure, path)
 
 
 def _trajectory(panel: Any, results: Mapping[str, Path], component: Component) -> None:
@@ -99,7 +99,7 @@ def times(path: Path, particles: Sequence[int], milliseconds: Mapping[str, Seque
         panel.set_xlabel("particles")
         panel.set_ylabel("time per frame, ms")
         panel.legend()
-        _save(figure, path)
+        save(figure, path)
 
 
 def differences(
@@ -128,10 +128,11 @@ def differences(
         panel.invert_yaxis()
         panel.set_xlabel(f"difference, {unit}")
         panel.set_title(title, loc="left", fontsize=9)
-        _save(figure, path)
+        save(figure, path)
 
 
-def _save(figure: Any, path: Path) -> None:
+def save(figure: Any, path: Path) -> None:
+    """Write a figure as PNG; the same figure gives the same bytes."""
     figure.tight_layout()
-    figure.savefig(path, metadata={"Software": None})  # the same figure, the same bytes
+    figure.savefig(path, metadata={"Software": None})
     plt.close(figure)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
+from reproduction.processes import run_modules
 from reproduction.unit import Unit
 
 STUDIED = ("pf-printed", "rbpf-printed", "pf-paper", "rbpf-paper", "pf-union", "rbpf-union")
@@ -36,19 +31,12 @@ CONDITIONS = tuple(Condition(motion, speed) for motion in MOTIONS for speed in S
 
 
 def run_units(units: Sequence[Unit], entrants: Sequence[str], out: Path, jobs: int) -> list[str]:
-    """Track all units, so many at a time, and return what went wrong, a line per unit.
-
-    A process per unit: one that fails loses only its own recording. Each draws on one core: software GL
-    gains less from a second core than a second unit does.
-    """
+    """Track all units, so many at a time, and return what went wrong, a line per unit."""
     out.mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor(jobs) as pool:
-        running = {pool.submit(_track, unit, entrants, out): unit for unit in units}
-        done = tqdm(as_completed(running), total=len(running), desc="study", unit="recording", disable=None)
-        return [failure for future in done if (failure := future.result())]
+    return run_modules({unit.name: _command(unit, entrants, out) for unit in units}, jobs, "study")
 
 
-def _track(unit: Unit, entrants: Sequence[str], out: Path) -> str:
+def _command(unit: Unit, entrants: Sequence[str], out: Path) -> list[str]:
     arguments = {
         "motion": unit.motion,
         "speed": unit.speed,
@@ -57,12 +45,7 @@ def _track(unit: Unit, entrants: Sequence[str], out: Path) -> str:
         "entrants": ",".join(entrants),
         "out": out,
     }
-    command = [sys.executable, "-m", "reproduction.unit"]
-    command += [part for name, value in arguments.items() for part in (f"--{name}", str(value))]
-    one_core = dict.fromkeys(("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    ended = subprocess.run(command, env=os.environ | one_core | found, capture_output=True, text=True)
-    if ended.returncode == 0:
-        return ""
-    said = ended.stderr.strip().splitlines()
-    return f"{unit.name}: {said[-1] if said else f'exit code {ended.returncode}'}"
+    return [
+        "reproduction.unit",
+        *(part for name, value in arguments.items() for part in (f"--{name}", str(value))),
+    ]

@@ -37,12 +37,15 @@ class Entrant:
     changes: dict[str, Any]
 
 
+PLAIN = {"filter.proposal": "marginal"}
+"""The paper's question is about sampling from the motion alone."""
 ENTRANTS = {
-    f"{kind}-{cost}": Entrant("hand", {"filter.kind": kind, "observation.cost": cost})
+    f"{kind}-{cost}": Entrant("hand", {"filter.kind": kind, "observation.cost": cost} | PLAIN)
     for kind in ("pf", "rbpf")
     for cost in ("paper", "union")
 } | {f"{kind}-printed": Entrant("hand-paper", {"filter.kind": kind}) for kind in ("pf", "rbpf")}
-"""Filter and cost with all else as in hand.toml; ``printed``: everything as the paper prints it."""
+"""Filter and cost, particles drawn from the motion, all else as in hand.toml; ``printed``: everything as the
+paper prints it."""
 
 
 @dataclass(frozen=True)

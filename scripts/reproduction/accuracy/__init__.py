@@ -1,0 +1,1 @@
+"""What the hand tracker reaches: accuracy, intervals, recovery and speed, per configuration."""

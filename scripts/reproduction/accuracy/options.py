@@ -1,0 +1,86 @@
+"""What the study is asked for, and what every part of it has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from reproduction.accuracy.measuring import Measured
+from reproduction.accuracy.tasks import Task
+
+FIRST_SEED = 201
+"""Seeds from here on were not used for tuning."""
+NO_MESH = ("--set", "output.mesh=none")
+"""Nobody looks at the hands of the study."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is done.
+
+    Attributes:
+        output: folder of everything.
+        seeds: recordings per condition.
+        frames: per synthetic recording.
+        hand_seeds: recordings of each other hand.
+        jobs: processes at a time.
+        kinect: folder of the real Kinect v2 recording; None leaves it out.
+        cvar: folder of the annotated, head-mounted recordings; None leaves them out.
+        mesh: GLB file of a hand; None leaves it out.
+        first_seed: of the recordings; others than the default's are for trying things out.
+    """
+
+    output: Path
+    seeds: int = 20
+    frames: int = 300
+    hand_seeds: int = 3
+    jobs: int = 1
+    kinect: Path | None = None
+    cvar: Path | None = None
+    mesh: Path | None = None
+    first_seed: int = FIRST_SEED
+
+    @property
+    def runs(self) -> Path:
+        """Where results lie."""
+        return self.output / "runs"
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What was reached of what was asked for, filled in by the parts of the study."""
+
+    rows: list[tuple[str, str, str, str]] = field(default_factory=list)
+
+    def add(self, what: str, target: str, measured: str, reached: bool | None) -> None:
+        """Keep a figure: what it is, what was asked for, what came out; None where nothing was measured."""
+        said = {True: "reached", False: "**missed**", None: "not measured"}[reached]
+        self.rows.append((what, target, measured, said))
+
+
+class Part(Protocol):
+    """One part of the study: the recordings it needs, and what it says about their results."""
+
+    name: str
+
+    def tasks(self, options: Options) -> list[Task]:
+        """What has to be tracked."""
+
+    def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
+        """The report, in Markdown; figures go to ``options.output``."""
+
+
+def synthetic(
+    options: Options, motion: str, speed: float, seed: int, *more: str, frames: int | None = None
+) -> tuple[str, ...]:
+    """Arguments that make a synthetic recording, with all that the motion usually has around it."""
+    made = {"--motion": motion, "--speed": f"{speed:g}", "--seed": str(seed)}
+    made["--frames"] = str(frames or options.frames)
+    return ("hand", "synth", *(part for pair in made.items() for part in pair), *more, "-o")
+
+
+def seeds(options: Options) -> range:
+    """The seeds of the reported figures."""
+    return range(options.first_seed, options.first_seed + options.seeds)

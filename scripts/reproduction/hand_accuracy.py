@@ -1,0 +1,151 @@
+"""What the hand tracker reaches, per configuration, on seeds that were never used for tuning.
+
+Usage: scripts/reproduce hand-accuracy [-o out/hand-accuracy] [--seeds 20] [--kinect FOLDER] [--cvar FOLDER]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import click
+
+from posetrack_cli import __version__
+from posetrack_cli.errors import EXIT_DATA_LOST
+from posetrack_cli.evaluation.reports.json_report import finite
+from posetrack_cli.rendering.context import describe, open_context
+from reproduction.accuracy.filters import Filters
+from reproduction.accuracy.measuring import Measured, table
+from reproduction.accuracy.options import FIRST_SEED, Options, Part, Targets
+from reproduction.accuracy.other_hands import OtherHands
+from reproduction.accuracy.own_model import OwnModel
+from reproduction.accuracy.real import HeadMounted, Kinect
+from reproduction.accuracy.speed import Speed
+from reproduction.accuracy.tasks import Task
+from reproduction.processes import run_modules
+
+PARTS: tuple[Part, ...] = (Speed(), OwnModel(), Filters(), OtherHands(), Kinect(), HeadMounted())
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+QUICK_SEEDS, QUICK_FRAMES = 2, 20
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "-o", "--output", default=Path("out/hand-accuracy"), type=click.Path(path_type=Path), show_default=True
+)
+@click.option(
+    "--seeds", default=20, show_default=True, type=click.IntRange(1), help="Recordings per condition."
+)
+@click.option(
+    "--frames", default=300, show_default=True, type=click.IntRange(2), help="Frames per recording."
+)
+@click.option(
+    "--hand-seeds", default=3, show_default=True, type=click.IntRange(1), help="Recordings per hand."
+)
+@click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1))
+@click.option("--kinect", type=FOLDER, help="Folder of the real Kinect v2 recording.")
+@click.option("--cvar", type=FOLDER, help="Folder with the head-mounted recordings P1 and P4.")
+@click.option(
+    "--hand-mesh", "mesh", type=click.Path(path_type=Path, exists=True), help="GLB of one more hand."
+)
+@click.option(
+    "--only",
+    "chosen",
+    multiple=True,
+    type=click.Choice([part.name for part in PARTS]),
+    help="Do this part alone; repeatable.",
+)
+@click.option(
+    "--first-seed",
+    default=FIRST_SEED,
+    show_default=True,
+    type=click.IntRange(0),
+    help="Of the recordings; smaller ones are for trying things out.",
+)
+@click.option("--quick", is_flag=True, help=f"Try it out: {QUICK_SEEDS} recordings of {QUICK_FRAMES} frames.")
+def main(
+    output: Path,
+    seeds: int,
+    frames: int,
+    hand_seeds: int,
+    jobs: int,
+    kinect: Path | None,
+    cvar: Path | None,
+    mesh: Path | None,
+    chosen: tuple[str, ...],
+    first_seed: int,
+    quick: bool,
+) -> None:
+    """Measure accuracy, intervals, recovery and speed; everything goes to the output folder, report.md tells.
+
+    Tracks that the same code made with the same arguments are kept: an interrupted study goes on where it
+    stopped. Times are measured first, with one run at a time.
+    """
+    if quick:
+        seeds, frames, hand_seeds = QUICK_SEEDS, QUICK_FRAMES, 1
+    kinect, cvar, mesh = (path and path.resolve() for path in (kinect, cvar, mesh))
+    options = Options(output, seeds, frames, hand_seeds, jobs, kinect, cvar, mesh, first_seed)
+    options.runs.mkdir(parents=True, exist_ok=True)
+    parts = [part for part in PARTS if not chosen or part.name in chosen]
+    failures = [line for part in parts for line in _track(part, options)]
+    _report(parts, options, failures)
+    click.echo(f"written: {output / 'report.md'}")
+    if failures:
+        click.echo(f"{len(failures)} recordings failed, first {failures[0]}", err=True)
+        sys.exit(EXIT_DATA_LOST)
+
+
+def _track(part: Part, options: Options) -> list[str]:
+    """Track what a part needs; times are taken with nothing else running."""
+    jobs = 1 if part.name == Speed.name else options.jobs
+    commands = {task.name: _command(task, options) for task in part.tasks(options)}
+    return run_modules(commands, jobs, part.name, one_core=part.name != Speed.name) if commands else []
+
+
+def _command(task: Task, options: Options) -> list[str]:
+    return ["reproduction.accuracy.tasks", task.text, str(options.runs)]
+
+
+def _report(parts: Sequence[Part], options: Options, failures: Sequence[str]) -> None:
+    measured, targets = Measured(options.runs), Targets()
+    body = [line for part in parts for line in part.lines(options, measured, targets)]
+    lines = [*_head(options), *_summary(targets), *body, *_failed(failures)]
+    (options.output / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = {"targets": targets.rows, "figures": measured.everything, "failures": list(failures)}
+    text = json.dumps(finite(found), indent=1, ensure_ascii=False) + "\n"
+    (options.output / "accuracy.json").write_text(text, encoding="utf-8")
+
+
+def _head(options: Options) -> Iterable[str]:
+    context = open_context()
+    renderer = str(describe(context))
+    context.release()
+    yield "# What the hand tracker reaches"
+    yield ""
+    kept = ", none of them used for tuning" if options.first_seed >= FIRST_SEED else ""
+    last = options.first_seed + options.seeds - 1
+    yield (
+        f"posetrack {__version__}; seeds {options.first_seed} to {last}{kept}; "
+        f"{os.cpu_count()} cores; renderer: {renderer}."
+    )
+    yield ""
+
+
+def _summary(targets: Targets) -> Iterable[str]:
+    yield "## Asked for and reached"
+    yield ""
+    yield from table(("", "asked for", "measured", ""), targets.rows)
+
+
+def _failed(failures: Sequence[str]) -> Iterable[str]:
+    if failures:
+        yield f"{len(failures)} recordings failed and are left out:"
+        yield ""
+        yield from (f"- {failure}" for failure in failures)
+
+
+if __name__ == "__main__":
+    main()
