@@ -106,26 +106,25 @@ void main() {
     for (int i = lane; i < pixels; i += LANES) {
         ivec2 at = box.xy + ivec2(i % width, i / width);
         float inverse = texelFetch(atlas, corner + at, 0).x;
+        vec2 reading = texelFetch(observed, at, 0).xy;
+        float y = reading.x;
         if (inverse > 0.0) {
             float d = near_mm / inverse;
-            vec2 reading = texelFetch(observed, at, 0).xy;
-            float y = reading.x;
             float error = min(abs(d - y), clamp_mm);
             sum += y > 0.0 ? vec4(error, 1.0, 0.0, 0.0) : vec4(0.0, 0.0, float(y < 0.0), float(y == 0.0));
-#if MIXTURE
-            float rho = y > 0.0 ? misfit(d, y, 0.0) : misfit_of_other(d, y, reading.y * slope * d);
-            if (y > 0.0 && rho > LOOKS_BESIDE) rho = min(rho, misfit_with_neighbours(y, at, corner));
-            more.x += rho;
-#endif
             more.y += float(y < 0.0 && -y < d);
             more.z += float(y > 0.0 && abs(d - y) < match_mm);
         }
 #if MIXTURE
-        else {
-            float y = texelFetch(observed, at, 0).x;
-            float unexplained = log(1.0 + 1.0 / outlier_at(y));
-            if (y > 0.0) more.w += max(0.0, unexplained - misfit_with_neighbours(y, at, corner));
-        }
+        bool drawn = inverse > 0.0;
+        if (!drawn && y <= 0.0) continue;
+        float d = drawn ? near_mm / inverse : y;
+        float alone = !drawn ? log(1.0 + 1.0 / outlier_at(y))
+                    : y > 0.0 ? misfit(d, y, 0.0) : misfit_of_other(d, y, reading.y * slope * d);
+        float rho = alone;
+        if (y > 0.0 && alone > LOOKS_BESIDE) rho = min(rho, misfit_with_neighbours(y, at, corner));
+        more.x += drawn ? rho : 0.0;
+        more.w += drawn ? 0.0 : alone - rho;
 #endif
     }
     partial[lane] = sum;
