@@ -21,6 +21,9 @@ _APART_MM, _MOST_ACROSS = 3.5, 240
 _NEAREST_PERCENT, _SPARSE = 10.0, 4
 _FORESHORTENED = 0.2
 _MOST_SHARED = 0.2
+_AS_LIKELY = 0.85
+_STEPS_OUTWARDS = 3
+_SURE, _SAME_PALM_MM = 0.9, 60.0
 _REACH_OF_RADIUS = 3.4
 """A large hand reaches farther: so many radii of its palm."""
 _SHORTEST_FROM_PALM_MM, _LONGEST_FROM_PALM_MM = 60.0, 130.0
@@ -85,16 +88,31 @@ def detect(
     tile = (sampler or PixelSampler(camera)).sample(depth, window)
     tile[tile > settings.farthest_mm + settings.reach_mm] = 0.0
     surfaces = surfaces_of(tile, window, camera, settings.steepest)
-    found = [_better(surfaces, place, settings) for place in palm_pixels(surfaces, settings).tolist()]
+    found: list[_Candidate] = []
+    for place in palm_pixels(surfaces, settings).tolist():
+        if not any(_is_of(surfaces, place, candidate) for candidate in found):
+            found.append(_better(surfaces, place, settings))
     likely = sorted((c for c in found if c.score >= settings.least_score), key=lambda c: -c.score)
+    kept = _one_of_each_hand(surfaces, likely, settings)
+    return sorted(kept, key=lambda d: float(d.palm[2]))
+
+
+def _one_of_each_hand(
+    surfaces: Surfaces, likely: list[_Candidate], settings: DetectionSettings
+) -> list[Detection]:
+    """One detection of each hand: of places on one limb that are about as likely, the widest is its palm."""
     kept: list[Detection] = []
+    best_score: list[float] = []
     for candidate in likely:
         detection = _detection(surfaces, candidate)
-        if all(_are_two(detection, other, settings) for other in kept):
-            kept.append(detection)
-        if len(kept) == settings.most_hands:
-            break
-    return sorted(kept, key=lambda d: float(d.palm[2]))
+        same = [k for k, other in enumerate(kept) if not _are_two(detection, other, settings)]
+        if not same:
+            if len(kept) < settings.most_hands:
+                kept.append(detection)
+                best_score.append(detection.score)
+        elif len(same) == 1 and detection.score >= _AS_LIKELY * best_score[same[0]]:
+            kept[same[0]] = max(kept[same[0]], detection, key=lambda d: d.palm_radius_mm)
+    return kept
 
 
 def coarse_window(depth: ImageArray, camera: Camera, settings: DetectionSettings) -> Window:
@@ -116,14 +134,25 @@ class _Candidate:
     arm: FloatArray | None  # from elbow to wrist
 
 
+def _is_of(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
+    """Whether a place is on the palm of what is surely a hand: it need not be looked at once more."""
+    if candidate.score < _SURE:
+        return False
+    return float(np.linalg.norm(surfaces.points[*place] - candidate.region.palm)) < _SAME_PALM_MM
+
+
 def _better(surfaces: Surfaces, place: list[int], settings: DetectionSettings) -> _Candidate:
-    """The hand at a place, or farther out on the same limb, whichever is more like one."""
+    """The hand at a place, or farther out on the same limb if that is about as much like one."""
     here = _candidate(surfaces, place, settings)
-    outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
-    if outwards is None:
-        return here
-    there = _candidate(surfaces, outwards, settings)
-    return max(here, there, key=lambda candidate: candidate.score)
+    for _ in range(_STEPS_OUTWARDS):
+        outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
+        if outwards is None:
+            break
+        there = _candidate(surfaces, outwards, settings)
+        if there.score < _AS_LIKELY * here.score:
+            break
+        here = there
+    return here
 
 
 def _candidate(surfaces: Surfaces, place: list[int], settings: DetectionSettings) -> _Candidate:

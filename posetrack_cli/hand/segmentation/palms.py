@@ -24,6 +24,7 @@ from posetrack_cli.rendering.window import Window
 _BESIDE_PX = 5
 """Missing readings part a surface from one behind it by so many pixels about."""
 _BEHIND_JUMPS = 3.0
+_SPREAD_MM = 25.0
 _APART_MM = 12.0
 """Discs closer together than this are one place."""
 
@@ -68,8 +69,9 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: f
     count, numbers = surface_labels(whole, jump)
     sizes = np.bincount(numbers.ravel(), minlength=count)
     inside = ((whole > 0) & ~rims(whole, jump)).astype(np.uint8)
-    # a rim belongs half to its surface
-    radius = (cv2.distanceTransform(inside, cv2.DIST_L2, 3) + 0.5) * apart
+    # without any rim the distance to one is as large as floats can be
+    to_rim = np.minimum(cv2.distanceTransform(inside, cv2.DIST_L2, 3), max(depth.shape))
+    radius = (to_rim + 0.5) * apart  # a rim belongs half to its surface
     radius[whole <= 0] = 0.0
     behind = nearest_around(whole, _BESIDE_PX) < whole - _BEHIND_JUMPS * jump
     return Surfaces(window, whole, points_of(whole, window, camera), numbers, sizes, behind, radius, apart)
@@ -88,6 +90,23 @@ def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
         return np.empty((0, 2), dtype=np.int64)
     size = 2 * max(1, round(_APART_MM / float(np.median(surfaces.pixel_mm[fits])))) + 1
     around = cv2.dilate(radius, np.ones((size, size), np.uint8))
-    rows, columns = np.nonzero(fits & (radius >= around))
-    order = np.argsort(depth[rows, columns], kind="stable")
-    return np.stack([rows, columns], axis=1)[order][: settings.most_places]
+    maxima = np.argwhere(fits & (radius >= around))
+    places = _spread_out(maxima, surfaces)
+    order = np.argsort(depth[places[:, 0], places[:, 1]], kind="stable")
+    return np.asarray(places[order][: settings.most_places], dtype=np.int64)
+
+
+def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:
+    """Of places (K, 2) closer together than a palm's parts the one with the widest disc.
+
+    The middle of an arm as wide everywhere is one maximum beside the other.
+    """
+    rows, columns = maxima.T
+    points = surfaces.points[rows, columns]
+    left = np.argsort(-surfaces.radius[rows, columns], kind="stable")
+    chosen = []
+    while left.size:
+        chosen.append(left[0])
+        offset = points[left] - points[left[0]]
+        left = left[np.einsum("ij,ij->i", offset, offset) >= _SPREAD_MM**2]
+    return maxima[chosen]
