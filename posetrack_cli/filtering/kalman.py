@@ -177,7 +177,8 @@ def kalman_smooth(filtered: Gaussian, later: Gaussian, transition: FloatArray, n
         noise: Q.
     """
     predicted = kalman_predict(filtered, transition, noise)
-    gain = np.linalg.solve(predicted.covariance, transition @ filtered.covariance).T
+    frozen = np.diag(np.diag(predicted.covariance) <= 0.0)  # what never varies has no covariance, and no gain
+    gain = np.linalg.solve(predicted.covariance + frozen, transition @ filtered.covariance).T
     covariance = filtered.covariance + gain @ (later.covariance - predicted.covariance) @ gain.T
     return Gaussian(filtered.mean + gain @ (later.mean - predicted.mean), covariance)
 

@@ -1,43 +1,20 @@
-"""The marginalised particle smoother: what all frames, also the later ones, say about each.
-
-Backward simulation for mixed linear and nonlinear models (Lindsten, Bunch, Saerkkae, Schoen and Godsill
-2016): M trajectories of poses are drawn from the last frame to the first, among the particles that the filter
-had. The velocity is never drawn. What a trajectory's later poses say about the velocity v at its first is
-
-    p(x_{t+1}, ..., x_T | x_t, v) proportional to exp(lambda v - Omega v^2 / 2)        per component
-
-in which Omega is the same for all trajectories, as P is for all particles. A trajectory at frame t + 1 comes
-from particle i at t with a probability proportional to
-
-    w_i N(z_i; dt v_i, N) exp((lambda v'_i - Omega v'_i^2 / 2) / (1 + Omega P'))
-
-with z_i = x_{t+1} (-) x_i, v'_i = v_i + L (z_i - dt v_i), and N, L, P' of (55)-(57). One frame earlier, with
-A, B, C of `step_noise`, a = 1 - dt B / A, b = B / A and r = 1 / (1 + Omega (C - B^2 / A)),
-
-    Omega <- dt^2 / A + a^2 r Omega            lambda <- dt z / A + a r (lambda - Omega b z)
-
-A frame's estimate is the mean over all pairs of trajectory and particle, not only over those drawn. Joint
-limits are not known to the smoother, nor how a particle was proposed: only its weight.
-"""
+"""What a backward pass over a filter's states yields, and what a run expects of any smoother."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.filtering.errors import FilterError, check_time_step
-from posetrack_cli.filtering.kalman import VelocityGain, step_noise, velocity_gain
-from posetrack_cli.filtering.laplace import precisions
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.marginal import MarginalState
-from posetrack_cli.filtering.model import Dynamics, StateSpace
-from posetrack_cli.filtering.posterior import pose_moments, velocity_moments
-from posetrack_cli.filtering.resampling import resample
-from posetrack_cli.filtering.weights import effective_count, normalise
+from posetrack_cli.filtering.model import Dynamics
+from posetrack_cli.filtering.particle import ParticleState
 
-SMALLEST_SHARE = 1e-12
-"""Of the increment's variance that is pose noise, at the least: no step tells the velocity exactly."""
+Memory: TypeAlias = Mapping[str, FloatArray]
+"""What a smoother keeps of one frame: arrays of the same names and shapes at every frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,136 +24,44 @@ class Smoothed:
     Attributes:
         pose: (S,) mean.
         pose_variance: (D,) about it, in the tangent space.
-        velocity: (D,) mean.
+        velocity: (D,) mean; zeros of a filter without velocity.
         velocity_variance: (D,).
-        effective_sample_size: 1 / sum w^2 of the filter's particles, as the later frames weigh them.
     """
 
     pose: FloatArray
     pose_variance: FloatArray
     velocity: FloatArray
     velocity_variance: FloatArray
-    effective_sample_size: float
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectories:
-    """M equally likely continuations of the past, known from one frame to the last.
+class Smoother(Protocol):
+    """A backward pass: each frame is remembered on the way forward, and smoothed on the way back."""
 
-    Attributes:
-        poses: (M, S) at the first of these frames.
-        velocity_information: (D,) Omega, and
-        velocity_vectors: (M, D) lambda: what the later poses say about the velocity at that frame.
-    """
+    def remember(self, state: ParticleState | MarginalState) -> Memory:
+        """Return what to keep of the filter's state after a frame."""
+        ...
 
-    poses: FloatArray
-    velocity_information: FloatArray
-    velocity_vectors: FloatArray
+    def begin(self, last: Memory) -> Smoothed:
+        """Start from a chain's last frame; there smoothed and filtered are the same."""
+        ...
 
+    def back(self, memory: Memory, dt: float) -> Smoothed:
+        """Go on to the frame that was dt seconds, as the filter was given them, before the one smoothed last.
 
-def begin_backward(
-    last: MarginalState, count: int, space: StateSpace, rng: np.random.Generator
-) -> tuple[Trajectories, Smoothed]:
-    """Draw the trajectories' ends from the filter's last state; there smoothed and filtered are the same.
-
-    Args:
-        last: the filter after the last frame.
-        count: M.
-        space: the poses' space.
-        rng: source of randomness.
-
-    Raises:
-        FilterError: count < 1.
-    """
-    weights = normalise(last.log_weights)[0]
-    poses = last.poses[resample("systematic", weights, rng, count)]
-    nothing = np.zeros((count, last.velocity_variance.size))
-    velocity = velocity_moments(last.velocities, last.velocity_variance, weights)
-    smoothed = Smoothed(*pose_moments(space, last.poses, weights), *velocity, effective_count(weights))
-    return Trajectories(poses, nothing[0], nothing), smoothed
+        Raises:
+            FilterError: dt is not > 0.
+        """
+        ...
 
 
-def backward_step(
-    state: MarginalState,
-    later: Trajectories,
-    dt: float,
-    dynamics: Dynamics,
-    space: StateSpace,
-    rng: np.random.Generator,
-) -> tuple[Trajectories, Smoothed]:
-    """Continue trajectories to the frame before.
-
-    Args:
-        state: the filter after that frame.
-        later: the trajectories from the next frame on.
-        dt: time between the two, s, as the filter was given it.
-        dynamics: those of the filter.
-        space: the poses' space.
-        rng: source of randomness.
-
-    Raises:
-        FilterError: dt is not > 0, or no particle of the frame can have been before any of the next.
-    """
-    check_time_step(dt)
-    P = state.velocity_variance
-    gain = velocity_gain(P, dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
-    increments = space.local(state.poses, later.poses[:, None])
-    shares = _shares(state, later, increments, dt, gain, space)
-    information, vectors = _velocity_before(later, increments, dt, dynamics, gain)
-    weights = shares.mean(axis=0)
-    variance = P / (1.0 + P * information)
-    means = (state.velocities + P * vectors) / (1.0 + P * information)
-    pairs = shares.ravel() / len(shares)
-    velocity = velocity_moments(means.reshape(pairs.size, -1), variance, pairs)
-    smoothed = Smoothed(*pose_moments(space, state.poses, weights), *velocity, effective_count(weights))
-    chosen = _choose(shares, rng)
-    rows = np.arange(len(chosen))
-    return Trajectories(state.poses[chosen], information, vectors[rows, chosen]), smoothed
+def with_velocity(state: ParticleState | MarginalState, dimension: int) -> MarginalState:
+    """Return the state of a filter without velocity as one whose velocity (D,) is known to be 0."""
+    if isinstance(state, MarginalState):
+        return state
+    still = np.zeros((len(state.poses), dimension))
+    return MarginalState(state.poses, still, np.zeros(dimension), state.log_weights)
 
 
-def _shares(
-    state: MarginalState,
-    later: Trajectories,
-    increments: FloatArray,
-    dt: float,
-    gain: VelocityGain,
-    space: StateSpace,
-) -> FloatArray:
-    """Return (M, N): the probability that trajectory j comes from particle i; rows sum to 1."""
-    unexpected = increments - dt * state.velocities
-    log_shares = state.log_weights - space.log_volume(increments)
-    log_shares -= 0.5 * np.square(unexpected) @ precisions(gain.increment_variance, state.poses)
-    information = later.velocity_information
-    velocities = state.velocities + gain.gain * unexpected
-    told = (later.velocity_vectors[:, None] - 0.5 * information * velocities) * velocities
-    log_shares += told @ (1.0 / (1.0 + information * gain.variance))
-    largest = log_shares.max(axis=1, keepdims=True)
-    if not np.all(np.isfinite(largest)):
-        raise FilterError("no particle can have been before the next frame's", found="weights zero or NaN")
-    shares: FloatArray = np.exp(log_shares - largest)
-    shares /= shares.sum(axis=1, keepdims=True)
-    return shares
-
-
-def _velocity_before(
-    later: Trajectories, increments: FloatArray, dt: float, dynamics: Dynamics, gain: VelocityGain
-) -> tuple[FloatArray, FloatArray]:
-    """Return Omega (D,) and, for each pair, lambda (M, N, D) one frame earlier."""
-    A, B, C = step_noise(dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
-    frozen = gain.increment_variance <= 0.0
-    A = np.where(frozen, 1.0, np.maximum(A, SMALLEST_SHARE * gain.increment_variance))
-    told = np.where(frozen, 0.0, dt / A)
-    b = np.where(frozen, 0.0, B / A)
-    a = 1.0 - dt * b
-    wander = 1.0 / (1.0 + later.velocity_information * (C - b * B))
-    information = later.velocity_information * wander
-    vectors = (a * wander * later.velocity_vectors)[:, None] + (told - a * b * information) * increments
-    return dt * told + a**2 * information, vectors
-
-
-def _choose(shares: FloatArray, rng: np.random.Generator) -> IntArray:
-    """Return for each row of shares (M, N) an index, drawn independently."""
-    cumulative = np.cumsum(shares, axis=1)
-    queries = rng.random((len(shares), 1)) * cumulative[:, -1:]  # below the last, so that some exceeds it
-    chosen: IntArray = np.argmax(cumulative > queries, axis=1).astype(np.int64, copy=False)
-    return chosen
+def noise_of(dynamics: Dynamics, moving: bool) -> Dynamics:
+    """Return the noise that a filter had: without velocity none of the velocity's wandering."""
+    return dynamics if moving else replace(dynamics, velocity_noise=np.zeros_like(dynamics.velocity_noise))

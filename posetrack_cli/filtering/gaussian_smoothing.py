@@ -1,0 +1,135 @@
+"""The Gaussian smoother: each frame's particles as one Gaussian of pose and velocity, and one pass backward.
+
+Rauch, Tung and Striebel's smoother (1965) over the filter's moments. For a linear-Gaussian model it is exact
+as the number of particles grows. Of several modes it keeps the mean and the spread: where the filter doubted,
+the spread is wide, the gain close to 1, and the mean follows the frames that knew.
+
+It moves the mean to where the smoothed pose is. A particle smoother has to find it among the filter's
+particles, and in 21 dimensions next to none of 256 lies there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_smooth
+from posetrack_cli.filtering.marginal import MarginalState
+from posetrack_cli.filtering.model import Dynamics, StateSpace
+from posetrack_cli.filtering.particle import ParticleState
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, noise_of, with_velocity
+from posetrack_cli.filtering.weights import effective_count, normalise
+
+
+@dataclass(frozen=True, eq=False)
+class StateGaussian:
+    """Mean pose (S,) and velocity (D,), and the covariance (2D, 2D) of both in the mean's tangent space."""
+
+    pose: FloatArray
+    velocity: FloatArray
+    covariance: FloatArray
+
+    @property
+    def smoothed(self) -> Smoothed:
+        """Means and variances."""
+        pose_variance, velocity_variance = np.split(np.diag(self.covariance), 2)
+        return Smoothed(self.pose, pose_variance, self.velocity, velocity_variance)
+
+
+class GaussianSmoother:
+    """The backward pass as a `Smoother`; it remembers the moments of each frame.
+
+    Args:
+        dynamics: those of the filter.
+        space: the poses' space.
+        moving: whether the filter has a velocity.
+    """
+
+    def __init__(self, dynamics: Dynamics, space: StateSpace, moving: bool = True) -> None:
+        self._dynamics, self._space = noise_of(dynamics, moving), space
+        self._later: StateGaussian | None = None
+
+    def remember(self, state: ParticleState | MarginalState) -> Memory:
+        """Return the moments; see `Smoother`."""
+        return vars(state_gaussian(with_velocity(state, self._dynamics.pose_noise.size), self._space))
+
+    def begin(self, last: Memory) -> Smoothed:
+        """Start from a chain's last frame; see `Smoother`."""
+        self._later = StateGaussian(**last)
+        return self._later.smoothed
+
+    def back(self, memory: Memory, dt: float) -> Smoothed:
+        """Go on to the frame before; see `Smoother`."""
+        if self._later is None:
+            raise FilterError("a backward pass begins with the last frame")
+        self._later = smooth_gaussian(StateGaussian(**memory), self._later, dt, self._dynamics, self._space)
+        return self._later.smoothed
+
+
+def state_gaussian(state: MarginalState, space: StateSpace) -> StateGaussian:
+    """Return the moments of weighted particles, the covariance shrunk as `shrunk` says."""
+    weights = normalise(state.log_weights)[0]
+    pose, velocity = space.mean(state.poses, weights), weights @ state.velocities
+    away = np.hstack([space.local(pose, state.poses), state.velocities - velocity])
+    covariance = shrunk((weights[:, None] * away).T @ away, effective_count(weights))
+    own = np.concatenate([np.zeros_like(velocity), state.velocity_variance])
+    return StateGaussian(pose, velocity, covariance + np.diag(own))
+
+
+def shrunk(covariance: FloatArray, count: float) -> FloatArray:
+    """Return a sample covariance (2D, 2D) with less of what so few samples show by chance.
+
+    Correlations r between different components are multiplied by 1 - rho, those of a component with its own
+    velocity are kept; rho = sum (1 - r^2)^2 / (count - 1) / sum r^2, at most 1 (Schaefer and Strimmer 2005,
+    with the variance that a correlation has in a Gaussian sample).
+
+    Args:
+        covariance: of a weighted sample.
+        count: its effective size.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0.0, sd, 1.0)
+    others = _between_components(len(covariance))
+    squares = np.square(covariance / np.outer(scale, scale))[others]
+    by_chance, found = np.square(1.0 - squares).sum(), max(count - 1.0, 0.0) * squares.sum()
+    rho = 1.0 if found <= by_chance else by_chance / found
+    return np.where(others, (1.0 - rho) * covariance, covariance)
+
+
+def smooth_gaussian(
+    filtered: StateGaussian, later: StateGaussian, dt: float, dynamics: Dynamics, space: StateSpace
+) -> StateGaussian:
+    """Smooth one frame, in the tangent space of its filtered mean.
+
+    The smoothed covariance is taken for that in the tangent space of the smoothed mean, which neglects terms
+    of the order of the angle between the two.
+
+    Args:
+        filtered: the filter's belief after the frame.
+        later: the smoothed belief of the next one.
+        dt: time between the two, s.
+        dynamics: those of the filter.
+        space: the poses' space.
+
+    Raises:
+        FilterError: dt is not > 0.
+    """
+    noise = dynamics.pose_noise, dynamics.velocity_noise
+    F, Q = constant_velocity(*noise, dt, dynamics.discretisation)
+    here = Gaussian(
+        np.concatenate([np.zeros_like(filtered.velocity), filtered.velocity]), filtered.covariance
+    )
+    offset = np.concatenate([space.local(filtered.pose, later.pose), later.velocity])
+    smoothed = kalman_smooth(here, Gaussian(offset, later.covariance), F, Q)
+    moved, velocity = np.split(smoothed.mean, 2)
+    return StateGaussian(space.retract(filtered.pose[None], moved[None])[0], velocity, smoothed.covariance)
+
+
+def _between_components(size: int) -> BoolArray:
+    """Return (2D, 2D): whether an entry of the covariance is of two different components."""
+    component = np.arange(size) % (size // 2)
+    different: BoolArray = component[:, None] != component
+    return different
