@@ -1,0 +1,147 @@
+"""Bundle adjustment: the shape that all frames share, and the pose of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.anatomy import TANGENT_SIZE
+from posetrack_cli.hand.calibration.residuals import FrameRows, vertex_moves
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.model import HandMaker, HandModel
+from posetrack_cli.hand.shape import POPULATION_SD, SHAPE_SIZE, HandShape
+from posetrack_cli.hand.space import HandSpace, inside_limits
+
+Observe = Callable[[int, FloatArray, HandModel], Tile]
+"""Gives the tile of a frame (its place among the chosen ones) for a pose and a hand."""
+
+SHAPE_STEP = 0.01
+"""Of a factor's logarithm, for derivatives: one per cent, a millimetre or so."""
+CORRELATED = 32.0
+"""Residuals per independent one: neighbouring pixels err alike, as noise, skin and segmentation do."""
+LEAST_RESIDUAL_MM = 0.5
+CONVERGED = 0.05
+MOST_SHAPE_STEP, MOST_POSE_STEP = 0.06, np.repeat([15.0, 0.2, 0.3], [3, 3, 15])
+LIMITS = 0.7, 1.4
+_RELAXED_SD = np.repeat([np.inf, np.inf, 0.6], [3, 3, 15])
+_SPACE = HandSpace()
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """What a bundle adjustment found.
+
+    Attributes:
+        shape: of the hand.
+        poses: (F, 22).
+        covariance: (14, 14) of the logarithms of the shape's factors.
+        residual_mm: weighted root mean square of the residuals.
+        iterations: steps taken.
+    """
+
+    shape: HandShape
+    poses: FloatArray
+    covariance: FloatArray
+    residual_mm: float
+    iterations: int
+
+
+def adjusted(
+    maker: HandMaker,
+    side: str,
+    shape: HandShape,
+    poses: FloatArray,
+    observe: Observe,
+    tile_px: int,
+    *,
+    iterations: int = 12,
+    terms: Terms | None = None,
+) -> Bundle:
+    """Minimise the residuals of all frames over shape and poses, by Gauss-Newton.
+
+    The unknowns are theta, the logarithms of the shape's factors, and one tangent vector a frame. The prior of
+    theta is N(0, diag POPULATION_SD^2). With H_f the normal matrix of frame f in blocks of shape s and pose p,
+    the poses are eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement), and the
+    covariance of theta is S^-1.
+
+    Args:
+        maker: makes the hand.
+        side: ``right`` or ``left``.
+        shape: start.
+        poses: (F, 22) start.
+        observe: gives the observations.
+        tile_px: their side.
+        iterations: at most.
+        terms: weights of the residuals.
+    """
+    terms = terms or Terms()
+    rows, theta, poses = FrameRows(terms, tile_px), np.log(shape.factors), poses.copy()
+    covariance, residual, done = np.diag(POPULATION_SD**2), 0.0, 0
+    for done in range(1, iterations + 1):
+        hand, varied = _hands(maker, side, theta)
+        moves = vertex_moves(poses, hand, varied, SHAPE_STEP)
+        frames = [
+            rows.rows(observe(f, pose, hand), pose, hand, move)
+            for f, (pose, move) in enumerate(zip(poses, moves, strict=True))
+        ]
+        residual = _root_mean_square([(frame.residuals, frame.weights) for frame in frames])
+        share = (terms.sigma_mm / max(residual, LEAST_RESIDUAL_MM)) ** 2 / CORRELATED
+        equations = [
+            _with_pose_prior(*frame.normal(share), pose) for frame, pose in zip(frames, poses, strict=True)
+        ]
+        matrix, vector = _reduced(equations, theta)
+        step = np.clip(np.linalg.solve(matrix, vector), -MOST_SHAPE_STEP, MOST_SHAPE_STEP)
+        covariance = np.linalg.inv(matrix)
+        moves = np.array([_pose_step(equation, step) for equation in equations])
+        poses = inside_limits(_SPACE.retract(poses, np.clip(moves, -MOST_POSE_STEP, MOST_POSE_STEP)))
+        theta = np.clip(theta + step, *np.log(LIMITS))
+        if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
+            break
+    return Bundle(HandShape.of_factors(np.exp(theta)), poses, covariance, residual, done)
+
+
+def _hands(maker: HandMaker, side: str, theta: FloatArray) -> tuple[HandModel, list[HandModel]]:
+    """The hand, and the hand with each parameter a step larger."""
+    steps = np.vstack([np.zeros(SHAPE_SIZE), SHAPE_STEP * np.eye(SHAPE_SIZE)])
+    hand, *varied = (maker(side, HandShape.of_factors(np.exp(theta + step))) for step in steps)
+    return hand, varied
+
+
+def _with_pose_prior(
+    matrix: FloatArray, vector: FloatArray, pose: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Add a weak pull of the angles towards a relaxed hand: what no pixel tells keeps still."""
+    precision = 1.0 / _RELAXED_SD**2
+    matrix[range(TANGENT_SIZE), range(TANGENT_SIZE)] += precision + 1e-9
+    vector[6:TANGENT_SIZE] -= precision[6:] * (pose[7:] - 0.2)
+    return matrix, vector
+
+
+def _reduced(
+    equations: Sequence[tuple[FloatArray, FloatArray]], theta: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The normal equations of the shape alone, its prior included."""
+    p, s = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
+    matrix = np.diag(1.0 / POPULATION_SD**2)
+    vector = -theta / POPULATION_SD**2
+    for h, g in equations:
+        carried = np.linalg.solve(h[p, p], np.column_stack([h[p, s], g[p]]))
+        matrix += h[s, s] - h[s, p] @ carried[:, :-1]
+        vector += g[s] - h[s, p] @ carried[:, -1]
+    return matrix, vector
+
+
+def _pose_step(equation: tuple[FloatArray, FloatArray], step: FloatArray) -> FloatArray:
+    """The step of one frame's pose once the shape's is known."""
+    h, g = equation
+    p, s = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
+    return np.asarray(np.linalg.solve(h[p, p], g[p] - h[p, s] @ step))
+
+
+def _root_mean_square(parts: list[tuple[FloatArray, FloatArray]]) -> float:
+    total = sum(float((weights * residuals**2).sum()) for residuals, weights in parts)
+    weight = sum(float(weights.sum()) for _, weights in parts)
+    return float(np.sqrt(total / weight)) if weight else 0.0

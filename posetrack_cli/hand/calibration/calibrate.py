@@ -1,0 +1,208 @@
+"""Calibration of a recording's hand: follow it, choose frames, adjust its shape; twice.
+
+No truth is used. The first time the hand is followed with an average shape; the second time with that which
+was found, so that frames count that could not be followed before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
+from posetrack_cli.hand.calibration.following import Followed, Follower
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fitting.fitter import nearest_pixels
+from posetrack_cli.hand.fitting.raster import View
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.model import HandMaker, HandModel, hand_maker
+from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.recording.base import Frame, Recording
+
+SIDES = ("right", "left")
+TRIED_SCALES = (0.88, 1.0, 1.13)
+TRIAL_FRAMES = 24
+ROUNDS = 2
+NS_PER_S = 10**9
+_FEWEST_FRAMES = 4
+_MOST_COST_OF_MEDIAN = 1.5
+_ROTATION_WEIGHT = 2.0  # of a quaternion's distance beside angles, rad
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """What a calibration depends on besides recording and configuration.
+
+    Attributes:
+        side: ``right`` or ``left``; None to find out.
+        seconds: how much of the recording is looked at, from its start.
+        frames: how many frames the shape is adjusted to.
+        seed: of the scattered starts of fits.
+    """
+
+    side: str | None = None
+    seconds: float = 5.0
+    frames: int = 16
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a calibration found.
+
+    Attributes:
+        side: ``right`` or ``left``.
+        shape: of the hand.
+        sd: (14,) standard deviations of the factors, relative.
+        frames_seen: frames that were looked at.
+        frames_used: frames that the shape was adjusted to.
+        residual_mm: weighted root mean square of their residuals.
+    """
+
+    side: str
+    shape: HandShape
+    sd: FloatArray
+    frames_seen: int
+    frames_used: int
+    residual_mm: float
+
+
+def calibrate(
+    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
+) -> Calibration:
+    """Estimate side, size and proportions of the hand in a recording.
+
+    Args:
+        recording: depth frames.
+        config: of window, segmentation and fits; of its hand only the mesh is read.
+        options: the rest.
+        report: called with what is being done.
+
+    Raises:
+        RecordingError: no frame, or no hand that can be followed in at least four frames.
+        UsageError: the configuration's mesh is no hand that can be used.
+    """
+    frames = _first_seconds(recording, options.seconds)
+    maker, camera = hand_maker(config.hand.mesh), recording.cameras[0]
+    work = _Work(config, camera, maker, recording.path, options)
+    report("which hand, and about how large")
+    side, shape = work.best_start(frames)
+    for attempt in range(ROUNDS):
+        report(f"following the {side} hand, {attempt + 1} of {ROUNDS}")
+        followed = work.follow(frames, side, shape)
+        chosen = work.chosen(followed)
+        report(f"adjusting its shape to {len(chosen)} frames")
+        bundle = work.adjust([frames[k] for k in chosen], followed.poses[chosen], side, shape)
+        shape = bundle.shape
+    sd = np.sqrt(np.diag(bundle.covariance))
+    return Calibration(side, shape, sd, len(frames), len(chosen), bundle.residual_mm)
+
+
+def _first_seconds(recording: Recording, seconds: float) -> list[Frame]:
+    frames = recording.frames(start=0, end=None, stride=1)
+    first = next(frames, None)
+    if first is None:
+        raise RecordingError("holds no frame", where=recording.path)
+    last = first.stamp_ns + int(seconds * NS_PER_S)
+    return [first, *takewhile(lambda frame: frame.stamp_ns <= last, frames)]
+
+
+class _Work:
+    """The parts of a calibration."""
+
+    def __init__(
+        self, config: HandConfig, camera: Camera, maker: HandMaker, path: Path, options: CalibrationOptions
+    ) -> None:
+        self._config, self._camera, self._maker, self._path = config, camera, maker, path
+        self._options = options
+
+    def best_start(self, frames: Sequence[Frame]) -> tuple[str, HandShape]:
+        """The side and scale with which the first frames are followed at the least mean cost."""
+        sides = (self._options.side,) if self._options.side else SIDES
+        tried = {}
+        for side in sides:
+            for scale in TRIED_SCALES:
+                followed = self.follow(frames[:TRIAL_FRAMES], side, HandShape(scale=scale))
+                clamped = np.minimum(followed.costs, self._config.observation.clamp_mm)
+                tried[side, scale] = float(clamped.mean())
+        side, scale = min(tried, key=lambda key: tried[key])
+        return side, HandShape(scale=scale)
+
+    def follow(self, frames: Sequence[Frame], side: str, shape: HandShape) -> Followed:
+        """The poses of a hand in frames."""
+        follower = Follower(self._config, self._maker(side, shape), self._camera)
+        return follower.follow(frames, np.random.default_rng(self._options.seed))
+
+    def chosen(self, followed: Followed) -> IntArray:
+        """Frames that fit well and differ in pose.
+
+        Raises:
+            RecordingError: there are too few.
+        """
+        found = followed.costs[np.isfinite(followed.costs)]
+        limit = _MOST_COST_OF_MEDIAN * float(np.median(found)) if found.size else 0.0
+        good = np.flatnonzero(followed.costs <= limit)
+        if good.size < _FEWEST_FRAMES:
+            raise RecordingError(
+                "no hand that can be followed",
+                where=self._path,
+                found=f"{good.size} of {len(followed.costs)} frames",
+                expected=f"{_FEWEST_FRAMES} or more",
+                hint="choose a recording, or with --seconds a part, that shows one hand well",
+            )
+        return good[spread(followed.poses[good], self._options.frames)]
+
+    def adjust(self, frames: Sequence[Frame], poses: FloatArray, side: str, shape: HandShape) -> Bundle:
+        """The shape and the poses that fit the frames best."""
+        return adjusted(
+            self._maker,
+            side,
+            shape,
+            poses,
+            self._observing(frames),
+            self._config.observation.tile_px,
+            terms=_terms(self._config),
+        )
+
+    def _observing(self, frames: Sequence[Frame]) -> Callable[[int, FloatArray, HandModel], Tile]:
+        def observe(f: int, pose: FloatArray, hand: HandModel) -> Tile:
+            observer = Observer(self._config, hand.anatomy, self._camera, segment=True)
+            observation = observer.observe(frames[f].depth, pose)
+            image = observation.image.astype(np.float64)
+            view = View(*observation.window.tile_projection(self._camera))
+            return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view)
+
+        return observe
+
+
+def _terms(config: HandConfig) -> Terms:
+    """The residuals' weights with the configuration's clamp."""
+    return Terms()._replace(
+        clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight
+    )
+
+
+def spread(poses: FloatArray, count: int) -> IntArray:
+    """Indices of at most ``count`` poses (N, 22) far from each other in angles and orientation, in order.
+
+    Each is the farthest from those chosen before it (Gonzalez 1985); quaternions count by |q . q'|.
+    """
+    chosen = [0]
+    nearest = np.full(len(poses), np.inf)
+    while len(chosen) < min(count, len(poses)):
+        last = poses[chosen[-1]]
+        turned = 1.0 - np.abs(poses[:, 3:7] @ last[3:7])
+        angles = np.linalg.norm(poses[:, 7:] - last[7:], axis=1)
+        nearest = np.minimum(nearest, angles + _ROTATION_WEIGHT * turned)
+        chosen.append(int(nearest.argmax()))
+    return np.array(sorted(set(chosen)))

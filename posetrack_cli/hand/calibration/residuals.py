@@ -1,0 +1,187 @@
+"""Residuals of one frame and their derivatives by the pose and by the shape.
+
+The residuals are those of ``hand.fitting.terms``. There a point of the skin moves with the bones; here it also
+moves with the shape, so derivatives are differences of posed meshes, and rows are made pixel by pixel with
+numpy: a calibration looks at some dozens of frames, not at 20 a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.hand.anatomy import TANGENT_SIZE
+from posetrack_cli.hand.fitting.raster import Drawing, Skin, draw, empty_drawing, skin_of
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.space import HandSpace
+
+POSE_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, 15])
+"""Differences of the tangent vector, mm and rad: the skin moves by about half a millimetre."""
+_SPACE = HandSpace()
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Linearised residuals: e(x + d) = e - J d, with d the tangent vector and the shape's steps.
+
+    Attributes:
+        jacobian: (N, 21 + S).
+        residuals: (N) mm.
+        weights: (N) 1 / mm^2, robust factors included.
+    """
+
+    jacobian: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
+
+    def normal(self, share: float) -> tuple[FloatArray, FloatArray]:
+        """J^T W J and J^T W e, with so large a share of the weights."""
+        weighted = self.jacobian * (share * self.weights)[:, None]
+        return weighted.T @ self.jacobian, weighted.T @ self.residuals
+
+
+class FrameRows:
+    """Makes the rows of frames for hands with the same triangles.
+
+    Args:
+        terms: weights of the residuals.
+        tile_px: side of the observations.
+    """
+
+    def __init__(self, terms: Terms, tile_px: int) -> None:
+        self._terms, self._tile_px = terms, tile_px
+        self._skin: Skin | None = None
+        self._of: HandModel | None = None
+        self._drawing: Drawing | None = None
+
+    def rows(self, tile: Tile, pose: FloatArray, hand: HandModel, moves: FloatArray) -> Rows:
+        """Return the rows of one frame.
+
+        Args:
+            tile: the observation.
+            pose: (22,).
+            hand: the hand in its present shape.
+            moves: (V, 21 + S, 3) of the frame, from ``vertex_moves``.
+        """
+        drawing = self._drawn(tile, pose, hand)
+        if drawing is None:
+            return Rows(np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0))
+        parts = [self._surface(tile, drawing, hand, moves), self._silhouette(tile, drawing, hand, moves)]
+        parts.append(self._unexplained(tile, drawing, moves))
+        return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _drawn(self, tile: Tile, pose: FloatArray, hand: HandModel) -> Drawing | None:
+        if self._of is not hand:
+            self._skin, self._of = skin_of(hand.smooth), hand
+            self._drawing = empty_drawing(self._skin, self._tile_px, self._tile_px)
+        assert self._skin is not None and self._drawing is not None
+        bones = skinning_transforms(hand.anatomy, pose[None])[0].astype(np.float64)
+        return self._drawing if draw(self._skin, bones, tile.projection, self._drawing) else None
+
+    def _surface(
+        self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Projective point to plane: n . (observed - drawn) where both are there and near each other."""
+        terms, z = self._terms, _depth(drawing)
+        distance = tile.image - z
+        there = (drawing.inverse > 0) & (tile.image > 0) & (np.abs(distance) < terms.gate_mm)
+        faces, points = drawing.triangle[there], _points(tile, there, z)
+        normals = drawing.normals[faces]
+        residuals = distance[there] * np.einsum("nk,nk->n", normals, points / points[:, 2:])
+        weights = _robust(residuals, terms.surface_tau_mm) / terms.sigma_mm**2
+        return _along(hand, drawing, moves, faces, points, normals), residuals, weights
+
+    def _silhouette(
+        self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Drawn where a reading lies behind: the way in the image plane to the nearest hand pixel."""
+        terms, z, view = self._terms, _depth(drawing), tile.projection
+        there = (drawing.inverse > 0) & (tile.image < 0) & (-tile.image > z - terms.explained_mm)
+        rows, columns = np.nonzero(there)
+        across = (tile.nearest[0][there] - columns) / view.a * z[there]
+        down = (tile.nearest[1][there] - rows) / view.c * z[there]
+        residuals = np.hypot(across, down)
+        points = _points(tile, there, z)
+        safe = np.maximum(residuals, 1e-9)
+        ways = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
+        ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])  # along the image, not the depth
+        weights = _robust(residuals, terms.silhouette_tau_mm) / terms.sigma_mm**2
+        return _along(hand, drawing, moves, drawing.triangle[there], points, ways), residuals, weights
+
+    def _unexplained(self, tile: Tile, drawing: Drawing, moves: FloatArray) -> tuple[FloatArray, ...]:
+        """Observed where nothing is drawn, or something far from it: the way of the nearest skin to it."""
+        from scipy.spatial import cKDTree
+
+        terms, z = self._terms, _depth(drawing)
+        far = np.abs(tile.image - z) > terms.explained_mm
+        there = (tile.image > 0) & ((drawing.inverse == 0) | far)
+        facing = np.flatnonzero(drawing.facing)
+        if not facing.size or not there.any():
+            return np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0)
+        points = _points(tile, there, tile.image)
+        residuals, nearest = cKDTree(drawing.vertices[facing]).query(points)
+        vertices = facing[nearest]
+        ways = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
+        weights = _robust(residuals, terms.closest_tau_mm) / terms.closest_mm**2
+        return np.einsum("nkc,nc->nk", moves[vertices], ways), residuals, weights
+
+
+def vertex_moves(
+    poses: FloatArray, hand: HandModel, varied: Sequence[HandModel], step: float
+) -> Iterator[FloatArray]:
+    """Yield for each of the poses (F, 22) how fast the posed vertices move: (V, 21 + S, 3).
+
+    Args:
+        poses: of the frames.
+        hand: the hand in its present shape.
+        varied: the hand with each of S shape parameters larger by ``step``.
+        step: in the parameters' units; derivatives are by these.
+    """
+    others = [_posed(other, poses) for other in varied]
+    steps = np.vstack([np.zeros(TANGENT_SIZE), np.diag(POSE_STEPS)])
+    for f, pose in enumerate(poses):
+        here, *there = _posed(hand, _SPACE.retract(np.tile(pose, (TANGENT_SIZE + 1, 1)), steps))
+        by_pose = (np.array(there) - here) / POSE_STEPS[:, None, None]
+        by_shape = np.array([(other[f] - here) / step for other in others]).reshape(-1, *here.shape)
+        yield np.moveaxis(np.concatenate([by_pose, by_shape]), 0, 1)
+
+
+def _posed(hand: HandModel, poses: FloatArray) -> FloatArray:
+    return hand.smooth.posed(skinning_transforms(hand.anatomy, poses).astype(np.float64))
+
+
+def _along(
+    hand: HandModel,
+    drawing: Drawing,
+    moves: FloatArray,
+    faces: IntArray,
+    points: FloatArray,
+    ways: FloatArray,
+) -> FloatArray:
+    """How fast points (N, 3) of triangles (N) move along unit vectors (N, 3): (N, 21 + S)."""
+    corners = hand.smooth.triangles[faces]
+    # barycentric coordinates: the points as combinations of the corners, which no plane through the sensor holds
+    matrix = np.swapaxes(drawing.vertices[corners], 1, 2)
+    shares = np.linalg.solve(matrix, points[..., None])[..., 0]
+    return np.asarray(np.einsum("ni,nikc,nc->nk", shares, moves[corners], ways, optimize=True))
+
+
+def _depth(drawing: Drawing) -> FloatArray:
+    return 1.0 / np.maximum(drawing.inverse, 1e-12)
+
+
+def _points(tile: Tile, there: BoolArray, depth: FloatArray) -> FloatArray:
+    """Points (N, 3) of pixels at a depth image's depths, mm."""
+    rows, columns = np.nonzero(there)
+    view, z = tile.projection, depth[there]
+    return np.stack([(columns + 0.5 - view.b) / view.a * z, (rows + 0.5 - view.d) / view.c * z, z], axis=1)
+
+
+def _robust(residuals: FloatArray, tau: float) -> FloatArray:
+    """Geman and McClure's factor 1 / (1 + (e / tau)^2)^2."""
+    return np.asarray(1.0 / (1.0 + (residuals / tau) ** 2) ** 2)
