@@ -30,6 +30,8 @@ AXES: dict[str, str] = {
     "camera": "in camera axes",
 }
 NO_FRAME = "no constant offset per joint removed: no frame has a truth"
+MOST_MM = 40.0
+"""Two people who mark the same joint differ by less, however thick the finger."""
 _PALM = 0
 
 Turns: TypeAlias = Callable[[slice], FloatArray]
@@ -60,10 +62,11 @@ class JointOffsets:
     @property
     def note(self) -> str:
         """One line for those who read the figures."""
-        x, y, z = np.round(self.offsets.mean(axis=0), 1) + 0.0  # no -0.0
+        largest = float(self.lengths.max())
+        doubt = "; that large they are errors, no convention" if largest > MOST_MM else ""
         return (
             f"one constant offset per joint removed, {AXES[self.frame]}: {self.lengths.mean():.1f} mm on "
-            f"average, up to {self.lengths.max():.1f} mm, all joints together {x:.1f} {y:.1f} {z:.1f} mm"
+            f"average, up to {largest:.1f} mm{doubt}"
         )
 
 

@@ -603,5 +603,5 @@ def test_joints_of_another_convention(tmp_path: Path, capsys: pytest.CaptureFixt
     assert removed["camera"]["mm"]["index_tip"][2] == pytest.approx(12.0, abs=1.0)
     assert evaluate(result, "--truth", tmp_path / "truth.csv", "--joint-offsets", "bone") == 0
     told = capsys.readouterr().out
-    assert "Offsets of the joints removed" in told and "one constant offset per joint removed" in told
+    assert "Joint offsets removed, mm" in told and "one constant offset per joint removed" in told
     assert "index_tip" in told

@@ -14,7 +14,13 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.joint_offsets import AXES, OffsetFrame, bone_of_joints, remove_joint_offsets
+from posetrack_cli.evaluation.joint_offsets import (
+    AXES,
+    JointOffsets,
+    OffsetFrame,
+    bone_of_joints,
+    remove_joint_offsets,
+)
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_NAMES, JOINT_PARENTS, make_anatomy
@@ -145,6 +151,15 @@ def test_a_joint_belongs_to_the_bone_that_ends_in_it() -> None:
     assert [bones[f"little_{joint}"] for joint in ("pip", "dip", "tip")] == [13, 14, 15]
     for name, parent in zip(JOINT_NAMES[1:], JOINT_PARENTS[1:], strict=True):
         assert bones[name] in (0, bones[JOINT_NAMES[parent]] + 1) or bones[JOINT_NAMES[parent]] == 0
+
+
+def test_offsets_too_large_for_a_convention_are_doubted() -> None:
+    small = JointOffsets(("wrist", "thumb_tip"), "palm", np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 15.0]]))
+    assert small.note == (
+        "one constant offset per joint removed, in the palm's axes: 10.0 mm on average, up to 15.0 mm"
+    )
+    large = JointOffsets(("wrist",), "bone", np.array([[0.0, 0.0, -90.0]]))
+    assert large.note.endswith("up to 90.0 mm; that large they are errors, no convention")
 
 
 def test_without_pairs_nothing_is_removed() -> None:

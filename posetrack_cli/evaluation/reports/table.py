@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.evaluation.evaluation import Evaluation, Value
-from posetrack_cli.evaluation.joint_offsets import AXES, JointOffsets
+from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, GROUP_TITLES, HEAD_POSE, metric_of, place_of
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
 from posetrack_cli.recording.losses import loss_line
@@ -17,6 +17,10 @@ from posetrack_cli.recording.losses import loss_line
 ABSENT = "-"
 SPREAD = ("median", "p95", "max")
 SHOWN = tuple(name for name in STATISTIC_NAMES if name != "count")
+
+OFFSETS_TITLE = "Joint offsets removed, mm"
+OFFSET_COLUMNS: tuple[str, ...] = ("x", "y", "z", "length")
+"""Truth minus estimate, in the axes that a note names."""
 
 MOST_NAMES = 4
 """How many results a line below the tables names."""
@@ -98,21 +102,23 @@ def offsets_table(evaluations: Sequence[Evaluation]) -> Table | None:
     removed = {one.name: one.joint_offsets for one in evaluations if one.joint_offsets is not None}
     if not removed:
         return None
-    axes = {AXES[one.frame] for one in removed.values()}
     names = dict.fromkeys(name for one in removed.values() for name in one.names)
-    rows = tuple(Row(name, tuple(_offset_cell(one, name) for one in removed.values())) for name in names)
-    title = (
-        f"Offsets of the joints removed, truth - estimate, x y z (length), mm, {' or '.join(sorted(axes))}"
-    )
-    return Table(title, tuple(removed), (Section("", rows),))
+    cells = {name: [_offset_cells(one, name) for one in removed.values()] for name in names}
+    if len(removed) == 1:
+        columns, rows = OFFSET_COLUMNS, [Row(name, own[0]) for name, own in cells.items()]
+    else:
+        columns = tuple(removed)
+        rows = [Row(name, tuple(" ".join(cell) for cell in own)) for name, own in cells.items()]
+    return Table(OFFSETS_TITLE, columns, (Section("", tuple(rows)),))
 
 
-def _offset_cell(removed: JointOffsets, name: str) -> str:
+def _offset_cells(removed: JointOffsets, name: str) -> tuple[str, ...]:
+    """x, y, z and length."""
     if name not in removed.names:
-        return ABSENT
+        return (ABSENT,) * len(OFFSET_COLUMNS)
     row = removed.names.index(name)
-    x, y, z = np.round(removed.offsets[row], 1) + 0.0  # no -0.0
-    return f"{x:.1f} {y:.1f} {z:.1f} ({removed.lengths[row]:.1f})"
+    values = np.round([*removed.offsets[row], removed.lengths[row]], 1) + 0.0  # no -0.0
+    return tuple(f"{value:.1f}" for value in values)
 
 
 def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:

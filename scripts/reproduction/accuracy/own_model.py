@@ -44,9 +44,9 @@ class OwnModel:
             "Motion C with noise, edges, background, body, forearm, dropped and late frames; "
             f"{options.seeds} recordings of {options.frames} frames per speed. Errors are of the 21 joints "
             "over all frames, lost ones included: mean ± standard deviation over recordings; worst: the "
-            "largest mean of a recording; p95: mean over recordings of each one's 95th percentile. Astray: frames "
-            "whose mean joint error is 20 mm or more, whatever their status. Inside 90 %: share of the 21 pose entries "
-            "within their stated interval. Evaluations: poses rendered per frame."
+            "largest mean of a recording; p95: mean over recordings of each one's 95th percentile. Astray: "
+            "frames whose mean joint error is 20 mm or more, whatever their status. Inside 90 %: share of "
+            "the 21 pose entries within their stated interval. Evaluations: poses rendered per frame."
         )
         yield ""
         for speed in SPEEDS:

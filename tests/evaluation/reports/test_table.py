@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from evaluation_support import hand_evaluation
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, tables
 from posetrack_cli.evaluation.reports.terminal import print_tables
@@ -206,3 +209,23 @@ def test_colours_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     out = Terminal()
     print_tables(tables([evaluation()]), [], out, 80)
     assert "\x1b[" in out.getvalue()
+
+
+def test_offsets_of_joints_have_a_table_of_their_own() -> None:
+    offsets = JointOffsets(("wrist", "thumb_tip"), "bone", np.array([[3.0, -4.0, 0.0], [-0.04, 0.0, 12.06]]))
+    (_, one) = tables([hand_evaluation("a", joint_offsets=offsets)])
+    assert one.columns == ("x", "y", "z", "length")
+    assert [(row.label, row.cells) for row in one.sections[0].rows] == [
+        ("wrist", ("3.0", "-4.0", "0.0", "5.0")),
+        ("thumb_tip", ("0.0", "0.0", "12.1", "12.1")),
+    ]
+    fewer = replace(offsets, names=("wrist",), offsets=offsets.offsets[:1])
+    evaluations = [
+        hand_evaluation("a", joint_offsets=offsets),
+        hand_evaluation("b"),
+        hand_evaluation("c", joint_offsets=fewer),
+    ]
+    (_, several) = tables(evaluations)
+    assert several.columns == ("a", "c")
+    assert several.sections[0].rows[1].cells == ("0.0 0.0 12.1 12.1", "- - - -")
+    assert len(tables([hand_evaluation("a")])) == 1
