@@ -207,6 +207,17 @@ class StatusSettings(Settings):
     lost_after_frames: Annotated[int, Field(ge=1)] = 10
 
 
+class SmoothingSettings(Settings):
+    """How ``--smooth`` goes back over the frames **[ours]**.
+
+    ``gaussian`` smooths each frame's mean and covariance; ``particles`` is backward simulation among the
+    filter's particles with so many trajectories.
+    """
+
+    method: Literal["gaussian", "particles"] = "gaussian"
+    trajectories: Annotated[int, Field(ge=1, le=10_000)] = 64
+
+
 class OutputSettings(Settings):
     """What goes into the result."""
 
@@ -229,4 +240,5 @@ class HandConfig(Settings):
     fit: FitSettings = FitSettings()
     pso: PsoSettings = PsoSettings()
     status: StatusSettings = StatusSettings()
+    smoothing: SmoothingSettings = SmoothingSettings()
     output: OutputSettings = OutputSettings()

@@ -1,0 +1,139 @@
+"""The smoothed track of a hand: what the filter knew at each frame, spooled, and smoothed on the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
+from posetrack_cli.filtering.marginal import MarginalState
+from posetrack_cli.filtering.model import Dynamics
+from posetrack_cli.filtering.particle import ParticleState
+from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
+from posetrack_cli.filtering.smoothing import Smoothed, Smoother
+from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.space import HandSpace, pose_rates
+from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.spool import Array, RecordSpool
+
+STATUSES = tuple(Status)
+KEPT = "filter."
+"""What names of a record begin with that are the smoother's."""
+
+
+class SmoothedTrack:
+    """Remembers every frame of a run and then smooths them, from the last to the first.
+
+        track = SmoothedTrack(path, smoother, anatomy, keep)
+        track.remember(state.particles, estimate, dt, cut)      # each frame
+        track.flush()                                           # before a checkpoint
+        for estimate in track.backward(): ...                   # at the end
+        track.delete()
+
+    A chain of frames is smoothed as one; where the track was found anew another begins. The memory is a file,
+    and what is held of it does not grow with the recording.
+
+    Args:
+        path: of the file, beside the result.
+        smoother: the backward pass.
+        anatomy: the hand.
+        keep: number of frames of an interrupted run that stay.
+
+    Raises:
+        ResultError: here and in every method, when the file cannot be written or read.
+    """
+
+    def __init__(self, path: Path, smoother: Smoother, anatomy: HandAnatomy, keep: int = 0) -> None:
+        self._smoother, self._anatomy = smoother, anatomy
+        self._spool = RecordSpool(path, keep)
+
+    def __len__(self) -> int:
+        return len(self._spool)
+
+    def remember(
+        self, particles: ParticleState | MarginalState, estimate: Estimate, dt: float, cut: bool
+    ) -> None:
+        """Keep what the filter knows after a frame.
+
+        Args:
+            particles: the filter's state.
+            estimate: what was written of it.
+            dt: seconds that the filter advanced by to this frame; 0 if it stood still.
+            cut: whether the state does not follow from the frame before: the first, or one found anew.
+        """
+        about = {
+            "frame_index": estimate.frame_index,
+            "stamp_ns": estimate.stamp_ns,
+            "status": STATUSES.index(estimate.status),
+            "cut": int(cut),
+            "dt": dt,
+            "confidence": float(estimate.confidence),
+        }
+        kept = {f"{KEPT}{name}": values for name, values in self._smoother.remember(particles).items()}
+        self._spool.append({name: np.asarray(value) for name, value in (about | kept).items()})
+
+    def flush(self) -> None:
+        """Wait until everything is on the disk."""
+        self._spool.flush()
+
+    def backward(self) -> Iterator[Estimate]:
+        """Yield the smoothed estimates, the last frame first.
+
+        Status and confidence are those of the filter, which say whether the frame itself was understood.
+        """
+        later, ends, dt = None, True, 0.0
+        for record in reversed(self._spool):
+            memory = {
+                name.removeprefix(KEPT): values for name, values in record.items() if name.startswith(KEPT)
+            }
+            if later is None or ends:
+                later = self._smoother.begin(memory)
+            elif dt > 0.0:  # else the filter stood still, and the two frames have one state
+                later = self._smoother.back(memory, dt)
+            ends, dt = bool(record["cut"]), float(record["dt"])
+            yield self._estimate(record, later)
+
+    def delete(self) -> None:
+        """Remove the file."""
+        self._spool.delete()
+
+    def close(self) -> None:
+        """Let the file lie, for a run that is resumed."""
+        self._spool.close()
+
+    def _estimate(self, record: dict[str, Array], smoothed: Smoothed) -> Estimate:
+        pose = smoothed.pose
+        return Estimate(
+            frame_index=int(record["frame_index"]),
+            stamp_ns=int(record["stamp_ns"]),
+            status=STATUSES[int(record["status"])],
+            confidence=float(record["confidence"]),
+            position=pose[:3],
+            quaternion=pose[3:7],
+            shape=pose[ANGLES],
+            pose_rate=pose_rates(pose, smoothed.velocity),
+            twist=smoothed.velocity,
+            pose_variance=smoothed.pose_variance,
+            twist_variance=smoothed.velocity_variance,
+            points=joint_positions(self._anatomy, pose[None])[0],
+            effective_sample_size=None,
+            resampled=False,
+        )
+
+
+def make_smoother(config: HandConfig, dynamics: Dynamics, rng: np.random.Generator) -> Smoother:
+    """Return the smoother of ``smoothing.method``.
+
+    Args:
+        config: parameters.
+        dynamics: those of the filter.
+        rng: of backward simulation alone, so that filtered estimates do not depend on it.
+    """
+    moving, space = config.filter.kind == "rbpf", HandSpace()
+    if config.smoothing.method == "gaussian":
+        return GaussianSmoother(dynamics, space, moving)
+    return ParticleSmoother(dynamics, space, config.smoothing.trajectories, rng, moving)
