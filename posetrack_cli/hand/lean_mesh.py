@@ -23,12 +23,16 @@ _BENDS = ((0.0, 0.0), (0.8, 0.9), (1.4, 1.6), (0.2, 1.3), (1.3, 0.2))
 _THUMB_SHARE = 0.5  # of the fingers' bends in the thumb's
 
 
-def lean_mesh(anatomy: HandAnatomy) -> SkinnedMesh:
+def lean_mesh(anatomy: HandAnatomy, smooth: SkinnedMesh | None = None) -> SkinnedMesh:
     """Return the skin of an average hand in any shape with ``LEAN_TRIANGLES`` triangles.
 
     All hands have the same triangles and weights, and vertices that are linear in those of the smooth skin.
+
+    Args:
+        anatomy: of ``make_anatomy``.
+        smooth: its ``medium`` mesh, where that is at hand.
     """
-    smooth = hand_mesh(anatomy, "medium")
+    smooth = smooth or hand_mesh(anatomy, "medium")
     mesh = _average_decimation().of(smooth.vertices)
     return (
         SkinnedMesh(mesh.vertices, mesh.weights, mesh.triangles[:, ::-1].copy()) if anatomy.is_left else mesh

@@ -36,7 +36,7 @@ class _Builder:
     def __init__(self) -> None:
         self.vertices: list[FloatArray] = []
         self.weights: list[FloatArray] = []
-        self.triangles: list[tuple[int, int, int]] = []
+        self.faces: list[tuple[int, ...]] = []
 
     def vertex(self, position: FloatArray, weights: dict[int, float]) -> int:
         """Add a vertex and return its index."""
@@ -48,12 +48,12 @@ class _Builder:
         return len(self.vertices) - 1
 
     def quad(self, a: int, b: int, c: int, d: int) -> None:
-        """Add two triangles, split along the shorter diagonal."""
-        across = np.linalg.norm(self.vertices[a] - self.vertices[c])
-        if across <= np.linalg.norm(self.vertices[b] - self.vertices[d]):
-            self.triangles += [(a, b, c), (a, c, d)]
-        else:
-            self.triangles += [(a, b, d), (b, c, d)]
+        """Add two triangles; they meet along the shorter diagonal."""
+        self.faces.append((a, b, c, d))
+
+    def triangle(self, a: int, b: int, c: int) -> None:
+        """Add a triangle."""
+        self.faces.append((a, b, c))
 
     def tube(self, near: list[int], far: list[int]) -> None:
         """Join two rings that run clockwise seen from the far side."""
@@ -65,13 +65,23 @@ class _Builder:
     def fan(self, ring: list[int], apex: int) -> None:
         """Close a ring with a point beyond it."""
         for k in range(len(ring)):
-            self.triangles.append((ring[k], ring[(k + 1) % len(ring)], apex))
+            self.triangle(ring[k], ring[(k + 1) % len(ring)], apex)
 
     def build(self) -> SkinnedMesh:
         """Return the mesh."""
+        triangles = [triangle for face in self.faces for triangle in self._split(face)]
         return SkinnedMesh(
-            np.array(self.vertices), np.array(self.weights), np.array(self.triangles, dtype=np.int64)
+            np.array(self.vertices), np.array(self.weights), np.array(triangles, dtype=np.int64)
         )
+
+    def _split(self, face: tuple[int, ...]) -> list[tuple[int, ...]]:
+        if len(face) == 3:
+            return [face]
+        a, b, c, d = face
+        across = np.linalg.norm(self.vertices[a] - self.vertices[c])
+        if across <= np.linalg.norm(self.vertices[b] - self.vertices[d]):
+            return [(a, b, c), (a, c, d)]
+        return [(a, b, d), (b, c, d)]
 
 
 def hand_mesh(anatomy: HandAnatomy, level: str = "lean") -> SkinnedMesh:
@@ -84,7 +94,7 @@ def hand_mesh(anatomy: HandAnatomy, level: str = "lean") -> SkinnedMesh:
         level: ``lean`` (410 triangles, for the likelihood), ``medium`` (4 times) or ``fine`` (16 times).
     """
     right = _right_anatomy(anatomy)
-    cage = _built_cage(right, _HEXAGON if level == "lean" else 1.0).build().vertices
+    cage = np.array(_built_cage(right, _HEXAGON if level == "lean" else 1.0).vertices)
     topology = _topology(level)
     vertices = anatomy.scale * (cage if topology.refining is None else topology.refining @ cage)
     mesh = SkinnedMesh(vertices, topology.weights, topology.triangles)
@@ -204,9 +214,9 @@ def _finger_bases(builder: _Builder, anatomy: HandAnatomy, last: list[int]) -> l
         if f < 3:
             here, there, web = corners[f], corners[f + 1], webs[f + 1]
             builder.quad(d1, dorsal[2 * f + 2], there[0], here[1])
-            builder.triangles.append((here[1], there[0], web))
+            builder.triangle(here[1], there[0], web)
             builder.quad(palmar[2 * f + 2], p1, here[2], there[3])
-            builder.triangles.append((there[3], here[2], web))
+            builder.triangle(there[3], here[2], web)
     builder.quad(last[_INDEX_SIDE], dorsal[0], corners[0][0], webs[0])
     builder.quad(palmar[0], last[_INDEX_SIDE], webs[0], corners[0][3])
     builder.quad(dorsal[7], last[_LITTLE_SIDE], webs[4], corners[3][1])

@@ -66,7 +66,7 @@ def average_hand(side: str = "right", shape: HandShape | None = None) -> HandMod
     shape = shape or HandShape()
     anatomy = make_anatomy(side, shape.scale, shape.finger_lengths, shape.finger_widths, shape.palm)
     smooth = hand_mesh(anatomy, "medium")
-    return HandModel(anatomy, lean_mesh(anatomy), smooth, partial(hand_mesh, anatomy, "fine"))
+    return HandModel(anatomy, lean_mesh(anatomy, smooth), smooth, partial(hand_mesh, anatomy, "fine"))
 
 
 def _file_hand(path: Path) -> HandMaker:
@@ -80,8 +80,10 @@ def _file_hand(path: Path) -> HandMaker:
     lean = decimated(smooth, LEAN_TRIANGLES, bent_hands(hand.anatomy))
 
     def make(side: str, shape: HandShape) -> HandModel:
-        skins = [reshaped_skin(mesh, hand.anatomy, side, shape) for mesh in (lean, smooth)]
-        whole = partial(reshaped_skin, hand.skin, hand.anatomy, side, shape)
-        return HandModel(reshaped_anatomy(hand.anatomy, side, shape), *skins, whole)
+        def skin(mesh: SkinnedMesh) -> SkinnedMesh:
+            return reshaped_skin(mesh, hand.anatomy, side, shape)
+
+        anatomy = reshaped_anatomy(hand.anatomy, side, shape)
+        return HandModel(anatomy, skin(lean), skin(smooth), partial(skin, hand.skin))
 
     return make
