@@ -3,4 +3,5 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))  # scripts are no package
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1] / "scripts"), str(HERE), str(HERE.parent / "evaluation")]  # no packages

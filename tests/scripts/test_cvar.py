@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from cvar_support import annotated, make_folder
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.evaluation.truth.points_topic import points_topic, points_track
@@ -19,24 +19,6 @@ from reproduction import cvar
 HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 FILE_DIGITS = 5e-4
 """The annotation has three decimals."""
-
-
-def annotated(names: list[str]) -> str:
-    """Joint k of the file at pixel (100 + k, 50 + 2 k), 500 + k mm away."""
-    cells = " ".join(f"{100 + k:.3f} {50 + 2 * k:.3f} {500 + k:.3f}" for k in range(21))
-    return "\n".join([str(len(names)), *(f"./CVAR/P9/{name} {cells} " for name in names)]) + "\n"
-
-
-def make_folder(path: Path, frames: int = 3, width: int = 321) -> Path:
-    path.mkdir()
-    names = [f"{index:06d}_depth.png" for index in range(frames)]
-    for index, name in enumerate(names):
-        image = np.full((240, width), 600 + index, dtype=np.uint16)
-        image[0, 0] = cvar.MISSING
-        image[:, 320:] = 7
-        assert cv2.imwrite(str(path / name), image)
-    (path / "joint.txt").write_text(annotated(names))
-    return path
 
 
 @pytest.mark.parametrize("width", [320, 321])
