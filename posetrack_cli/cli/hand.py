@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
 from posetrack_cli.cli.signals import stop_signals
@@ -38,6 +39,7 @@ def hand() -> None:
     """Track a hand, or make recordings of one."""
 
 
+hand.add_command(hand_calibrate)
 hand.add_command(hand_synth)
 
 

@@ -128,7 +128,7 @@ def _chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, bytes]]:
             raise UsageError(f"GLB file is truncated in its {where} part", where=path, hint="copy it again")
         found.append((kind, chunk))
         position += 8 + length
-    return reversed(found)
+    yield from reversed(found)
 
 
 def _parsed(path: Path, text: bytes) -> dict[str, Any]:

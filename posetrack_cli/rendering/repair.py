@@ -62,7 +62,7 @@ def _proper(triangles: IntArray) -> IntArray:
     a, b, c = triangles.T
     kept = triangles[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
-    return kept[np.sort(first)]
+    return np.asarray(kept[np.sort(first)], dtype=np.int64)
 
 
 def _used(mesh: SkinnedMesh, triangles: IntArray) -> SkinnedMesh:

@@ -25,7 +25,8 @@ CORRELATED = 32.0
 LEAST_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
 MOST_SHAPE_STEP, MOST_POSE_STEP = 0.06, np.repeat([15.0, 0.2, 0.3], [3, 3, 15])
-LIMITS = 0.7, 1.4
+LIMITS = np.log([[0.5, *[0.7] * 13], [1.6, *[1.4] * 13]])
+"""(2, 14) of theta: what the configuration allows, and hands of small children."""
 _RELAXED_SD = np.repeat([np.inf, np.inf, 0.6], [3, 3, 15])
 _SPACE = HandSpace()
 
@@ -62,10 +63,11 @@ def adjusted(
 ) -> Bundle:
     """Minimise the residuals of all frames over shape and poses, by Gauss-Newton.
 
-    The unknowns are theta, the logarithms of the shape's factors, and one tangent vector a frame. The prior of
-    theta is N(0, diag POPULATION_SD^2). With H_f the normal matrix of frame f in blocks of shape s and pose p,
-    the poses are eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement), and the
-    covariance of theta is S^-1.
+    The unknowns are theta, the logarithms of the shape's factors, and one tangent vector a frame. The
+    prior of theta is N(0, diag POPULATION_SD^2). With H_f the normal matrix of frame f in blocks of shape s
+    and pose p, the poses are eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement),
+    and the covariance of theta is S^-1. Residuals are weighted by their own mean square, one in
+    ``CORRELATED`` counting as independent.
 
     Args:
         maker: makes the hand.
@@ -79,8 +81,9 @@ def adjusted(
     """
     terms = terms or Terms()
     rows, theta, poses = FrameRows(terms, tile_px), np.log(shape.factors), poses.copy()
-    covariance, residual, done = np.diag(POPULATION_SD**2), 0.0, 0
-    for done in range(1, iterations + 1):
+    covariance, residual, taken = np.diag(POPULATION_SD**2), 0.0, 0
+    while taken < iterations:
+        taken += 1
         hand, varied = _hands(maker, side, theta)
         moves = vertex_moves(poses, hand, varied, SHAPE_STEP)
         frames = [
@@ -93,14 +96,14 @@ def adjusted(
             _with_pose_prior(*frame.normal(share), pose) for frame, pose in zip(frames, poses, strict=True)
         ]
         matrix, vector = _reduced(equations, theta)
-        step = np.clip(np.linalg.solve(matrix, vector), -MOST_SHAPE_STEP, MOST_SHAPE_STEP)
-        covariance = np.linalg.inv(matrix)
-        moves = np.array([_pose_step(equation, step) for equation in equations])
-        poses = inside_limits(_SPACE.retract(poses, np.clip(moves, -MOST_POSE_STEP, MOST_POSE_STEP)))
-        theta = np.clip(theta + step, *np.log(LIMITS))
+        covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+        step = np.clip(covariance @ vector, -MOST_SHAPE_STEP, MOST_SHAPE_STEP)
+        turns = np.array([_pose_step(equation, step) for equation in equations])
+        poses = inside_limits(_SPACE.retract(poses, np.clip(turns, -MOST_POSE_STEP, MOST_POSE_STEP)))
+        theta = np.clip(theta + step, *LIMITS)
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
             break
-    return Bundle(HandShape.of_factors(np.exp(theta)), poses, covariance, residual, done)
+    return Bundle(HandShape.of_factors(np.exp(theta)), poses, covariance, residual, taken)
 
 
 def _hands(maker: HandMaker, side: str, theta: FloatArray) -> tuple[HandModel, list[HandModel]]:

@@ -63,7 +63,7 @@ class Calibration:
     Attributes:
         side: ``right`` or ``left``.
         shape: of the hand.
-        sd: (14,) standard deviations of the factors, relative.
+        sd: (14,) standard deviations of the factors.
         frames_seen: frames that were looked at.
         frames_used: frames that the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.
@@ -104,7 +104,7 @@ def calibrate(
         report(f"adjusting its shape to {len(chosen)} frames")
         bundle = work.adjust([frames[k] for k in chosen], followed.poses[chosen], side, shape)
         shape = bundle.shape
-    sd = np.sqrt(np.diag(bundle.covariance))
+    sd = shape.factors * np.sqrt(np.diag(bundle.covariance))
     return Calibration(side, shape, sd, len(frames), len(chosen), bundle.residual_mm)
 
 

@@ -82,7 +82,7 @@ class Follower:
         return inside_limits(fits.modes.poses[:1])[0], fits.cost
 
     def _first(self, frame: Frame) -> tuple[FloatArray, float] | None:
-        """The best fit to the likeliest hand in the image, from the palm's and the back's side, open and bent."""
+        """The best fit to the likeliest hand in the image from several starts."""
         detections = detect(frame.depth, self._camera, self._config.detection)
         if not detections:
             return None

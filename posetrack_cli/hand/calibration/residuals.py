@@ -1,8 +1,8 @@
 """Residuals of one frame and their derivatives by the pose and by the shape.
 
-The residuals are those of ``hand.fitting.terms``. There a point of the skin moves with the bones; here it also
-moves with the shape, so derivatives are differences of posed meshes, and rows are made pixel by pixel with
-numpy: a calibration looks at some dozens of frames, not at 20 a second.
+The residuals are those of ``hand.fitting.terms``. There a point of the skin moves with the bones; here it
+moves with the shape too, so derivatives are differences of posed meshes, and rows are made with numpy: a
+calibration looks at some dozens of frames, not at 20 a second.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def _along(
 ) -> FloatArray:
     """How fast points (N, 3) of triangles (N) move along unit vectors (N, 3): (N, 21 + S)."""
     corners = hand.smooth.triangles[faces]
-    # barycentric coordinates: the points as combinations of the corners, which no plane through the sensor holds
+    # barycentric coordinates: no drawn triangle lies in a plane with the sensor, so its corners span space
     matrix = np.swapaxes(drawing.vertices[corners], 1, 2)
     shares = np.linalg.solve(matrix, points[..., None])[..., 0]
     return np.asarray(np.einsum("ni,nikc,nc->nk", shares, moves[corners], ways, optimize=True))

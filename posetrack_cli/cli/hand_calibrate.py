@@ -1,0 +1,93 @@
+"""``posetrack hand calibrate``: the size and proportions of the hand in a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.hand.calibration.calibrate import Calibration
+    from posetrack_cli.hand.config import HandConfig
+
+
+@click.command("calibrate", short_help="Find the size and proportions of the hand in a recording.")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    metavar="HAND.toml",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="File to write.",
+)
+@click.option("--seconds", default=5.0, show_default=True, help="How much is looked at, from the start, s.")
+@click.option(
+    "--frames",
+    type=click.IntRange(min=4, max=200),
+    default=16,
+    show_default=True,
+    help="Frames that the shape is adjusted to, as different in pose as there are.",
+)
+@click.option(
+    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: find out]"
+)
+@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Shape this hand instead of the average one.")
+@click.option("--config", "configs", multiple=True, help="TOML file or a shipped name, as of hand run.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
+@recording_options
+@click.option("--overwrite", is_flag=True, help="Replace an existing HAND.toml.")
+def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
+    """Estimate side, size, finger lengths and widths and the palm's size of the hand in RECORDING.
+
+    The hand should be seen open, from its palm and its back, and with its fingers bent, for a few seconds.
+    What is written is a configuration: posetrack hand run RECORDING --config HAND.toml.
+    """
+    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate
+    from posetrack_cli.hand.calibration.hand_file import write_hand_file
+    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.recording.opening import open_recording
+    from posetrack_cli.recording.output import check_target
+
+    check_target(output, overwrite=options["overwrite"], source=recording)
+    config = _configuration(options)
+    seconds = _seconds(options["seconds"])
+    source = open_recording(recording, **opening_arguments(options))
+    chosen = CalibrationOptions(options["side"], seconds, options["frames"], options["seed"])
+    found = calibrate(source, config, chosen, lambda line: click.echo(f"{line} ...", err=True))
+    write_hand_file(output, found, config.hand.mesh, recording.name)
+    _show(found)
+    click.echo(
+        f"{output}: {found.frames_used} of {found.frames_seen} frames, residual {found.residual_mm:.2f} mm"
+    )
+    if source.losses:
+        click.echo(f"{recording}: {loss_line(source.losses)}", err=True)
+        click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _configuration(options: dict[str, Any]) -> HandConfig:
+    from posetrack_cli.configuration import find_configuration, load_settings
+    from posetrack_cli.hand.config import HandConfig
+
+    files = [find_configuration(name) for name in options["configs"]]
+    return load_settings(HandConfig, files, {"hand.mesh": options["mesh"]})
+
+
+def _seconds(value: float) -> float:
+    if not 0.0 < value <= 3600.0:
+        raise UsageError("--seconds cannot be used", found=f"{value:g}", expected="more than 0, up to 3600")
+    return value
+
+
+def _show(calibration: Calibration) -> None:
+    """A table: every factor with its standard deviation."""
+    from posetrack_cli.hand.shape import SHAPE_NAMES
+
+    click.echo(f"{'side':<18}{calibration.side:>8}")
+    click.echo(f"{'':<18}{'factor':>8}{'sd':>8}")
+    for name, factor, sd in zip(SHAPE_NAMES, calibration.shape.factors, calibration.sd, strict=True):
+        click.echo(f"{name.replace('_', ' '):<18}{factor:>8.3f}{sd:>8.3f}")
