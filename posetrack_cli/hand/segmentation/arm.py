@@ -6,30 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.config import SegmentationSettings
 from posetrack_cli.hand.segmentation.prediction import PredictedHand
 from posetrack_cli.hand.segmentation.silhouette import Silhouette
-from posetrack_cli.hand.segmentation.surfaces import pixel_mm, points_of
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.hand.segmentation.slices import BIN_MM, best_shift, slice_areas
+from posetrack_cli.hand.segmentation.view import View
 
-BIN_MM = 4.0
-"""Length of the slices of an arm."""
+# Lengths are of a hand of scale 1.
 _ARM_MM = (20.0, 120.0)
 """The part of the forearm, from the wrist, that tells its direction."""
 _HALF_WIDTH_MM, _OPENING = 55.0, 0.5
-"""Looked at in a cone: so far from its axis at the wrist, and so much farther per length."""
-_WIDEST_MM = 125.0
-_LEAST_ARM_MM2 = 900.0
+"""It is looked for in a cone: so far from the axis at the wrist, and so much farther per length."""
+_WIDEST_MM, _LEAST_MM2 = 125.0, 900.0
+"""What is wider is a body; what is less is nothing."""
 _SKIN_MM = 25.0
 """The forearm's skin lies so far before its axis."""
 _PASSES = 2
-_MOST_BENT = np.cos(np.deg2rad(75.0))
+_MOST_BENT = float(np.cos(np.deg2rad(75.0)))
 _FINGERS_MM, _BEYOND_MM = 240.0, 80.0
-"""Slices reach so far to the fingers and to the elbow from the wrist, mm, of a hand of scale 1."""
-_SHIFT_MM = 40.0
-"""So far along the arm a wrist may lie from where it is predicted."""
+"""Slices reach so far to the fingers and to the elbow from the wrist."""
+_MOST_SHIFT_MM = 40.0
+_AREA_PER_SD_MM2 = 1000.0
+"""Area of disagreement that is worth one standard deviation of the wrist's place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,55 +48,40 @@ class Arm:
 
 
 def arm_of(
-    points: Float32Array,
-    areas: Float32Array,
+    view: View,
     limb: BoolArray,
-    beside: BoolArray,
+    hand: BoolArray,
     silhouette: Silhouette,
-    window: Window,
-    camera: Camera,
     predicted: PredictedHand,
     settings: SegmentationSettings,
 ) -> Arm:
     """Find the forearm of a hand.
 
-    Its direction is that of the surface which goes on from the hand beyond the wrist. Along it, widths of the
-    observed limb and of the predicted hand are compared for every shift t of the wrist:
-
-        E(t) = sum over slices s < t of |w_observed(s) - w_predicted(s - t)| ds + (t / wrist_sd)^2 A / 2
-
-    A is an area that is worth one standard deviation. The smallest E is the wrist: fingertips, palm and the
-    narrowing behind it all say where the hand is, the forearm, which is not compared, says nothing.
+    Its direction is that of the surface that goes on from the hand beyond the wrist. Across it, widths of the
+    observed limb and of the predicted hand are compared for every shift of the wrist (``best_shift``):
+    fingertips, palm and the narrowing behind it all say where the hand is, and the forearm, which is not
+    compared, says nothing.
 
     Args:
-        points: (h, w, 3) of the window, mm.
-        areas: (h, w) that each pixel covers, mm^2.
+        view: the window.
         limb: (h, w) the surfaces of the hand, and whatever they go on to.
-        beside: (h, w) the pixels beside the prediction.
+        hand: (h, w) what of them lies beside the prediction.
         silhouette: the predicted hand.
-        window: whose pixels.
-        camera: its camera.
         predicted: the hand as expected.
-        settings: ``wrist_sd_mm``.
+        settings: ``forearm_mm`` and ``wrist_sd_mm``.
     """
-    offset = points[limb] - predicted.wrist
-    area = areas[limb].astype(np.float64)
+    offset = view.points[limb].astype(np.float64) - predicted.wrist
+    area = view.apart[limb].astype(np.float64) ** 2
     towards_elbow = _direction(offset, area, predicted)
     if towards_elbow is None:
         return Arm(predicted.wrist, predicted.towards_elbow, None)
     cut = predicted.towards_elbow + towards_elbow
     cut /= np.linalg.norm(cut)
-    end = settings.forearm_mm * predicted.scale
     along = offset @ cut
-    counted = beside[limb] | (along > 0.0)
+    counted = hand[limb] | (along > 0.0)
     observed = _widths(along[counted], area[counted], predicted.scale)
-    drawn = points_of(np.where(silhouette.mask, silhouette.depth, 0.0), window, camera)[silhouette.mask]
-    expected = _widths(
-        (drawn - predicted.wrist) @ cut,
-        pixel_mm(silhouette.depth[silhouette.mask], window, camera) ** 2,
-        predicted.scale,
-    )
-    shift = _best_shift(observed, expected, end, settings.wrist_sd_mm * predicted.scale, predicted.scale)
+    expected = _expected_widths(view, silhouette, cut, predicted)
+    shift = _shift_mm(observed, expected, settings, predicted.scale)
     return Arm(predicted.wrist + shift * cut, cut, -towards_elbow)
 
 
@@ -105,84 +89,71 @@ def _direction(offset: FloatArray, area: FloatArray, predicted: PredictedHand) -
     """Unit vector (3,) from wrist to elbow: to the middle of what the limb is beyond the wrist.
 
     None where there is no limb beyond it, or one that is no arm but a body.
+
+    Args:
+        offset: (P, 3) the limb's points from the wrist, mm.
+        area: (P,) what each covers, mm^2.
+        predicted: the hand.
     """
-    first, last = (predicted.scale * mm for mm in _ARM_MM)
-    palm = direction = predicted.towards_elbow
-    to_skin = np.array([0.0, 0.0, predicted.scale * _SKIN_MM])
+    scale, direction = predicted.scale, predicted.towards_elbow
+    to_axis = np.array([0.0, 0.0, scale * _SKIN_MM])
     for _ in range(_PASSES):
-        along = offset @ direction
-        aside = offset - along[:, None] * direction
-        most = predicted.scale * _HALF_WIDTH_MM + _OPENING * np.maximum(along, 0.0)
-        chosen = (along > first) & (along < last) & (np.einsum("ij,ij->i", aside, aside) < most**2)
+        chosen, length = _in_cone(offset, direction, scale)
         total = float(area[chosen].sum())
-        if total < _LEAST_ARM_MM2 * predicted.scale**2:
+        if not scale**2 * _LEAST_MM2 <= total <= scale * _WIDEST_MM * length:
             return None
-        if total > predicted.scale * _WIDEST_MM * float(np.ptp(along[chosen])):
-            return None
-        middle = (area[chosen] / total) @ offset[chosen] + to_skin
-        direction = _towards(middle / max(float(np.linalg.norm(middle)), 1e-9), palm)
+        middle = (area[chosen] / total) @ offset[chosen] + to_axis
+        direction = _towards(middle / max(float(np.linalg.norm(middle)), 1e-9), predicted.towards_elbow)
     return direction
+
+
+def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[BoolArray, float]:
+    """Which points (P, 3) may be the forearm's, and over what length they go along it, mm."""
+    along = offset @ direction
+    squared_aside = np.einsum("ij,ij->i", offset, offset) - along**2
+    most = scale * _HALF_WIDTH_MM + _OPENING * np.maximum(along, 0.0)
+    first, last = _ARM_MM
+    chosen: BoolArray = (along > scale * first) & (along < scale * last) & (squared_aside < most**2)
+    return chosen, float(np.ptp(along[chosen])) if chosen.any() else 0.0
 
 
 def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
     """A direction, turned back towards the palm's where a wrist could not bend so far."""
     cosine = float(direction @ palm)
-    if cosine >= _MOST_BENT:
-        return direction
     aside = direction - cosine * palm
     length = float(np.linalg.norm(aside))
+    if cosine >= _MOST_BENT:
+        return direction
     if length < 1e-9:
         return palm
     turned: FloatArray = _MOST_BENT * palm + np.sqrt(1.0 - _MOST_BENT**2) * aside / length
     return turned
 
 
-def slice_areas(along: FloatArray, areas: FloatArray, first_mm: float, count: int) -> FloatArray:
-    """Area per length (count,), mm, that is the width seen, of slices across an arm.
-
-    Args:
-        along: (P,) where pixels lie along the arm, mm.
-        areas: (P,) what each covers, mm^2.
-        first_mm: where the first slice begins; each is ``BIN_MM`` long.
-        count: how many slices.
-    """
-    number = np.floor((along - first_mm) / BIN_MM).astype(np.int64)
-    valid = (number >= 0) & (number < count)
-    return np.bincount(number[valid], weights=areas[valid], minlength=count) / BIN_MM
+def _expected_widths(
+    view: View, silhouette: Silhouette, cut: FloatArray, predicted: PredictedHand
+) -> FloatArray:
+    """Widths of the predicted hand, as the window sees it."""
+    depth = np.where(silhouette.mask, silhouette.depth, np.float32(0.0))
+    drawn = View.of(depth, view.window, view.camera)
+    points, apart = (part[silhouette.mask].astype(np.float64) for part in (drawn.points, drawn.apart))
+    return _widths((points - predicted.wrist) @ cut, apart**2, predicted.scale)
 
 
 def _widths(along: FloatArray, areas: FloatArray, scale: float) -> FloatArray:
-    count = round(scale * (_FINGERS_MM + _BEYOND_MM) / BIN_MM)
-    return slice_areas(along, areas, -round(scale * _FINGERS_MM / BIN_MM) * BIN_MM, count)
+    before, beyond = _slices(_FINGERS_MM, scale), _slices(_BEYOND_MM, scale)
+    return slice_areas(along, areas, -before * BIN_MM, before + beyond)
 
 
-def _best_shift(observed: FloatArray, expected: FloatArray, end: float, sd: float, scale: float) -> float:
-    """The shift t, mm, of smallest E(t); between slices by a parabola through the smallest three."""
-    wrist = round(scale * _FINGERS_MM / BIN_MM)
-    last = wrist + round(end / BIN_MM)  # the hand's slices are those before this one
-    most = round(scale * _SHIFT_MM / BIN_MM)
-    shifts = np.arange(-most, most + 1)
-    errors = np.empty(len(shifts))
-    padded = np.pad(expected[:last], most)
-    for k, shift in enumerate(shifts):
-        moved = (
-            padded[most - shift : most - shift + last + shift]
-            if shift <= 0
-            else padded[most - shift : most + last]
-        )
-        errors[k] = BIN_MM * np.abs(observed[: last + shift] - moved[: last + shift]).sum()
-    errors += 0.5 * _AREA_PER_SD_MM2 * scale**2 * (BIN_MM * shifts / sd) ** 2
-    return BIN_MM * float(shifts[0] + _vertex(errors))
+def _shift_mm(
+    observed: FloatArray, expected: FloatArray, settings: SegmentationSettings, scale: float
+) -> float:
+    last = _slices(_FINGERS_MM, scale) + _slices(settings.forearm_mm, scale)
+    most = max(0, min(_slices(_MOST_SHIFT_MM, scale), last, len(observed) - last))
+    sd = settings.wrist_sd_mm * scale / BIN_MM
+    stiffness = scale**2 * _AREA_PER_SD_MM2 / BIN_MM / sd**2
+    return BIN_MM * best_shift(observed, expected, max(last, 0), most, stiffness)
 
 
-_AREA_PER_SD_MM2 = 1000.0
-
-
-def _vertex(errors: FloatArray) -> float:
-    """Index of the smallest error, refined by the parabola through it and its neighbours."""
-    k = int(np.argmin(errors))
-    if k in (0, len(errors) - 1):
-        return float(k)
-    before, here, after = errors[k - 1 : k + 2]
-    curvature = before - 2.0 * here + after
-    return k + (0.5 * (before - after) / curvature if curvature > 0 else 0.0)
+def _slices(mm: float, scale: float) -> int:
+    return round(scale * mm / BIN_MM)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,12 +15,13 @@ from posetrack_cli.hand.segmentation.labels import Label, Segmentation
 from posetrack_cli.hand.segmentation.prediction import PredictedHand
 from posetrack_cli.hand.segmentation.silhouette import Silhouette, silhouette_of
 from posetrack_cli.hand.segmentation.surfaces import (
+    along,
     jump_mm,
     pixel_mm,
-    points_of,
     surface_labels,
     without_pinholes,
 )
+from posetrack_cli.hand.segmentation.view import View
 from posetrack_cli.rendering.window import Window
 
 
@@ -50,7 +51,7 @@ def segment(
     margin = min(max(margin, 0), window.width)
     wide = _widened(window, margin)
     tile = sampler.sample(depth, wide)
-    labels, arm = _labels(tile, wide, camera, predicted, settings)
+    labels, arm = _labels(View.of(tile, wide, camera), predicted, settings)
     inner = np.s_[margin : margin + window.height, margin : margin + window.width]
     return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction)
 
@@ -66,36 +67,22 @@ def _widened(window: Window, margin: int) -> Window:
     )
 
 
-def _labels(
-    tile: Float32Array,
-    window: Window,
-    camera: Camera,
-    predicted: PredictedHand,
-    settings: SegmentationSettings,
-) -> tuple[ImageArray, Arm]:
-    labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
-    silhouette = silhouette_of(predicted.joints, predicted.scale, window, camera)
+def _labels(view: View, predicted: PredictedHand, settings: SegmentationSettings) -> tuple[ImageArray, Arm]:
+    labels = np.where(view.depth > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
+    silhouette = silhouette_of(predicted.joints, predicted.scale, view.window, view.camera)
     if silhouette is None:
         return labels, Arm(predicted.wrist, predicted.towards_elbow, None)
-    view = _View(tile, points_of(tile, window, camera), pixel_mm(tile, window, camera).astype(np.float32))
     limb, hand = _limb(view, silhouette, predicted, settings)
-    arm = arm_of(view.points, view.apart**2, limb, hand, silhouette, window, camera, predicted, settings)
+    arm = arm_of(view, limb, hand, silhouette, predicted, settings)
     labels[hand] = Label.HAND
     if arm.direction is not None:
-        beyond = (view.points - arm.wrist) @ arm.cut > settings.forearm_mm * predicted.scale
+        beyond = along(view.points, arm.wrist, arm.cut) > settings.forearm_mm * predicted.scale
         labels[limb & beyond] = Label.FOREARM
     return labels, arm
 
 
-@dataclass(frozen=True, eq=False)
-class _View:
-    tile: Float32Array
-    points: Float32Array
-    apart: Float32Array  # distance of neighbouring pixels, mm
-
-
 def _limb(
-    view: _View, silhouette: Silhouette, predicted: PredictedHand, settings: SegmentationSettings
+    view: View, silhouette: Silhouette, predicted: PredictedHand, settings: SegmentationSettings
 ) -> tuple[BoolArray, BoolArray]:
     """The surfaces of the hand, with whatever they go on to, and what of them is the hand or forearm.
 
@@ -103,8 +90,8 @@ def _limb(
     most pixels there is in any case: a hand that touches a body is one with it, and is cut out closely.
     """
     jump = jump_mm(view.apart, settings.steepest)
-    count, numbers = surface_labels(without_pinholes(view.tile, jump), jump)
-    read = view.tile > 0
+    count, numbers = surface_labels(without_pinholes(view.depth, jump), jump)
+    read = view.depth > 0
     deep = settings.vote_mm
     at_hand = read & _beside(view, silhouette, predicted, settings.vote_aside_mm, deep, deep)
     near = read & _within_reach(view.points, predicted, settings)
@@ -121,7 +108,7 @@ def _limb(
 
 
 def _beside(
-    view: _View,
+    view: View,
     silhouette: Silhouette,
     predicted: PredictedHand,
     aside: float,
@@ -129,7 +116,7 @@ def _beside(
     behind: float,
 ) -> BoolArray:
     """The pixels so near to the predicted hand in the image, and in depth; mm of a hand of scale 1."""
-    scale, beyond = predicted.scale, view.tile - silhouette.depth
+    scale, beyond = predicted.scale, view.depth - silhouette.depth
     beside: BoolArray = silhouette.outside_px * view.apart < scale * aside
     return beside & (beyond > -scale * in_front) & (beyond < scale * behind)
 
@@ -138,7 +125,8 @@ def _within_reach(
     points: Float32Array, predicted: PredictedHand, settings: SegmentationSettings
 ) -> BoolArray:
     """The points within the hand's reach, and not behind its wrist, where the arm is."""
-    offset = points - predicted.joints.mean(axis=0)
-    near = np.einsum("ijk,ijk->ij", offset, offset) < (predicted.scale * settings.reach_mm) ** 2
-    within: BoolArray = near & ((points - predicted.wrist) @ predicted.towards_elbow < 0.0)
-    return within
+    squared = np.zeros(points.shape[:2], dtype=np.float32)
+    for axis, middle in enumerate(predicted.joints.mean(axis=0).tolist()):
+        squared += (points[..., axis] - np.float32(middle)) ** 2
+    beyond_wrist = along(points, predicted.wrist, predicted.towards_elbow) >= 0.0
+    return (squared < (predicted.scale * settings.reach_mm) ** 2) & ~beyond_wrist

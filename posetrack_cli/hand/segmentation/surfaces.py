@@ -25,6 +25,16 @@ def points_of(depth: Float32Array, window: Window, camera: Camera) -> Float32Arr
     return points
 
 
+def along(points: Float32Array, origin: FloatArray, direction: FloatArray) -> Float32Array:
+    """How far points (h, w, 3) lie from an origin along a unit vector, mm (h, w)."""
+    x, y, z = direction.astype(np.float32)
+    distance: Float32Array = x * points[..., 0]
+    distance += y * points[..., 1]
+    distance += z * points[..., 2]
+    distance -= np.float32(origin @ direction)
+    return distance
+
+
 def pixel_mm(z: float | FloatArray | Float32Array, window: Window, camera: Camera) -> FloatArray:
     """The distance of neighbouring pixels of a window on a surface that faces the camera at depth z, mm."""
     per_mm = window.step / float(np.sqrt(camera.fx * camera.fy))
