@@ -201,10 +201,11 @@ def _study(output: Path, seeds: int, frames: int, jobs: int, failures: list[str]
     yield from report.quoted("conclusion")
     yield (
         "A pair is one recording, tracked twice with the same seed. `paper` and `union` name the cost; "
-        "particles are drawn from the motion, not by local fits; all else is as in `hand.toml`; `printed` is everything as the paper prints it. Errors are means over "
-        "all frames of a recording, lost ones included; ± is the standard deviation over recordings; "
-        "negative differences are in favour of the second. p adjusted: Benjamini and Hochberg over the "
-        "table's rows. Motion A is a random walk without velocity."
+        "particles are drawn from the motion, not by local fits; all else is as in `hand.toml`. `printed` is "
+        "everything as the paper prints it. Errors are means over all frames of a recording, lost ones "
+        "included; ± is the standard deviation over recordings; negative differences are in favour of the "
+        "second. p adjusted: Benjamini and Hochberg over the table's rows. Motion A is a random walk without "
+        "velocity."
     )
     yield ""
     yield from report.reliability_table(measured, study.STUDIED)
