@@ -200,11 +200,34 @@ class FitSettings(Settings):
     most_modes: Annotated[int, Field(ge=1, le=64)] = 4
 
 
-class StatusSettings(Settings):
-    """When a track counts as lost: confidence 1 - D / c_max stays below for so many frames."""
+class AcquisitionSettings(Settings):
+    """How a hand is found without a prediction: of all hypotheses that are drawn the best are fitted.
 
-    lost_below: Fraction = 0.3
-    lost_after_frames: Annotated[int, Field(ge=1)] = 10
+    A hand is found if its cost is ``accept_mm`` at most.
+    """
+
+    fitted: Annotated[int, Field(ge=1, le=1000)] = 32
+    iterations: Annotated[int, Field(ge=1, le=100)] = 7
+    swapped: Annotated[int, Field(ge=1, le=64)] = 6
+    refined: Annotated[int, Field(ge=0, le=64)] = 4
+    scattered: Annotated[int, Field(ge=1, le=64)] = 8
+    accept_mm: Positive = 18.0
+
+
+class StatusSettings(Settings):
+    """When a track is doubted, and when it counts as lost.
+
+    A frame's cost D is compared with the usual one, a running mean over well-tracked frames: above
+    ``doubt_factor`` times that plus ``doubt_mm`` the hand is reconsidered, and replaced by one that looks
+    alike if that costs less than ``better`` times as much. Confidence 1 - D / c_max that stays below
+    ``lost_below`` for ``lost_after_frames`` is a loss; the hand is then looked for in the whole image.
+    """
+
+    doubt_factor: Positive = 1.5
+    doubt_mm: NotNegative = 2.0
+    better: Fraction = 0.7
+    lost_below: Fraction = 0.5
+    lost_after_frames: Annotated[int, Field(ge=1)] = 5
 
 
 class SmoothingSettings(Settings):
@@ -238,6 +261,7 @@ class HandConfig(Settings):
     detection: DetectionSettings = DetectionSettings()
     init: InitSettings = InitSettings()
     fit: FitSettings = FitSettings()
+    acquisition: AcquisitionSettings = AcquisitionSettings()
     pso: PsoSettings = PsoSettings()
     status: StatusSettings = StatusSettings()
     smoothing: SmoothingSettings = SmoothingSettings()

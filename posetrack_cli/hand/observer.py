@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
-from posetrack_cli.hand.segmentation import PredictedHand
+from posetrack_cli.hand.segmentation import Detection, Label, PredictedHand, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
+from posetrack_cli.hand.segmentation.surfaces import points_of
+from posetrack_cli.rendering.window import Window
+
+_FOREARM_MM = 160.0
+"""Of a detected arm so much behind the wrist is left out of account, besides what lies beyond the window."""
 
 
 class Observer:
@@ -23,13 +30,47 @@ class Observer:
 
     def __init__(self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, *, segment: bool) -> None:
         self._config, self._anatomy, self._camera, self._segment = config, anatomy, camera, segment
-        self._sampler = PixelSampler(camera)
+        self.sampler = PixelSampler(camera)
 
     def observe(self, depth: ImageArray, predicted: FloatArray) -> Observation:
         """Cut the window around a predicted pose (22,) and find the target pixels in it."""
         hand = PredictedHand.of(self._anatomy, predicted)
         window = window_around(hand.joints, self._camera, self._config.observation)
         if not self._segment:
-            return everything(self._sampler.sample(depth, window), window)
+            return everything(self.sampler.sample(depth, window), window)
         settings = self._config.segmentation
-        return segment_hand(depth, self._sampler, window, self._camera, hand, settings).observation
+        return segment_hand(depth, self.sampler, window, self._camera, hand, settings).observation
+
+    def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
+        """Cut the window around a detected hand; what lies beyond its wrist is forearm."""
+        middle = _middle_of(detection, self._camera)
+        window = window_around(middle[None], self._camera, self._config.observation)
+        tile = self.sampler.sample(depth, window)
+        labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
+        labels[_mask_in(detection, window) & (tile > 0)] = Label.HAND
+        if detection.wrist is not None and detection.arm is not None:
+            offset = points_of(tile, window, self._camera) - detection.wrist
+            beyond = (offset @ detection.arm < 0.0) & (np.linalg.norm(offset, axis=2) < _FOREARM_MM)
+            labels[beyond & (labels == Label.OTHER)] = Label.FOREARM
+        wrist = detection.palm if detection.wrist is None else detection.wrist
+        return Segmentation(window, tile, labels, wrist, detection.arm).observation
+
+
+def _middle_of(detection: Detection, camera: Camera) -> FloatArray:
+    """The middle (3,) of a detection's mask in the image, at the palm's depth, mm."""
+    rows, columns = np.nonzero(detection.mask)
+    window = detection.window
+    pixel = np.array([window.columns()[columns].mean(), window.rows()[rows].mean()])
+    return camera.points_from_pixels(pixel, np.asarray(detection.palm[2]))
+
+
+def _mask_in(detection: Detection, window: Window) -> BoolArray:
+    """A detection's mask at the pixels of another window."""
+    coarse = detection.window
+    rows = np.rint((window.rows() - coarse.top) / coarse.step).astype(np.int64)
+    columns = np.rint((window.columns() - coarse.left) / coarse.step).astype(np.int64)
+    inside = np.ix_((rows >= 0) & (rows < coarse.height), (columns >= 0) & (columns < coarse.width))
+    mask = np.zeros((window.height, window.width), dtype=np.bool_)
+    clipped = np.ix_(np.clip(rows, 0, coarse.height - 1), np.clip(columns, 0, coarse.width - 1))
+    mask[inside] = detection.mask[clipped][inside]
+    return mask

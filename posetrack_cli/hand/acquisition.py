@@ -1,0 +1,138 @@
+"""Finding a hand of which no pose is known: at the start, and after a loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import ANGLES
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fitting.fitter import PosePrior
+from posetrack_cli.hand.fitting.gauss_newton import Fit
+from posetrack_cli.hand.fitting.starts import fit_starts
+from posetrack_cli.hand.fitting.terms import Tile
+from posetrack_cli.hand.guiding import Guiding
+from posetrack_cli.hand.hypotheses import detected_poses, turned_poses
+from posetrack_cli.hand.likelihood import PoseScorer
+from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.segmentation import Detection, detect
+from posetrack_cli.hand.space import HandSpace
+
+_FREE_PRECISION: FloatArray = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
+"""(21,) of a pose about a hypothesis, 1 / mm^2 and 1 / rad^2: hypotheses are 30 degrees and a shape apart."""
+_APART_RAD, _APART_BEND = np.deg2rad(25.0), 0.15
+_SCATTER_SEED = 0  # a search depends on nothing but the image
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A hand that was found.
+
+    Attributes:
+        pose: (22,).
+        cost: union cost D of the smooth skin, mm.
+    """
+
+    pose: FloatArray
+    cost: float
+
+
+class Acquisition:
+    """Looks for a hand without a prediction: many hypotheses drawn at once, the best of them fitted.
+
+    Args:
+        config: parameters.
+        hand: the model.
+        camera: of the depth images.
+        scorer: draws all hypotheses at once.
+        observer: cuts out and segments windows.
+        guiding: local fits.
+    """
+
+    def __init__(
+        self,
+        config: HandConfig,
+        hand: HandModel,
+        camera: Camera,
+        scorer: PoseScorer,
+        observer: Observer,
+        guiding: Guiding,
+    ) -> None:
+        self._config, self._settings = config, config.acquisition
+        self._hand, self._camera = hand, camera
+        self._scorer, self._observer, self._guiding = scorer, observer, guiding
+        self._space = HandSpace()
+
+    def search(self, depth: ImageArray) -> Candidate | None:
+        """Return the best hand in a whole image, the nearest of those that fit about as well.
+
+        Args:
+            depth: (height, width) mm.
+        """
+        detections = detect(depth, self._camera, self._config.detection, self._observer.sampler)
+        found = [self._fitted(depth, detection) for detection in detections]
+        good = [candidate for candidate in found if candidate is not None]
+        worst = self._settings.accept_mm
+        return next((candidate for candidate in good if candidate.cost <= worst), None)
+
+    def reconsider(self, observation: Observation, pose: FloatArray) -> Candidate | None:
+        """Return the best fit to an observation among hands that look much like a pose (22,)."""
+        if observation.target_pixels == 0:
+            return None
+        return self._best(observation, turned_poses(pose, self._hand.anatomy))
+
+    def _fitted(self, depth: ImageArray, detection: Detection) -> Candidate | None:
+        observation = self._observer.observe_detection(depth, detection)
+        if observation.target_pixels == 0:
+            return None
+        first = self._best(observation, detected_poses(detection, self._hand.anatomy))
+        again = self._observer.observe(depth, first.pose)  # with the wrist where the fit has it
+        return first if again.target_pixels == 0 else self._best(again, first.pose[None])
+
+    def _best(self, observation: Observation, poses: FloatArray) -> Candidate:
+        """The best fit from the most different of the best hypotheses (H, 22), refined once more."""
+        settings, fitter = self._settings, self._guiding.fitter
+        tile = fitter.tile(observation)
+        poses = fitter.aligned(tile, poses)
+        starts = poses[distinct(poses, self._scorer.costs(poses, observation), settings.fitted)]
+        fits = self._descended(tile, starts)
+        chosen = distinct(
+            np.array([fit.pose for fit in fits]), np.array([fit.cost[0] for fit in fits]), settings.refined
+        )
+        rng = np.random.default_rng(_SCATTER_SEED)
+        for k in chosen:
+            pose = fits[k].pose
+            around = fitter.aligned(tile, fit_starts(pose, pose[None], settings.scattered, self._space, rng))
+            fits += self._descended(tile, around)
+        fit = min(fits, key=lambda fit: float(fit.cost[0]))
+        return Candidate(fit.pose.copy(), float(fit.cost[0]))
+
+    def _descended(self, tile: Tile, starts: FloatArray) -> list[Fit]:
+        """Fits from starts (K, 22), and from the best of them with fingers of the others."""
+        settings, fitter = self._settings, self._guiding.fitter
+        priors = [PosePrior(start, _FREE_PRECISION) for start in starts]
+        fits = fitter.descend(tile, starts, priors, settings.iterations)
+        swapped = fitter.swapped(tile, sorted(fits, key=lambda fit: float(fit.cost[0]))[: settings.swapped])
+        return fits + fitter.descend(
+            tile, swapped[None], [PosePrior(swapped, _FREE_PRECISION)], settings.iterations
+        )
+
+
+def distinct(poses: FloatArray, costs: FloatArray, count: int) -> list[int]:
+    """Return the best of poses (H, 22) that are turned apart or of another shape, then the best of the rest."""
+    order = np.argsort(costs, kind="stable")
+    kept: list[int] = []
+    for k in order:
+        if len(kept) == count:
+            return kept
+        turned = 2.0 * np.arccos(np.clip(np.abs(poses[kept, 3:7] @ poses[k, 3:7]), 0.0, 1.0))
+        bent = np.abs(poses[kept, ANGLES] - poses[k, ANGLES]).mean(axis=1)
+        if not np.any((turned < _APART_RAD) & (bent < _APART_BEND)):
+            kept.append(int(k))
+    rest = [int(k) for k in order if int(k) not in kept]
+    return kept + rest[: count - len(kept)]
