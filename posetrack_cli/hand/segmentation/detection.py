@@ -92,27 +92,15 @@ def detect(
     for place in palm_pixels(surfaces, settings).tolist():
         if not any(_is_of(surfaces, place, candidate) for candidate in found):
             found.append(_better(surfaces, place, settings))
-    likely = sorted((c for c in found if c.score >= settings.least_score), key=lambda c: -c.score)
-    kept = _one_of_each_hand(surfaces, likely, settings)
-    return sorted(kept, key=lambda d: float(d.palm[2]))
-
-
-def _one_of_each_hand(
-    surfaces: Surfaces, likely: list[_Candidate], settings: DetectionSettings
-) -> list[Detection]:
-    """One detection of each hand: of places on one limb that are about as likely, the widest is its palm."""
+    likely = [candidate for candidate in found if candidate.score >= settings.least_score]
     kept: list[Detection] = []
-    best_score: list[float] = []
-    for candidate in likely:
+    for candidate in sorted(likely, key=_rank, reverse=True):
         detection = _detection(surfaces, candidate)
-        same = [k for k, other in enumerate(kept) if not _are_two(detection, other, settings)]
-        if not same:
-            if len(kept) < settings.most_hands:
-                kept.append(detection)
-                best_score.append(detection.score)
-        elif len(same) == 1 and detection.score >= _AS_LIKELY * best_score[same[0]]:
-            kept[same[0]] = max(kept[same[0]], detection, key=lambda d: d.palm_radius_mm)
-    return kept
+        if all(_are_two(detection, other, settings) for other in kept):
+            kept.append(detection)
+        if len(kept) == settings.most_hands:
+            break
+    return sorted(kept, key=lambda d: float(d.palm[2]))
 
 
 def coarse_window(depth: ImageArray, camera: Camera, settings: DetectionSettings) -> Window:
@@ -139,6 +127,12 @@ def _is_of(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
     if candidate.score < _SURE:
         return False
     return float(np.linalg.norm(surfaces.points[*place] - candidate.region.palm)) < _SAME_PALM_MM
+
+
+def _rank(candidate: _Candidate) -> float:
+    """Of places on one limb the palm comes first: likely, wide, and held out towards the camera."""
+    region = candidate.region
+    return candidate.score * region.radius_mm / max(float(region.palm[2]), 1.0)
 
 
 def _better(surfaces: Surfaces, place: list[int], settings: DetectionSettings) -> _Candidate:

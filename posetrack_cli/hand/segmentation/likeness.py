@@ -11,7 +11,7 @@ FINGER_MM = 44.0
 """What is narrower where it leads out of a hand's reach is a finger, not the arm."""
 _AREAS_MM2 = (800.0, 2500.0, 42000.0, 65000.0)
 """Of a hand with the part of its arm within reach: as small and as large as can be, usual in between."""
-_NO_ARM, _MORE_ARMS, _LONG_FINGER = 0.6, 0.2, 0.9
+_NO_ARM, _MORE_ARMS, _LONG_FINGER = 0.75, 0.2, 0.9
 """Factors for a hand alone, for each further arm, for each finger that reaches too far."""
 _OF_WIDEST, _NARROW = (0.1, 0.6), 0.2
 """A palm is the widest part of its surroundings: less than so much of the widest counts little."""
