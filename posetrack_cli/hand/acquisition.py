@@ -65,7 +65,7 @@ class Acquisition:
     ) -> None:
         self._config, self._settings = config, config.acquisition
         self._hand, self._camera = hand, camera
-        self._scorer, self._observer, self._guiding = scorer, observer, guiding
+        self._scorer, self._observer, self.guiding = scorer, observer, guiding
         self._space = HandSpace()
 
     def search(self, depth: ImageArray) -> Candidate | None:
@@ -96,7 +96,7 @@ class Acquisition:
 
     def _best(self, observation: Observation, poses: FloatArray) -> Candidate:
         """The best fit from the most different of the best hypotheses (H, 22), refined once more."""
-        settings, fitter = self._settings, self._guiding.fitter
+        settings, fitter = self._settings, self.guiding.fitter
         tile = fitter.tile(observation)
         poses = fitter.aligned(tile, poses)
         starts = poses[distinct(poses, self._scorer.costs(poses, observation), settings.fitted)]
@@ -114,7 +114,7 @@ class Acquisition:
 
     def _descended(self, tile: Tile, starts: FloatArray) -> list[Fit]:
         """Fits from starts (K, 22), and from the best of them with fingers of the others."""
-        settings, fitter = self._settings, self._guiding.fitter
+        settings, fitter = self._settings, self.guiding.fitter
         priors = [PosePrior(start, _FREE_PRECISION) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.iterations)
         swapped = fitter.swapped(tile, sorted(fits, key=lambda fit: float(fit.cost[0]))[: settings.swapped])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import astuple, dataclass, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
@@ -18,14 +18,16 @@ from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_mom
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.acquisition import Acquisition, Candidate
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.guiding import Guiding
+from posetrack_cli.hand.guiding import LocalFits
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace, inside_limits, pose_rates, tangent_vector
+from posetrack_cli.hand.watch import Watch
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -43,7 +45,7 @@ class HandState:
         stamp_ns: of the last frame.
         pose: (22,) last estimate.
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
-        misses: frames in a row without confidence.
+        watch: how well frames were fitted.
         unseen_ns: time since the last frame in which there was something to compare with.
     """
 
@@ -51,8 +53,26 @@ class HandState:
     stamp_ns: int
     pose: FloatArray
     velocity: FloatArray
-    misses: int = 0
+    watch: Watch = Watch()
     unseen_ns: int = 0
+
+
+class Look(NamedTuple):
+    """What is seen in a frame before the filter takes it in.
+
+    Attributes:
+        state: before the frame; another one if the hand was found to be elsewhere.
+        dt: seconds to advance by.
+        observation: None where there is nothing to compare with.
+        fits: local fits to it; None without a guided proposal.
+        restarted: whether the state is about a hand that was found without a prediction.
+    """
+
+    state: HandState
+    dt: float
+    observation: Observation | None
+    fits: LocalFits | None = None
+    restarted: bool = False
 
 
 class HandTracker:
@@ -63,7 +83,9 @@ class HandTracker:
         anatomy: the hand.
         camera: of the depth images.
         scorer: the likelihood.
-        guiding: local fits for the guided proposal; None for proposals that do not look at the frame.
+        observer: cuts out and segments windows.
+        finder: local fits for the guided proposal, and the search for a hand that is lost; None for proposals
+            that do not look at the frame, whose hand nobody finds again.
     """
 
     def __init__(
@@ -72,14 +94,14 @@ class HandTracker:
         anatomy: HandAnatomy,
         camera: Camera,
         scorer: PoseScorer,
-        guiding: Guiding | None = None,
+        observer: Observer,
+        finder: Acquisition | None = None,
     ) -> None:
         self.config, self.anatomy, self.camera = config, anatomy, camera
-        self.scorer, self._guiding = scorer, guiding
-        self._observer = Observer(config, anatomy, camera, segment=config.observation.cost != "paper")
+        self.scorer, self._observer, self._finder = scorer, observer, finder
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
-        self._dynamics = dynamics(config)
+        self.dynamics = dynamics(config)
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> HandState:
         """Return the prior about a pose (22,): one usual frame before the first frame's stamp."""
@@ -92,6 +114,10 @@ class HandTracker:
         else:
             particles = initialise_particle(pose, spread, count, space, rng)
         return HandState(particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros_like(spread))
+
+    def start_lost(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> HandState:
+        """Return the state of a hand that has to be found first; until then it is said to be at a pose (22,)."""
+        return replace(self.start(pose, stamp_ns, rng), watch=Watch(lost=True, found=False))
 
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
         """Advance by one frame; the state given is left as it is.
@@ -110,26 +136,86 @@ class HandTracker:
         """
         elapsed_ns = frame.stamp_ns - state.stamp_ns
         check_time_step(elapsed_ns * 1e-9)
-        dt = min(elapsed_ns * 1e-9, self.config.motion.gap_max_s)
-        predicted = self.predict(state, dt)
-        observation = self.observe(frame.depth, predicted)
-        seen = observation.target_pixels > 0
-        if not seen:
-            dt = min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9)
-        guide = self._guide(observation, predicted, state.pose, dt, rng) if seen else None
-        particles, posterior = self._filter(
-            state.particles, dt, self._log_likelihood(observation), guide, rng
-        )
-        cost = self._cost_of(posterior.pose, observation)
+        look = self._look(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
+        particles, posterior = self._filter(look, rng)
+        scores = None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
+        cost = None if scores is None else float(scores[0])
         confidence = 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
-        misses = state.misses + 1 if confidence < self.config.status.lost_below else 0
-        unseen_ns = 0 if seen else state.unseen_ns + elapsed_ns
+        watch = self._watched(look, cost, confidence)
+        unseen_ns = look.state.unseen_ns + elapsed_ns if look.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
-        following = HandState(particles, frame.stamp_ns, pose, velocity, misses, unseen_ns)
-        lost = cost is None or misses >= self.config.status.lost_after_frames
-        evaluations = len(particles.poses) + 1 if seen else 0  # the estimate's own is one more
-        estimate = self._estimate(frame, posterior, cost, confidence, lost)
-        return following, replace(estimate, evaluations=evaluations)
+        following = HandState(particles, frame.stamp_ns, pose, velocity, watch, unseen_ns)
+        again = look.restarted and state.watch.found
+        status = Status.LOST if watch.lost or cost is None else Status.TRACKING
+        status = Status.REINITIALISED if again and status == Status.TRACKING else status
+        estimate = self._estimate(frame, posterior, cost, confidence, status)
+        return following, replace(estimate, evaluations=self._evaluations(look))
+
+    def _look(self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator) -> Look:
+        """What the frame shows; where the hand is gone or doubtful, it is looked for elsewhere."""
+        if self._finder is not None and state.watch.lost:
+            return self._search(self._finder, state, frame, rng)
+        predicted = self.predict(state, dt)
+        observation = self._observer.observe(frame.depth, predicted)
+        if observation.target_pixels == 0:
+            return Look(state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None)
+        if self._finder is None or dt <= 0.0:
+            return Look(state, dt, observation)
+        fits = self._finder.guiding.fit(observation, predicted, state.pose[None], dt, rng)
+        look = Look(state, dt, observation, fits)
+        return self._reconsidered(self._finder, look, frame, rng)
+
+    def _search(
+        self, finder: Acquisition, state: HandState, frame: Frame, rng: np.random.Generator
+    ) -> Look:
+        """Look for a lost hand in the whole image, ever more seldom while it is not there."""
+        if state.watch.wait > 0:
+            return Look(replace(state, watch=state.watch.waiting()), 0.0, None)
+        found = finder.search(frame.depth)
+        if found is None:
+            return Look(replace(state, watch=state.watch.refused()), 0.0, None)
+        return self._restarted(finder, found, frame, rng)
+
+    def _reconsidered(
+        self, finder: Acquisition, look: Look, frame: Frame, rng: np.random.Generator
+    ) -> Look:
+        """The look, or that at a hand which looks alike and fits far better where this one fits badly."""
+        state, settings = look.state, self.config.status
+        if look.fits is None or look.observation is None or not state.watch.doubts(look.fits.cost, settings):
+            return look
+        if state.watch.wait > 0:
+            return look._replace(state=replace(state, watch=state.watch.waiting()))
+        found = finder.reconsider(look.observation, look.fits.modes.poses[0])
+        if found is not None and found.cost < settings.better * look.fits.cost:
+            return self._restarted(finder, found, frame, rng)
+        return look._replace(state=replace(state, watch=state.watch.refused()))
+
+    def _restarted(
+        self, finder: Acquisition, found: Candidate, frame: Frame, rng: np.random.Generator
+    ) -> Look:
+        """Begin anew about a hand that was found."""
+        state = self.start(found.pose, frame.stamp_ns, rng)
+        state = replace(state, watch=state.watch.restarted(found.cost))
+        dt = FIRST_STEP_NS * 1e-9
+        observation = self._observer.observe(frame.depth, found.pose)
+        if observation.target_pixels == 0:
+            return Look(state, dt, None, restarted=True)
+        fits = finder.guiding.fit(observation, found.pose, found.pose[None], dt, rng)
+        return Look(state, dt, observation, fits, restarted=True)
+
+    def _watched(self, look: Look, cost: float | None, confidence: float) -> Watch:
+        """What is remembered of the track's quality after a frame."""
+        watch, settings = look.state.watch, self.config.status
+        if cost is None:
+            return watch.missed(settings)
+        fitted = cost if look.fits is None else look.fits.cost
+        return watch.seen(fitted, confidence, settings)
+
+    def _evaluations(self, look: Look) -> int:
+        """How many poses were drawn for the frame: particles, local fits, and the estimate itself."""
+        if look.observation is None:
+            return 0
+        return self.config.filter.particles + 1 + (0 if look.fits is None else look.fits.renders)
 
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""
@@ -137,52 +223,31 @@ class HandTracker:
         pose: FloatArray = inside_limits(moved)[0]
         return pose
 
-    def observe(self, depth: ImageArray, predicted: FloatArray) -> Observation:
-        """Cut the window around a predicted pose (22,) and find the target pixels in it."""
-        return self._observer.observe(depth, predicted)
-
     def state_parts(self, state: HandState) -> tuple[dict[str, FloatArray], dict[str, int]]:
         """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        numbers = {"stamp_ns": state.stamp_ns, "misses": state.misses, "unseen_ns": state.unseen_ns}
+        numbers = {"stamp_ns": state.stamp_ns, "unseen_ns": state.unseen_ns}
         return state_arrays(state), numbers
 
     def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> HandState:
         """Put a state together from what ``state_parts`` made of it."""
         return state_from_arrays(arrays, **numbers)
 
-    def _log_likelihood(self, observation: Observation) -> LogLikelihood | None:
+    def _log_likelihood(self, observation: Observation | None) -> LogLikelihood | None:
         """None where there is nothing to compare with: the filter then only predicts."""
-        if observation.target_pixels == 0:
+        if observation is None:
             return None
-        if self._guiding is None:
+        if self._finder is None:
             return lambda poses: self.scorer.log_likelihood(poses, observation)
-        fitter = self._guiding.fitter
+        fitter = self._finder.guiding.fitter
         return lambda poses: self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses)
 
-    def _guide(
-        self,
-        observation: Observation,
-        predicted: FloatArray,
-        still: FloatArray,
-        dt: float,
-        rng: np.random.Generator,
-    ) -> Guide | None:
-        if self._guiding is None or dt <= 0.0:
-            return None
-        fits = self._guiding.fit(observation, predicted, still[None], dt, rng)
-        return Guide(fits.modes, self.config.fit.prior_share)
-
-    def _filter(
-        self,
-        particles: FilterState,
-        dt: float,
-        score: LogLikelihood | None,
-        guide: Guide | None,
-        rng: np.random.Generator,
-    ) -> tuple[FilterState, Posterior]:
-        if dt <= 0.0:
+    def _filter(self, look: Look, rng: np.random.Generator) -> tuple[FilterState, Posterior]:
+        particles = look.state.particles
+        if look.dt <= 0.0:
             return particles, self._standing_still(particles)
-        common = (dt, self._dynamics, self._space, score, self._resampling, rng)
+        guide = None if look.fits is None else Guide(look.fits.modes, self.config.fit.prior_share)
+        score = self._log_likelihood(look.observation)
+        common = (look.dt, self.dynamics, self._space, score, self._resampling, rng)
         if isinstance(particles, MarginalState):
             proposal = "paper" if self.config.filter.proposal == "paper" else "marginal"
             return marginal_step(particles, *common, proposal=proposal, guide=guide)
@@ -195,19 +260,14 @@ class HandTracker:
             velocity = velocity_moments(particles.velocities, particles.velocity_variance, weighing.weights)
         return summarise(self._space, particles.poses, velocity, weighing, resampled=False)
 
-    def _cost_of(self, pose: FloatArray, observation: Observation) -> float | None:
-        if observation.target_pixels == 0:
-            return None
-        return float(self.scorer.costs(pose[None], observation)[0])
-
     def _estimate(
-        self, frame: Frame, posterior: Posterior, cost: float | None, confidence: float, lost: bool
+        self, frame: Frame, posterior: Posterior, cost: float | None, confidence: float, status: Status
     ) -> Estimate:
         pose = posterior.pose
         return Estimate(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
-            status=Status.LOST if lost else Status.TRACKING,
+            status=status,
             confidence=confidence,
             position=pose[:3],
             quaternion=pose[3:7],
@@ -239,15 +299,14 @@ def state_arrays(state: HandState) -> dict[str, FloatArray]:
     """The arrays of a state, for a checkpoint."""
     arrays = {"pose": state.pose, "velocity": state.velocity, "particles_poses": state.particles.poses}
     arrays["particles_log_weights"] = state.particles.log_weights
+    arrays["watch"] = np.array(astuple(state.watch), dtype=np.float64)
     if isinstance(state.particles, MarginalState):
         arrays["particles_velocities"] = state.particles.velocities
         arrays["particles_velocity_variance"] = state.particles.velocity_variance
     return arrays
 
 
-def state_from_arrays(
-    arrays: Mapping[str, FloatArray], stamp_ns: int, misses: int, unseen_ns: int
-) -> HandState:
+def state_from_arrays(arrays: Mapping[str, FloatArray], stamp_ns: int, unseen_ns: int) -> HandState:
     """The state that ``state_arrays`` took apart, with the numbers that are no arrays."""
     poses, log_weights = arrays["particles_poses"], arrays["particles_log_weights"]
     particles: FilterState = ParticleState(poses, log_weights)
@@ -255,4 +314,6 @@ def state_from_arrays(
         particles = MarginalState(
             poses, arrays["particles_velocities"], arrays["particles_velocity_variance"], log_weights
         )
-    return HandState(particles, stamp_ns, arrays["pose"], arrays["velocity"], misses, unseen_ns)
+    kinds = (bool, bool, int, float, int, int)
+    watch = Watch(*(kind(value) for kind, value in zip(kinds, arrays["watch"], strict=True)))
+    return HandState(particles, stamp_ns, arrays["pose"], arrays["velocity"], watch, unseen_ns)

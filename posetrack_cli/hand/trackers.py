@@ -9,10 +9,12 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.swarm.objective import RenderedObjective
 from posetrack_cli.hand.swarm.tracker import SwarmTracker
 from posetrack_cli.hand.tracker import HandTracker
@@ -54,5 +56,8 @@ def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: A
     if config.filter.kind == "pso":
         return SwarmTracker(config, hand.anatomy, camera, RenderedObjective(context, hand, camera, config))
     scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
-    guiding = Guiding(config, hand, camera) if config.filter.proposal == "guided" else None
-    return HandTracker(config, hand.anatomy, camera, scorer, guiding)
+    observer = Observer(config, hand.anatomy, camera, segment=config.observation.cost != "paper")
+    finder = None
+    if config.filter.proposal == "guided":
+        finder = Acquisition(config, hand, camera, scorer, observer, Guiding(config, hand, camera))
+    return HandTracker(config, hand.anatomy, camera, scorer, observer, finder)

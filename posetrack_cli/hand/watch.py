@@ -1,0 +1,64 @@
+"""Whether a track is to be believed: what is remembered of how well frames were fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from posetrack_cli.hand.config import StatusSettings
+
+_MEMORY = 0.1  # share of a new frame in the running mean of costs
+_MOST_WAIT = 8
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What is remembered of a track's quality.
+
+    Attributes:
+        lost: whether the hand is gone and has to be found in the whole image.
+        found: whether it was ever found; before, a first find is no re-initialisation.
+        misses: frames in a row without confidence.
+        usual_mm: running mean of the fits' costs, 0 before the first.
+        wait: frames to let pass before the next costly search.
+        pause: how many to let pass after the next one that fails.
+    """
+
+    lost: bool = False
+    found: bool = True
+    misses: int = 0
+    usual_mm: float = 0.0
+    wait: int = 0
+    pause: int = 1
+
+    def doubts(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a fit's cost is far above the usual."""
+        limit = settings.doubt_factor * self.usual_mm + settings.doubt_mm
+        return self.usual_mm > 0.0 and cost_mm > limit
+
+    def waiting(self) -> Watch:
+        """After a frame that was let pass."""
+        return replace(self, wait=max(0, self.wait - 1))
+
+    def refused(self) -> Watch:
+        """After a search that found nothing: the next ones come ever more seldom."""
+        return replace(self, wait=self.pause, pause=min(2 * self.pause, _MOST_WAIT))
+
+    def restarted(self, cost_mm: float) -> Watch:
+        """After the hand was found, or found to be elsewhere."""
+        return Watch(lost=False, found=True, usual_mm=cost_mm)
+
+    def seen(self, cost_mm: float, confidence: float, settings: StatusSettings) -> Watch:
+        """After a frame in which the hand was fitted."""
+        if confidence < settings.lost_below:
+            return self.missed(settings)
+        usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
+        if not self.doubts(cost_mm, settings):
+            usual += _MEMORY * (cost_mm - usual)
+            return replace(self, misses=0, usual_mm=usual, wait=0, pause=1)
+        return replace(self, misses=0, usual_mm=usual)
+
+    def missed(self, settings: StatusSettings) -> Watch:
+        """After a frame without confidence."""
+        misses = self.misses + 1
+        lost = self.lost or misses >= settings.lost_after_frames
+        return replace(self, misses=misses, lost=lost)
