@@ -170,8 +170,8 @@ class PsoSettings(Settings):
     redraw_share: Fraction = 0.5
     clamp_mm: Positive = 40.0
     match_mm: Positive = 10.0
-    overlap_mm: NotNegative = 200.0
-    crossing_mm_per_rad: NotNegative = 100.0
+    overlap_mm: NotNegative = 20.0
+    crossing_mm_per_rad: NotNegative = 10.0
     reach_mm: Positive = 250.0
     spread: ComponentSettings = ComponentSettings(
         position_mm=10.0, rotation_rad=0.2, flexion_rad=0.2, abduction_rad=0.06
