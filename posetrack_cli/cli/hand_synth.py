@@ -29,7 +29,13 @@ PALM = (
     ("length", "from wrist to knuckles"),
     ("thickness", "from back to front"),
 )
-SHAPE = ("scale", *(f"finger_{name}" for name, _ in FINGERS), *(f"palm_{name}" for name, _ in PALM))
+SHAPE = (
+    "scale",
+    *(f"finger_{name}" for name, _ in FINGERS),
+    *(f"palm_{name}" for name, _ in PALM),
+    "wrist_width",
+    "thumb_place",
+)
 
 
 def switch_options(command: Command) -> Command:
@@ -41,6 +47,9 @@ def switch_options(command: Command) -> Command:
 
 def shape_options(command: Command) -> Command:
     """Add the hand's proportions."""
+    place = "Further factor, how far along the palm the thumb begins."
+    command = click.option("--thumb-place", type=float, help=place)(command)
+    command = click.option("--wrist-width", type=float, help="Further factor on the wrist's width.")(command)
     for name, text in reversed(PALM):
         command = click.option(f"--palm-{name}", type=float, help=f"Further factor, the palm {text}.")(
             command

@@ -99,6 +99,7 @@ class HandAnatomy:
         radii: (5, 4) finger radii, mm.
         scale: all lengths relative to the average hand of the tables.
         palm: further factors on the palm's width (x), length (y) and thickness (z).
+        wrist: further factor on the width of the skin around the wrist.
     """
 
     side: str
@@ -108,6 +109,7 @@ class HandAnatomy:
     radii: FloatArray
     scale: float
     palm: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    wrist: float = 1.0
 
     @property
     def is_left(self) -> bool:
@@ -144,6 +146,8 @@ def make_anatomy(
     finger_lengths: tuple[float, ...] = (1.0,) * 5,
     finger_widths: tuple[float, ...] = (1.0,) * 5,
     palm: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    wrist: float = 1.0,
+    thumb_place: float = 1.0,
 ) -> HandAnatomy:
     """Return the average adult hand, scaled.
 
@@ -154,15 +158,20 @@ def make_anatomy(
         finger_widths: further factor on each finger's radii, thumb first.
         palm: further factors on the palm's width, length and thickness: where the fingers' bases lie in
             x, y and z, and how wide and thick the skin between them and the wrist is.
+        wrist: further factor on the width of the skin around the wrist.
+        thumb_place: further factor on the distance of the thumb's base from the wrist along the palm.
     """
     positions, rotations = _right_bases()
     positions = positions * np.asarray(palm)
+    positions[0, 1] *= thumb_place
     if side == "left":
         positions = positions * MIRROR
         rotations = MIRROR[:, None] * rotations * MIRROR
     segments = _SEGMENTS * np.asarray(finger_lengths)[:, None]
     radii = SEGMENT_RADII * np.asarray(finger_widths)[:, None]
-    return HandAnatomy(side, scale * positions, rotations, scale * segments, scale * radii, scale, palm)
+    return HandAnatomy(
+        side, scale * positions, rotations, scale * segments, scale * radii, scale, palm, wrist
+    )
 
 
 def _right_bases() -> tuple[FloatArray, FloatArray]:

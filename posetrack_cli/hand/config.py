@@ -29,13 +29,17 @@ class HandSettings(Settings):
     palm_width: Proportion = 1.0
     palm_length: Proportion = 1.0
     palm_thickness: Proportion = 1.0
+    wrist_width: Proportion = 1.0
+    thumb_place: Annotated[float, Field(ge=0.5, le=2.5)] = 1.0
     mesh: str | None = None
 
     @property
     def shape(self) -> HandShape:
         """Size and proportions."""
         palm = (self.palm_width, self.palm_length, self.palm_thickness)
-        return HandShape(self.scale, self.finger_lengths, self.finger_widths, *palm)
+        return HandShape(
+            self.scale, self.finger_lengths, self.finger_widths, *palm, self.wrist_width, self.thumb_place
+        )
 
 
 class FilterSettings(Settings):

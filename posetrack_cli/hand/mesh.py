@@ -106,10 +106,11 @@ def _right_anatomy(anatomy: HandAnatomy) -> HandAnatomy:
     average, scale = _average(), anatomy.scale
     return replace(
         average,
-        base_positions=average.base_positions * anatomy.palm,
+        base_positions=anatomy.base_positions / scale * (MIRROR if anatomy.is_left else 1.0),
         segments=anatomy.segments / scale,
         radii=anatomy.radii / scale,
         palm=anatomy.palm,
+        wrist=anatomy.wrist,
     )
 
 
@@ -172,7 +173,9 @@ def _palm_row(builder: _Builder, anatomy: HandAnatomy, s: float, thickness: floa
     line = _knuckle_line(anatomy)
     broad, _, deep = anatomy.palm
     u = np.concatenate([[1.0], np.linspace(0.80, -0.80, 8), [-1.0]])
-    wrist = np.stack([broad * _WRIST_HALF_WIDTH * u, np.full(10, _WRIST_END), np.zeros(10)], axis=1)
+    wrist = np.stack(
+        [broad * anatomy.wrist * _WRIST_HALF_WIDTH * u, np.full(10, _WRIST_END), np.zeros(10)], axis=1
+    )
     middle = line.mean(axis=0)
     ring = (1.0 - s) * wrist + s * (middle + (line - middle) * (width if s > 0.3 else 1.0))
     bulge = (1.0 - np.abs(u) ** 2.6) ** (1.0 / 2.6)

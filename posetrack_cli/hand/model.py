@@ -64,7 +64,15 @@ def hand_maker(mesh: str | None) -> HandMaker:
 def average_hand(side: str = "right", shape: HandShape | None = None) -> HandModel:
     """Return the average adult hand in a shape."""
     shape = shape or HandShape()
-    anatomy = make_anatomy(side, shape.scale, shape.finger_lengths, shape.finger_widths, shape.palm)
+    anatomy = make_anatomy(
+        side,
+        shape.scale,
+        shape.finger_lengths,
+        shape.finger_widths,
+        shape.palm,
+        shape.wrist_width,
+        shape.thumb_place,
+    )
     smooth = hand_mesh(anatomy, "medium")
     return HandModel(anatomy, lean_mesh(anatomy, smooth), smooth, partial(hand_mesh, anatomy, "fine"))
 

@@ -16,6 +16,7 @@ def reshaped_anatomy(anatomy: HandAnatomy, side: str, shape: HandShape) -> HandA
     """The bones of a right hand in a shape, on a side; as ``make_anatomy`` does with the average hand's."""
     scale = shape.scale
     positions = anatomy.base_positions * shape.palm
+    positions[0, 1] *= shape.thumb_place
     turns = anatomy.base_rotations
     if side == "left":
         positions, turns = positions * MIRROR, MIRROR[:, None] * turns * MIRROR
@@ -27,6 +28,7 @@ def reshaped_anatomy(anatomy: HandAnatomy, side: str, shape: HandShape) -> HandA
         scale * anatomy.radii * np.asarray(shape.finger_widths)[:, None],
         scale * anatomy.scale,
         shape.palm,
+        shape.wrist_width,
     )
 
 
@@ -43,9 +45,19 @@ def reshaped_skin(mesh: SkinnedMesh, anatomy: HandAnatomy, side: str, shape: Han
         side: ``right`` or ``left``.
         shape: factors.
     """
-    stretched = mesh.posed(_stretches(anatomy, shape)[None])[0]
+    narrowed = replace(mesh, vertices=_with_wrist(mesh, anatomy, shape.wrist_width))
+    stretched = narrowed.posed(_stretches(anatomy, shape)[None])[0]
     skin = SkinnedMesh(shape.scale * stretched, mesh.weights, mesh.triangles)
     return skin.flipped(MIRROR) if side == "left" else skin
+
+
+def _with_wrist(mesh: SkinnedMesh, anatomy: HandAnatomy, factor: float) -> FloatArray:
+    """Vertices with the palm's widths multiplied: by the factor at the wrist, by less towards the knuckles."""
+    knuckles = -float(anatomy.base_positions[1:, 1].mean())
+    share = mesh.weights[:, 0] * np.clip(1.0 + mesh.vertices[:, 1] / knuckles, 0.0, 1.0)
+    vertices = mesh.vertices.copy()
+    vertices[:, 0] *= 1.0 + (factor - 1.0) * share
+    return vertices
 
 
 def _stretches(anatomy: HandAnatomy, shape: HandShape) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What people's hands differ by: fourteen factors on the lengths of a hand."""
+"""What people's hands differ by: sixteen factors on the lengths of a hand."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ SHAPE_NAMES: tuple[str, ...] = (
     "palm_width",
     "palm_length",
     "palm_thickness",
+    "wrist_width",
+    "thumb_place",
 )
 SHAPE_SIZE = len(SHAPE_NAMES)
 _LENGTHS, _WIDTHS = slice(1, 6), slice(6, 11)
 PerFinger = tuple[float, float, float, float, float]
 _ONES: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
 
-POPULATION_SD: FloatArray = np.array([0.08, *[0.05] * 5, *[0.07] * 5, 0.06, 0.05, 0.08])
-"""(14,) standard deviations of the factors' logarithms among adults **[ours]**.
+POPULATION_SD: FloatArray = np.array([0.08, *[0.05] * 5, *[0.07] * 5, 0.06, 0.03, 0.08, 0.15, 0.3])
+"""(16,) standard deviations of the factors' logarithms among adults **[ours]**.
 
-Hand length among adult men and women together varies by 5 to 6 %, breadth by 7 to 8 %, finger breadths
-by about 8 % (US Army survey ANSUR, 1988); what is left of a finger's length when the hand's is known, by
-4 %. A little more is allowed here.
+The length and the breadth of adult hands vary by some 5 per cent within a sex and by 6 to 8 over both.
+Proportions are guessed; where the thumb begins and how the wrist narrows is what hand models differ most in.
 """
 
 
@@ -42,6 +43,8 @@ class HandShape:
         palm_width: further, on the palm across.
         palm_length: further, on the palm from the wrist to the knuckles.
         palm_thickness: further, on the palm from its back to its front.
+        wrist_width: further, on the skin around the wrist across; no bone moves with it.
+        thumb_place: further, on the distance of the thumb's base from the wrist along the palm.
     """
 
     scale: float = 1.0
@@ -50,6 +53,8 @@ class HandShape:
     palm_width: float = 1.0
     palm_length: float = 1.0
     palm_thickness: float = 1.0
+    wrist_width: float = 1.0
+    thumb_place: float = 1.0
 
     @property
     def palm(self) -> tuple[float, float, float]:
@@ -58,12 +63,21 @@ class HandShape:
 
     @property
     def factors(self) -> FloatArray:
-        """(14,) in the order of ``SHAPE_NAMES``."""
-        return np.array([self.scale, *self.finger_lengths, *self.finger_widths, *self.palm])
+        """(16,) in the order of ``SHAPE_NAMES``."""
+        return np.array(
+            [
+                self.scale,
+                *self.finger_lengths,
+                *self.finger_widths,
+                *self.palm,
+                self.wrist_width,
+                self.thumb_place,
+            ]
+        )
 
     @classmethod
     def of_factors(cls, factors: FloatArray) -> HandShape:
-        """The shape of (14,) factors in the order of ``SHAPE_NAMES``."""
+        """The shape of (16,) factors in the order of ``SHAPE_NAMES``."""
         values = [float(factor) for factor in factors]
         lengths, widths = tuple(values[_LENGTHS]), tuple(values[_WIDTHS])
         return cls(values[0], lengths, widths, *values[11:])  # type: ignore[arg-type]

@@ -25,8 +25,8 @@ CORRELATED = 32.0
 LEAST_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
 MOST_SHAPE_STEP, MOST_POSE_STEP = 0.06, np.repeat([15.0, 0.2, 0.3], [3, 3, 15])
-LIMITS = np.log([[0.5, *[0.7] * 13], [1.6, *[1.4] * 13]])
-"""(2, 14) of theta: what the configuration allows, and hands of small children."""
+LIMITS = np.log([[0.5, *[0.7] * (SHAPE_SIZE - 2), 0.5], [1.6, *[1.4] * (SHAPE_SIZE - 2), 2.5]])
+"""(2, 16) of theta: what the configuration allows, and hands of small children."""
 _RELAXED_SD = np.repeat([np.inf, np.inf, 0.6], [3, 3, 15])
 _SPACE = HandSpace()
 
@@ -38,7 +38,7 @@ class Bundle:
     Attributes:
         shape: of the hand.
         poses: (F, 22).
-        covariance: (14, 14) of the logarithms of the shape's factors.
+        covariance: (16, 16) of the logarithms of the shape's factors.
         residual_mm: weighted root mean square of the residuals.
         iterations: steps taken.
     """

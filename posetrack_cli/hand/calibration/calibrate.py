@@ -63,7 +63,7 @@ class Calibration:
     Attributes:
         side: ``right`` or ``left``.
         shape: of the hand.
-        sd: (14,) standard deviations of the factors.
+        sd: (16,) standard deviations of the factors.
         frames_seen: frames that were looked at.
         frames_used: frames that the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.

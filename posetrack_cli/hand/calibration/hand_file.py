@@ -40,7 +40,7 @@ def hand_text(calibration: Calibration, mesh: str | None, source: str, folder: P
         f"scale = {_number(shape.scale)}  # {sd['scale']:.3f}",
         f"finger_lengths = {_row(shape.finger_lengths)}  # {_deviations(sd, 'length')}",
         f"finger_widths = {_row(shape.finger_widths)}  # {_deviations(sd, 'width')}",
-        *(f"{name} = {_number(getattr(shape, name))}  # {sd[name]:.3f}" for name in SHAPE_NAMES[-3:]),
+        *(f"{name} = {_number(getattr(shape, name))}  # {sd[name]:.3f}" for name in SHAPE_NAMES[11:]),
     ]
     if mesh is not None:
         lines.append(f"mesh = {json.dumps(_reachable(Path(mesh), folder))}")

@@ -16,6 +16,7 @@ SIDES = ("right", "left")
 SCALES = (0.5, 1.5)
 """Smallest and largest hand: within them the hand stays in the image wherever it may go."""
 PROPORTIONS = (0.7, 1.4)
+PLACES = (0.5, 2.5)
 SPEEDS = (0.01, 100.0)
 MOST_FRAMES = 1_000_000
 
@@ -69,8 +70,8 @@ class SynthOptions:
             100.
         side: ``right`` or ``left``.
         scale: factor on the hand's lengths, 0.5 to 1.5.
-        finger_lengths, finger_widths, palm_width, palm_length, palm_thickness: see ``HandShape``; each
-            factor 0.7 to 1.4.
+        finger_lengths, finger_widths, palm_width, palm_length, palm_thickness, wrist_width,
+            thumb_place: see ``HandShape``; each factor 0.7 to 1.4.
         mesh: GLB file of the hand; None is the average one.
         fps: nominal frame rate, Hz.
         switches: what is added to the bare hand.
@@ -90,6 +91,8 @@ class SynthOptions:
     palm_width: float = 1.0
     palm_length: float = 1.0
     palm_thickness: float = 1.0
+    wrist_width: float = 1.0
+    thumb_place: float = 1.0
     mesh: str | None = None
     fps: float = 30.0
     switches: Switches = field(default_factory=Switches.all_on)
@@ -106,8 +109,9 @@ class SynthOptions:
 
     def _check_shape(self) -> None:
         for name, value in zip(SHAPE_NAMES, self.shape.factors, strict=True):
-            low, high = SCALES if name == "scale" else PROPORTIONS
-            option = "finger_" + name.split("_")[1] + "s" if name.split("_")[0] in FINGERS else name
+            low, high = {"scale": SCALES, "thumb_place": PLACES}.get(name, PROPORTIONS)
+            of_finger = name.endswith(("_length", "_width")) and name.split("_")[0] in FINGERS
+            option = "finger_" + name.split("_")[1] + "s" if of_finger else name
             good = bool(low <= value <= high)
             _check(option.replace("_", "-"), f"{value:g}", good, f"{low:g} to {high:g}")
 
