@@ -50,8 +50,12 @@ class RecordSpool:
         self._start = 0
         with self._guarded():
             self._file = path.open("r+b" if keep else "w+b")
-            if keep:
+        if keep:
+            try:
                 self._restore(keep)
+            except BaseException:
+                self._file.close()
+                raise
 
     def __len__(self) -> int:
         return self._count
@@ -103,19 +107,21 @@ class RecordSpool:
         return self._lay_out(fields, len(line))
 
     def _restore(self, keep: int) -> None:
-        line = self._file.readline()
+        with self._guarded():
+            line, size = self._file.readline(), self._path.stat().st_size
         try:
             self._lay_out(json.loads(line), len(line))
         except (ValueError, TypeError, AttributeError) as error:
             raise ResultError("spool cannot be read", where=self._path, hint=RESTART_HINT) from error
-        size, end = self._path.stat().st_size, self._end_of(keep)
+        end = self._end_of(keep)
         if size < end:
             found, expected = f"{size} bytes", f"{end}, for {keep} frames"
             raise ResultError(
                 "spool ends early", where=self._path, found=found, expected=expected, hint=RESTART_HINT
             )
-        self._file.truncate(end)
-        self._file.seek(end)
+        with self._guarded():
+            self._file.truncate(end)
+            self._file.seek(end)
 
     def _lay_out(self, fields: Mapping[str, Any], start: int) -> np.dtype[Any]:
         layout: list[Any] = [(name, kind, tuple(shape)) for name, (kind, shape) in fields.items()]
