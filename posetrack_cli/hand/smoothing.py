@@ -28,11 +28,11 @@ KEPT = "filter."
 class SmoothedTrack:
     """Remembers every frame of a run and then smooths them, from the last to the first.
 
-        track = SmoothedTrack(path, smoother, anatomy, keep)
-        track.remember(state.particles, estimate, dt, cut)      # each frame
-        track.flush()                                           # before a checkpoint
-        for estimate in track.backward(): ...                   # at the end
-        track.delete()
+        with SmoothedTrack(path, smoother, anatomy, keep) as track:
+            track.remember(state.particles, estimate, dt, cut)      # each frame
+            track.flush()                                           # before a checkpoint
+            for estimate in track.backward(): ...                   # at the end
+            track.delete()
 
     A chain of frames is smoothed as one; where the track was found anew another begins. The memory is a file,
     and what is held of it does not grow with the recording.
@@ -101,7 +101,10 @@ class SmoothedTrack:
         """Remove the file."""
         self._spool.delete()
 
-    def close(self) -> None:
+    def __enter__(self) -> SmoothedTrack:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         """Let the file lie, for a run that is resumed."""
         self._spool.close()
 

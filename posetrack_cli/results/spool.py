@@ -84,7 +84,7 @@ class RecordSpool:
             stop -= len(block)
 
     def close(self) -> None:
-        """Close the file and let it lie, for a run that is resumed."""
+        """Close the file and let it lie, for a run that is resumed; closing twice does nothing."""
         with self._guarded():
             self._file.close()
 
@@ -98,7 +98,7 @@ class RecordSpool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        self.close()
 
     def _begin(self, record: Record) -> np.dtype[Any]:
         fields = {name: (_kind(values), list(np.shape(values))) for name, values in record.items()}
