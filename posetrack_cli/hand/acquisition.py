@@ -123,6 +123,12 @@ class Acquisition:
         )
 
 
+def better_of(first: Candidate | None, second: Candidate | None) -> Candidate | None:
+    """The candidate that costs less, if there is any."""
+    both = [candidate for candidate in (first, second) if candidate is not None]
+    return min(both, key=lambda candidate: candidate.cost, default=None)
+
+
 def distinct(poses: FloatArray, costs: FloatArray, count: int) -> list[int]:
     """Return the best of poses (H, 22) that are turned apart or of another shape, then the best of the rest."""
     order = np.argsort(costs, kind="stable")

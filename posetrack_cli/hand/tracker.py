@@ -18,7 +18,7 @@ from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_mom
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import Acquisition, Candidate
+from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.guiding import LocalFits
@@ -174,7 +174,7 @@ class HandTracker:
         found = finder.search(frame.depth)
         if found is None:
             return Look(replace(state, watch=state.watch.refused()), 0.0, None)
-        return self._restarted(finder, found, frame, rng)
+        return self._restarted(finder, found, state.watch, frame, rng)
 
     def _reconsidered(
         self, finder: Acquisition, look: Look, frame: Frame, rng: np.random.Generator
@@ -186,16 +186,18 @@ class HandTracker:
         if state.watch.wait > 0:
             return look._replace(state=replace(state, watch=state.watch.waiting()))
         found = finder.reconsider(look.observation, look.fits.modes.poses[0])
+        if found is None or state.watch.doubts(found.cost, settings):
+            found = better_of(found, finder.search(frame.depth))  # the window may be misled, too
         if found is not None and found.cost < settings.better * look.fits.cost:
-            return self._restarted(finder, found, frame, rng)
+            return self._restarted(finder, found, state.watch, frame, rng)
         return look._replace(state=replace(state, watch=state.watch.refused()))
 
     def _restarted(
-        self, finder: Acquisition, found: Candidate, frame: Frame, rng: np.random.Generator
+        self, finder: Acquisition, found: Candidate, watch: Watch, frame: Frame, rng: np.random.Generator
     ) -> Look:
         """Begin anew about a hand that was found."""
         state = self.start(found.pose, frame.stamp_ns, rng)
-        state = replace(state, watch=state.watch.restarted(found.cost))
+        state = replace(state, watch=watch.restarted(found.cost))
         dt = FIRST_STEP_NS * 1e-9
         observation = self._observer.observe(frame.depth, found.pose)
         if observation.target_pixels == 0:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
-_MOST_WAIT = 8
+_MOST_WAIT = 4
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,9 @@ class Watch:
         return replace(self, wait=self.pause, pause=min(2 * self.pause, _MOST_WAIT))
 
     def restarted(self, cost_mm: float) -> Watch:
-        """After the hand was found, or found to be elsewhere."""
-        return Watch(lost=False, found=True, usual_mm=cost_mm)
+        """After the hand was found, or found to be elsewhere: what it usually costs is not forgotten."""
+        usual = cost_mm if self.usual_mm == 0.0 else min(self.usual_mm, cost_mm)
+        return replace(self, lost=False, found=True, misses=0, usual_mm=usual)
 
     def seen(self, cost_mm: float, confidence: float, settings: StatusSettings) -> Watch:
         """After a frame in which the hand was fitted."""
