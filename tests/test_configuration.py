@@ -230,3 +230,33 @@ def leaves(table: dict[str, object], prefix: str = "") -> dict[str, object]:
     for key, value in table.items():
         found |= leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
     return found
+
+
+def test_later_files_override_earlier_ones_table_by_table(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    first.write_text("[filter]\nparticles = 100\n[hand]\nscale = 1.1\nside = 'left'\n")
+    second.write_text("[hand]\nscale = 0.9\n[motion.pose]\nflexion_rad = 2.0\n")
+    config = load_settings(HandConfig, [first, second], {"hand.palm_width": 1.2})
+    assert (config.filter.particles, config.hand.side, config.hand.scale) == (100, "left", 0.9)
+    assert config.hand.palm_width == 1.2
+    assert config.motion.pose.position_mm == HandConfig().motion.pose.position_mm
+    assert load_settings(HandConfig, [second, first], {}).hand.scale == 1.1
+    assert load_settings(HandConfig, [], {}) == HandConfig()
+
+
+def test_an_error_names_the_file_that_it_is_in(tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
+    good.write_text("[hand]\nscale = 1.1\n")
+    bad.write_text("[hand]\nscale = 'large'\n")
+    for files in ([good, bad], [bad, good]):
+        with pytest.raises(UsageError, match=r"bad\.toml: 'hand\.scale' cannot be used"):
+            load_settings(HandConfig, files, {})
+
+
+def test_a_file_named_in_a_file_lies_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "hand.toml"
+    path.write_text("[hand]\nmesh = 'meshes/mine.glb'\n")
+    assert load_settings(HandConfig, path, {}).hand.mesh == str(tmp_path / "meshes" / "mine.glb")
+    assert load_settings(HandConfig, path, {"hand.mesh": "other.glb"}).hand.mesh == "other.glb"  # as is
+    path.write_text(f"[hand]\nmesh = '{tmp_path}/x.glb'\n")
+    assert load_settings(HandConfig, path, {}).hand.mesh == f"{tmp_path}/x.glb"

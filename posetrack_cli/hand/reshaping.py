@@ -52,7 +52,7 @@ def reshaped_skin(mesh: SkinnedMesh, anatomy: HandAnatomy, side: str, shape: Han
 
 
 def _with_wrist(mesh: SkinnedMesh, anatomy: HandAnatomy, factor: float) -> FloatArray:
-    """Vertices with the palm's widths multiplied: by the factor at the wrist, by less towards the knuckles."""
+    """Vertices with the palm's widths multiplied: fully at the wrist, less towards the knuckles."""
     knuckles = -float(anatomy.base_positions[1:, 1].mean())
     share = mesh.weights[:, 0] * np.clip(1.0 + mesh.vertices[:, 1] / knuckles, 0.0, 1.0)
     vertices = mesh.vertices.copy()

@@ -43,17 +43,19 @@ def rims(triangles: IntArray) -> list[IntArray]:
     """The rims of holes: loops of vertices along edges of one triangle only, in the triangles' sense."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
     there = set(map(tuple, directed))
-    following: dict[int, int] = {a: b for a, b in directed if (b, a) not in there}
+    following: dict[int, list[int]] = {}
+    for a, b in directed:
+        if (b, a) not in there:
+            following.setdefault(a, []).append(b)  # two where holes touch at a vertex
     loops: list[IntArray] = []
-    while following:
-        start, vertex = next(iter(following.items()))
-        del following[start]
-        loop = [start]
-        while vertex in following:
-            loop.append(vertex)
-            vertex = following.pop(vertex)
-        if vertex == start and len(loop) > 2:  # an open chain is a flaw, not a hole
-            loops.append(np.array(loop))
+    for start in following:
+        while following[start]:
+            loop, vertex = [start], following[start].pop()
+            while vertex != start and following.get(vertex):
+                loop.append(vertex)
+                vertex = following[vertex].pop()
+            if vertex == start and len(loop) > 2:  # an open chain is a flaw, not a hole
+                loops.append(np.array(loop))
     return loops
 
 
