@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.arrays import IntArray
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 
@@ -19,12 +19,6 @@ def welded(mesh: SkinnedMesh, tolerance: float) -> SkinnedMesh:
     _, first, index = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     triangles = first[index.reshape(-1)][mesh.triangles]
     return _used(mesh, _proper(triangles))
-
-
-def without(mesh: SkinnedMesh, beyond: FloatArray) -> SkinnedMesh:
-    """Leave out the triangles all of whose vertices are marked (V,) as beyond."""
-    marked = np.asarray(beyond, dtype=bool)[mesh.triangles].all(axis=1)
-    return _used(mesh, mesh.triangles[~marked])
 
 
 def closed(mesh: SkinnedMesh) -> SkinnedMesh:
@@ -49,13 +43,14 @@ def rims(triangles: IntArray) -> list[IntArray]:
             following.setdefault(a, []).append(b)  # two where holes touch at a vertex
     loops: list[IntArray] = []
     for start in following:
-        while following[start]:
-            loop, vertex = [start], following[start].pop()
-            while vertex != start and following.get(vertex):
-                loop.append(vertex)
-                vertex = following[vertex].pop()
-            if vertex == start and len(loop) > 2:  # an open chain is a flaw, not a hole
-                loops.append(np.array(loop))
+        path = [start]
+        while following.get(path[-1]):
+            vertex = following[path[-1]].pop()
+            if vertex in path:  # round: what began there is a loop, the path goes on from it
+                first = path.index(vertex)
+                loops.append(np.array(path[first:]))
+                del path[first:]
+            path.append(vertex)
     return loops
 
 
