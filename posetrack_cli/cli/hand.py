@@ -66,7 +66,7 @@ hand.add_command(hand_synth)
     help="Filter; pso is the optimiser of Oikonomidis et al. 2011 instead.  [default: rbpf]",
 )
 @click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512; pso: 64]")
-@click.option("--proposal", type=click.Choice(["marginal", "paper"]), help="Proposal of the RBPF.")
+@click.option("--proposal", type=click.Choice(["guided", "marginal", "paper"]), help="Proposal.  [default: guided]")
 @click.option(
     "--resampling",
     type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
@@ -81,10 +81,11 @@ hand.add_command(hand_synth)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
 @click.option(
     "--init",
-    default="center",
-    show_default=True,
-    help="Start: center (open hand in the middle, palm to the sensor), or a file with a pose.",
+    metavar="auto|center|FILE",
+    help="Start: auto (find the hand), center (open hand in the middle, palm to the sensor), or a file with a "
+    "pose.  [default: auto]",
 )
+@click.option("--smooth", is_flag=True, help="Also write the smoothed track, which knows the future.")
 @click.option("--start", type=click.IntRange(min=0), default=0, help="First frame.")
 @click.option("--end", type=click.IntRange(min=1), help="Frame to stop before.")
 @click.option("--stride", type=click.IntRange(min=1), default=1, help="Track every so many frames.")
@@ -120,7 +121,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
     config = _configuration(options)
     source = open_recording(recording, **opening_arguments(options))
-    names = ("output", "seed", "init", "start", "end", "stride", "resume", "overwrite", "timings")
+    names = ("output", "seed", "init", "start", "end", "stride", "resume", "overwrite", "timings", "smooth")
     run_options = RunOptions(**{name: options[name] for name in names})
     run = HandRun(source, config, run_options, open_context(options["device"]))
     return run, frames_ahead(source, run_options)

@@ -46,7 +46,7 @@ class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md)."""
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
-    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 512
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 80
     proposal: Literal["guided", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
@@ -90,18 +90,18 @@ class MixtureSettings(Settings):
     reading each **[ours]**.
     """
 
-    near_sd_mm: Positive = 1.5
-    sd_mm_per_m2: NotNegative = 0.7
+    near_sd_mm: Positive = 3.0
+    sd_mm_per_m2: NotNegative = 1.42
     occluded_share: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
-    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.1
-    outline_sd_mm: Positive = 1.5
-    correlation_mm: Positive = 10.0
+    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.01
+    outline_sd_mm: Positive = 5.0
+    correlation_mm: Positive = 7.0
 
 
 class ObservationSettings(Settings):
     """How an image scores a pose (paper, section 4; hand.md, observation model)."""
 
-    cost: Literal["mixture", "union", "paper"] = "union"
+    cost: Literal["mixture", "union", "paper"] = "mixture"
     likelihood: Literal["gaussian", "exponential"] = "gaussian"
     sigma_mm: Positive = 4.0
     clamp_mm: Positive = 40.0
@@ -148,14 +148,19 @@ class DetectionSettings(Settings):
 
 
 class InitSettings(Settings):
-    """The prior of the first frame (paper, 7.3): palm to the sensor, in the middle of the image."""
+    """Where a run starts, and the prior of its first frame.
 
+    ``auto`` finds the hand in the image; ``center`` is the paper's start (7.3): palm to the sensor, in the
+    middle of the image, ``depth_mm`` away or where the nearest surface is.
+    """
+
+    method: Literal["auto", "center"] = "auto"
     depth_mm: Positive | None = None
     spread: ComponentSettings = ComponentSettings(
         position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08
     )
     velocity: ComponentSettings = ComponentSettings(
-        position_mm=30.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05
+        position_mm=200.0, rotation_rad=1.5, flexion_rad=2.0, abduction_rad=0.3
     )
 
 
@@ -222,13 +227,14 @@ class StatusSettings(Settings):
     """When a track is doubted, and when it counts as lost.
 
     A frame's cost D is compared with the usual one, a running mean over well-tracked frames: above
-    ``doubt_factor`` times that plus ``doubt_mm`` the hand is reconsidered, and replaced by one that looks
-    alike if that costs less than ``better`` times as much. Confidence 1 - D / c_max that stays below
+    ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and replaced
+    by another one in the image if that costs less than ``better`` times as much. Confidence 1 - D / c_max that stays below
     ``lost_below`` for ``lost_after_frames`` is a loss; the hand is then looked for in the whole image.
     """
 
     doubt_factor: Positive = 1.5
     doubt_mm: NotNegative = 2.0
+    sure_mm: NotNegative = 6.0
     better: Fraction = 0.7
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5

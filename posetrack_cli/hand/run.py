@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -21,7 +21,9 @@ from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
+from posetrack_cli.hand.smoothing import SmoothedTrack, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
+from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.hand.trackers import Tracker, make_tracker
 from posetrack_cli.recording.base import Frame, Loss, Recording, TruthMessage
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -32,8 +34,9 @@ from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
 
-INIT_CENTRE = "center"
+INIT_METHODS = ("auto", "center")
 Report = Callable[[Estimate], None]
+_SMOOTHING_STREAM = 1  # of random numbers: what is filtered does not depend on whether it is smoothed
 
 
 @dataclass(frozen=True)
@@ -43,22 +46,24 @@ class RunOptions:
     Attributes:
         output: the result's path.
         seed: of the random generator.
-        init: ``center`` or the path of a pose (see ``read_pose``).
+        init: ``auto``, ``center`` or the path of a pose (see ``read_pose``); None as configured.
         start, end, stride: which frames.
         resume: go on with an interrupted run.
         overwrite: replace an existing result.
+        smooth: also write the smoothed track.
         timings: write each frame's milliseconds; then two runs differ in their bytes.
     """
 
     output: Path
     seed: int = 0
-    init: str = INIT_CENTRE
+    init: str | None = None
     start: int = 0
     end: int | None = None
     stride: int = 1
     resume: bool = False
     overwrite: bool = False
     timings: bool = False
+    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,9 @@ class HandRun:
     """
 
     def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
-        self._recording, self._config, self._options = recording, config, options
+        self._recording, self._config, self._options = recording, with_method(config, options), options
+        config = self._config
+        _check_smoothing(config, options)
         check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
         if frames_ahead(recording, options) == 0:
             raise self._nothing_to_track()  # before a file is made that would have to be overwritten
@@ -106,7 +113,7 @@ class HandRun:
         self._camera = recording.cameras[0]
         self.tracker = make_tracker(config, hand, self._camera, context)
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
-        self._start_pose = None if options.init == INIT_CENTRE else read_pose(Path(options.init))
+        self._start_pose = _given_pose(options)
         renderer = str(describe(context))
         self._record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
@@ -134,23 +141,43 @@ class HandRun:
     ) -> RunOutcome:
         tracked = 0
         writer, state, rng, last = self._open()
-        with writer, closing(self._truth(writer)) as truth:
+        with writer, closing(self._truth(writer)) as truth, self._memory(writer) as memory:
             for frame in frames:
                 self._note_blank(frame)
                 if frame.index <= last:
                     continue  # tracked before the interruption
-                state = state or self.tracker.start(self._first_pose(frame), frame.stamp_ns, rng)
+                state = state or self._started(frame, rng)
                 state, estimate = self._timed_step(state, frame, rng)
                 truth.send(frame.stamp_ns)
+                if memory is not None:
+                    memory.remember(state.particles, estimate, state.dt, state.cut)
                 if writer.write(estimate, self._vertices(estimate)):
+                    if memory is not None:
+                        memory.flush()
                     checkpoint = _checkpoint(self.tracker, state, rng, frame.index, writer.frames_written)
                     writer.save_checkpoint(checkpoint)
                 report(estimate)
                 tracked += 1
                 if stopped():
                     return self._outcome(writer, tracked, began, stopped=True)
+            if memory is not None:
+                for estimate in memory.backward():
+                    writer.write_smoothed(estimate, self._vertices(estimate))
+                memory.delete()
             self._finish(writer)
         return self._outcome(writer, tracked, began, stopped=False)
+
+    @contextmanager
+    def _memory(self, writer: ResultWriter) -> Iterator[SmoothedTrack | None]:
+        """What is kept of every frame for the way back; None where nothing is smoothed."""
+        if not self._options.smooth:
+            yield None
+            return
+        rng = np.random.default_rng([self._options.seed, _SMOOTHING_STREAM])
+        smoother = make_smoother(self._config, dynamics(self._config), rng)
+        path = smoothing_path(self._options.output)
+        with SmoothedTrack(path, smoother, self._anatomy, writer.frames_written) as memory:
+            yield memory
 
     def _open(self) -> tuple[ResultWriter, Any, np.random.Generator, int]:
         """The writer, and where to go on: state if there is one, random generator, last frame written."""
@@ -182,10 +209,15 @@ class HandRun:
         next(carried)
         return carried
 
-    def _first_pose(self, frame: Frame) -> FloatArray:
+    def _started(self, frame: Frame, rng: np.random.Generator) -> Any:
+        """The tracker's state before the first frame."""
         if self._start_pose is not None:
-            return self._start_pose
-        return centre_pose(frame.depth, self._camera, self._anatomy, self._config.init.depth_mm)
+            return self.tracker.start(self._start_pose, frame.stamp_ns, rng)
+        init = self._config.init
+        pose = centre_pose(frame.depth, self._camera, self._anatomy, init.depth_mm)
+        if init.method == "auto":
+            return self.tracker.start_unknown(pose, frame, rng)
+        return self.tracker.start(pose, frame.stamp_ns, rng)
 
     def _timed_step(self, state: Any, frame: Frame, rng: np.random.Generator) -> tuple[Any, Estimate]:
         began = time.perf_counter()
@@ -238,6 +270,30 @@ class HandRun:
         return Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
 
 
+def with_method(config: HandConfig, options: RunOptions) -> HandConfig:
+    """The configuration with the way to start that the options ask for."""
+    if options.init not in INIT_METHODS:
+        return config
+    return config.model_copy(update={"init": config.init.model_copy(update={"method": options.init})})
+
+
+def smoothing_path(output: Path) -> Path:
+    """The file beside a result in which a run remembers what it will smooth."""
+    return output.with_name(f"{output.name}.part.frames")
+
+
+def _given_pose(options: RunOptions) -> FloatArray | None:
+    known = options.init is None or options.init in INIT_METHODS
+    return None if known else read_pose(Path(str(options.init)))
+
+
+def _check_smoothing(config: HandConfig, options: RunOptions) -> None:
+    if options.smooth and config.filter.kind == "pso":
+        raise UsageError(
+            "--smooth cannot be used", found="--filter pso, which states no distribution", expected="rbpf or pf"
+        )
+
+
 def frames_ahead(recording: Recording, options: RunOptions) -> int | None:
     """How many frames of the recording a run goes through, None when that shows only in reading it."""
     count = recording.frame_count
@@ -270,7 +326,7 @@ def run_record(
         "version": __version__,
         "configuration": json.dumps(config.model_dump(mode="json")),
         "seed": str(options.seed),
-        "init": INIT_CENTRE if options.init == INIT_CENTRE else shown_name(Path(options.init)),
+        "init": config.init.method if start_pose is None else shown_name(Path(str(options.init))),
         "start": str(options.start),
         "end": "" if options.end is None else str(options.end),
         "stride": str(options.stride),

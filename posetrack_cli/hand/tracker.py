@@ -47,6 +47,8 @@ class HandState:
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         watch: how well frames were fitted.
         unseen_ns: time since the last frame in which there was something to compare with.
+        dt: seconds that the filter advanced by to this frame; 0 if it stood still.
+        cut: whether the state does not follow from that of the frame before.
     """
 
     particles: FilterState
@@ -55,6 +57,8 @@ class HandState:
     velocity: FloatArray
     watch: Watch = Watch()
     unseen_ns: int = 0
+    dt: float = 0.0
+    cut: bool = False
 
 
 class Look(NamedTuple):
@@ -84,8 +88,8 @@ class HandTracker:
         camera: of the depth images.
         scorer: the likelihood.
         observer: cuts out and segments windows.
-        finder: local fits for the guided proposal, and the search for a hand that is lost; None for proposals
-            that do not look at the frame, whose hand nobody finds again.
+        finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it in
+            every frame, others for the start alone.
     """
 
     def __init__(
@@ -98,7 +102,8 @@ class HandTracker:
         finder: Acquisition | None = None,
     ) -> None:
         self.config, self.anatomy, self.camera = config, anatomy, camera
-        self.scorer, self._observer, self._finder = scorer, observer, finder
+        self.scorer, self._observer, self._start_finder = scorer, observer, finder
+        self._finder = finder if config.filter.proposal == "guided" else None
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self.dynamics = dynamics(config)
@@ -115,9 +120,17 @@ class HandTracker:
             particles = initialise_particle(pose, spread, count, space, rng)
         return HandState(particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros_like(spread))
 
-    def start_lost(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> HandState:
-        """Return the state of a hand that has to be found first; until then it is said to be at a pose (22,)."""
-        return replace(self.start(pose, stamp_ns, rng), watch=Watch(lost=True, found=False))
+    def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> HandState:
+        """Return the state before a first frame in which the hand has yet to be found.
+
+        Until it is, it is said to be lost at a pose (22,). Proposals that do not look at frames find it in the
+        first frame or start at the pose.
+        """
+        if self._finder is not None:
+            lost = Watch(lost=True, found=False)
+            return replace(self.start(pose, frame.stamp_ns, rng), watch=lost)
+        found = None if self._start_finder is None else self._start_finder.search(frame.depth)
+        return self.start(pose if found is None else found.pose, frame.stamp_ns, rng)
 
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
         """Advance by one frame; the state given is left as it is.
@@ -144,7 +157,9 @@ class HandTracker:
         watch = self._watched(look, cost, confidence)
         unseen_ns = look.state.unseen_ns + elapsed_ns if look.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
-        following = HandState(particles, frame.stamp_ns, pose, velocity, watch, unseen_ns)
+        following = HandState(
+            particles, frame.stamp_ns, pose, velocity, watch, unseen_ns, max(look.dt, 0.0), look.restarted
+        )
         again = look.restarted and state.watch.found
         status = Status.LOST if watch.lost or cost is None else Status.TRACKING
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
@@ -173,7 +188,8 @@ class HandTracker:
             return Look(replace(state, watch=state.watch.waiting()), 0.0, None)
         found = finder.search(frame.depth)
         if found is None:
-            return Look(replace(state, watch=state.watch.refused()), 0.0, None)
+            watch = state.watch.refused(np.inf, self.config.status)
+            return Look(replace(state, watch=watch), 0.0, None)
         return self._restarted(finder, found, state.watch, frame, rng)
 
     def _reconsidered(
@@ -190,7 +206,8 @@ class HandTracker:
             found = better_of(found, finder.search(frame.depth))  # the window may be misled, too
         if found is not None and found.cost < settings.better * look.fits.cost:
             return self._restarted(finder, found, state.watch, frame, rng)
-        return look._replace(state=replace(state, watch=state.watch.refused()))
+        refused = state.watch.refused(look.fits.cost, settings)
+        return look._replace(state=replace(state, watch=refused))
 
     def _restarted(
         self, finder: Acquisition, found: Candidate, watch: Watch, frame: Frame, rng: np.random.Generator

@@ -30,6 +30,9 @@ class Tracker(Protocol[State]):
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> State:
         """Return the state about a pose (22,) before the first frame, whose stamp is given."""
 
+    def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> State:
+        """Return the state before a first frame in which the hand has yet to be found, else at a pose (22,)."""
+
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by one frame; the state given is left as it is."""
 
@@ -53,11 +56,12 @@ def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: A
         RenderingError: a window that this GL cannot draw.
         FilterError: a swarm that would not converge.
     """
-    if config.filter.kind == "pso":
-        return SwarmTracker(config, hand.anatomy, camera, RenderedObjective(context, hand, camera, config))
     scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
     observer = Observer(config, hand.anatomy, camera, segment=config.observation.cost != "paper")
     finder = None
-    if config.filter.proposal == "guided":
+    if config.filter.proposal == "guided" or config.init.method == "auto":
         finder = Acquisition(config, hand, camera, scorer, observer, Guiding(config, hand, camera))
+    if config.filter.kind == "pso":
+        objective = RenderedObjective(context, hand, camera, config)
+        return SwarmTracker(config, hand.anatomy, camera, objective, finder)
     return HandTracker(config, hand.anatomy, camera, scorer, observer, finder)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
-_MOST_WAIT = 4
+_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 128  # frames
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,27 @@ class Watch:
     wait: int = 0
     pause: int = 1
 
-    def doubts(self, cost_mm: float, settings: StatusSettings) -> bool:
+    def is_worse(self, cost_mm: float, settings: StatusSettings) -> bool:
         """Whether a fit's cost is far above the usual."""
         limit = settings.doubt_factor * self.usual_mm + settings.doubt_mm
         return self.usual_mm > 0.0 and cost_mm > limit
+
+    def doubts(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a fit is worse than usual, or no fit that would be good for a hand of known shape."""
+        return self.is_worse(cost_mm, settings) or cost_mm > settings.sure_mm
 
     def waiting(self) -> Watch:
         """After a frame that was let pass."""
         return replace(self, wait=max(0, self.wait - 1))
 
-    def refused(self) -> Watch:
-        """After a search that found nothing: the next ones come ever more seldom."""
-        return replace(self, wait=self.pause, pause=min(2 * self.pause, _MOST_WAIT))
+    def refused(self, cost_mm: float, settings: StatusSettings) -> Watch:
+        """After a search that found nothing better: the next ones come ever more seldom.
+
+        Where a hand of another shape than the model's costs as much as usual, much more seldom.
+        """
+        worse = self.lost or self.is_worse(cost_mm, settings)
+        most = _MOST_WAIT if worse else _MOST_WAIT_AS_USUAL
+        return replace(self, wait=min(self.pause, most), pause=min(2 * self.pause, _MOST_WAIT_AS_USUAL))
 
     def restarted(self, cost_mm: float) -> Watch:
         """After the hand was found, or found to be elsewhere: what it usually costs is not forgotten."""
@@ -53,10 +62,12 @@ class Watch:
         if confidence < settings.lost_below:
             return self.missed(settings)
         usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
-        if not self.doubts(cost_mm, settings):
-            usual += _MEMORY * (cost_mm - usual)
-            return replace(self, misses=0, usual_mm=usual, wait=0, pause=1)
-        return replace(self, misses=0, usual_mm=usual)
+        if self.is_worse(cost_mm, settings):
+            return replace(self, misses=0)
+        usual += _MEMORY * (cost_mm - usual)
+        if cost_mm > settings.sure_mm:
+            return replace(self, misses=0, usual_mm=usual)
+        return replace(self, misses=0, usual_mm=usual, wait=0, pause=1)
 
     def missed(self, settings: StatusSettings) -> Watch:
         """After a frame without confidence."""

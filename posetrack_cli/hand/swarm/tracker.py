@@ -23,6 +23,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.swarm import Box, Optimum, SwarmRules, minimise, scattered
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, TANGENT_ANGLES, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig, PsoSettings
 from posetrack_cli.hand.kinematics import joint_positions
@@ -60,12 +61,19 @@ class SwarmTracker:
         anatomy: the hand.
         camera: of the depth images.
         objective: what is minimised.
+        finder: the search for a hand of which no pose is known, for the start.
     """
 
     def __init__(
-        self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, objective: SwarmObjective
+        self,
+        config: HandConfig,
+        anatomy: HandAnatomy,
+        camera: Camera,
+        objective: SwarmObjective,
+        finder: Acquisition | None = None,
     ) -> None:
         self.config, self.anatomy, self.objective = config, anatomy, objective
+        self._finder = finder
         self._observer = Observer(config, anatomy, camera, segment=True)
         self._space = HandSpace()
         self._rules = swarm_rules(config.pso)
@@ -74,6 +82,11 @@ class SwarmTracker:
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> SwarmState:
         """Return the state in which the hand is at a pose (22,)."""
         return SwarmState(inside_limits(pose[None])[0])
+
+    def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> SwarmState:
+        """Return the state before a first frame: the hand that is found in it, else a pose (22,)."""
+        found = None if self._finder is None else self._finder.search(frame.depth)
+        return self.start(pose if found is None else found.pose, frame.stamp_ns, rng)
 
     def step(self, state: SwarmState, frame: Frame, rng: np.random.Generator) -> tuple[SwarmState, Estimate]:
         """Advance by one frame; the state given is left as it is.
