@@ -1,21 +1,24 @@
 """Compiled inner loops: numba with a cache that any change of any kernel empties.
 
 Numba's own cache looks at the file of the function that is called, not at those of the functions it calls
-in turn, and would go on with an old callee. So the compiled code lies in a folder of the user's cache
-directory that is named after the sources of all kernels.
+in turn nor at constants from elsewhere, and would go on with old ones. So the compiled code lies in a folder
+that is named after all the sources that go into it.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-KERNEL_FOLDERS = ("hand/fitting",)
+KERNEL_SOURCES = ("compiled.py", "hand/anatomy.py", "hand/fitting/*.py")
+"""Files that compiled code is made of, constants included."""
 # No error is raised for a division by zero; sums may be reordered, but NaN and infinity keep their meaning.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -36,26 +39,65 @@ def inlined(function: Function) -> Function:
 
 def _compiled(function: Function, **options: Any) -> Function:
     import numba
+    import numba.core.config
 
-    _choose_cache_folder()
-    compiled: Function = numba.njit(cache=True, **_OPTIONS, **options)(function)
+    config: Any = numba.core.config  # its settings are set at run time, unknown to type checkers
+    folder, others = cache_folder(), config.CACHE_DIR
+    config.CACHE_DIR = folder or others
+    try:
+        compiled: Function = numba.njit(cache=folder is not None, **_OPTIONS, **options)(function)
+    finally:
+        config.CACHE_DIR = others
     return compiled
 
 
-def _choose_cache_folder() -> None:
-    from numba.core import config
+@functools.cache
+def cache_folder() -> str | None:
+    """Return where compiled code is kept: in NUMBA_CACHE_DIR, the user's cache, or a temporary folder.
 
-    if "NUMBA_CACHE_DIR" not in os.environ:
-        config.CACHE_DIR = str(_user_cache() / "posetrack" / _digest())
-
-
-def _user_cache() -> Path:
-    chosen = os.environ.get("XDG_CACHE_HOME")
-    return Path(chosen) if chosen else Path.home() / ".cache"
+    None where nothing can be written; every process then compiles for itself.
+    """
+    digest = source_digest(Path(__file__).parent)
+    return next((str(parent / digest) for parent in _parents() if _is_writable(parent / digest)), None)
 
 
-def _digest() -> str:
-    root = Path(__file__).parent
-    sources = sorted(path for folder in KERNEL_FOLDERS for path in (root / folder).glob("*.py"))
-    content = b"".join(path.read_bytes() for path in sources)
-    return hashlib.sha256(content).hexdigest()[:16]
+def source_digest(root: Path) -> str:
+    """Return a name for the sources of all kernels below a folder: another one after any change."""
+    sources = [path for pattern in KERNEL_SOURCES for path in sorted(root.glob(pattern))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+
+
+def _parents() -> Iterator[Path]:
+    chosen, caches = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
+    if chosen:
+        yield Path(chosen) / "posetrack"
+    if caches:
+        yield Path(caches) / "posetrack"
+    else:
+        yield Path(os.path.expanduser("~")) / ".cache" / "posetrack"  # noqa: PTH111 Path.home() may raise
+    temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
+    if _is_own(temporary):
+        yield temporary
+
+
+def _user() -> int:
+    return os.getuid() if hasattr(os, "getuid") else 0
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether nobody else can put code there that would be run."""
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+    except OSError:
+        return False
+    return folder.is_dir() and status.st_uid == _user() and not status.st_mode & 0o022

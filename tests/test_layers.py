@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 LAYERS = ("cli", "evaluation", "hand", "filtering", "rendering", "results", "recording", "geometry")
-BELOW_ALL = {"": set(), "arrays": set(), "errors": set(), "configuration": {"errors"}}
+BELOW_ALL = {"": set(), "arrays": set(), "errors": set(), "compiled": set(), "configuration": {"errors"}}
 """What every layer may use, and which of each other these modules use themselves."""
 FILES_AND_GL = {"cv2", "moderngl", "mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "pathlib", "os"}
 HEAVY = {"numpy", "scipy", "cv2", "pydantic", "mcap", "moderngl", "google.protobuf"}

@@ -24,7 +24,9 @@ from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, point_row, pose
 SPHERES = 5  # a finger: at joint 2, between, at joint 1, between, near the tip
 FREE_BEND, STIFF_BEND = np.deg2rad(5.0), np.deg2rad(40.0)
 _D = np.pi / 180.0
-RELAXED: FloatArray = _D * np.array([5, 10, 0, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64)
+RELAXED: FloatArray = _D * np.array(
+    [5, 10, 0, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
+)
 """(15,) angles of a relaxed hand, rad."""
 
 
@@ -54,7 +56,9 @@ class Plausibility(NamedTuple):
 def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
     """Return the constants for a hand: limits of the tables, spheres of its own radii."""
     r = anatomy.radii
-    radii = np.stack([r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1)
+    radii = np.stack(
+        [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
+    )
     low, high = (np.ascontiguousarray(side) for side in ANGLE_LIMITS.T)
     return Plausibility(low, high, RELAXED, radii)
 
@@ -109,11 +113,13 @@ def _add_overlap(
 ) -> None:
     """Push spheres k and m (at p and q) of fingers f < h apart; palm motion moves both alike."""
     f, h, k, m = pair
-    d = (p - q) / (np.sqrt(np.sum((p - q) ** 2)) + 1e-9)
+    dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+    share = 1.0 / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9)
+    dx, dy, dz = share * dx, share * dy, share * dz
     reaches, row, against = np.ones((2, 3)), np.empty(ROW), np.empty(ROW)
     reaches[0, 2], reaches[1, 2] = 1.0 if k > 1 else 0.0, 1.0 if m > 1 else 0.0
-    point_row(posed, f, reaches, 0, p[0], p[1], p[2], d[0], d[1], d[2], row)
-    point_row(posed, h, reaches, 1, q[0], q[1], q[2], d[0], d[1], d[2], against)
+    point_row(posed, f, reaches, 0, p[0], p[1], p[2], dx, dy, dz, row)
+    point_row(posed, h, reaches, 1, q[0], q[1], q[2], dx, dy, dz, against)
     H, g, first, second = equations.matrix, equations.vector, 6 + 3 * f, 6 + 3 * h
     for i in range(3):
         g[first + i] += weight * row[6 + i] * overlap

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
 from posetrack_cli.hand.fitting.gauss_newton import (
@@ -90,7 +91,9 @@ class HandFitter:
             align(self.hand, tile, pose, self._free[0])
         return out
 
-    def descend(self, tile: Tile, starts: FloatArray, priors: Sequence[PosePrior], iterations: int) -> list[Fit]:
+    def descend(
+        self, tile: Tile, starts: FloatArray, priors: Sequence[PosePrior], iterations: int
+    ) -> list[Fit]:
         """Return a fit from each start (K, 22), with a prior of its own."""
 
         def one(start: FloatArray, prior: PosePrior, work: Work) -> Fit:
@@ -148,14 +151,16 @@ class HandFitter:
     def potentials(self, poses: FloatArray) -> FloatArray:
         """Return the anatomical potential U (N,) of poses (N, 22); exp(-U) is a factor of the likelihood."""
         out, work = np.empty(len(poses)), self._free[0]
-        potentials(self.hand.plausibility, self.hand.skeleton, poses, work.posed, work.spheres, work.whole, out)
+        potentials(
+            self.hand.plausibility, self.hand.skeleton, poses, work.posed, work.spheres, work.whole, out
+        )
         return out
 
-    def _each(self, function: Callable[..., object], *arguments: Sequence[object] | FloatArray) -> list:
+    def _each(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
         """Call a compiled function for every item, on all threads; each has room of its own."""
         count = len(arguments[0])
         parts = [range(first, count, THREADS) for first in range(THREADS)]
-        results: list[object] = [None] * count
+        results: list[Any] = [None] * count
 
         def run(part: range, work: Work) -> None:
             for k in part:
@@ -165,7 +170,7 @@ class HandFitter:
         return results
 
 
-def nearest_pixels(mask: np.ndarray) -> FloatArray:
+def nearest_pixels(mask: BoolArray) -> FloatArray:
     """Return column and row (2, h, w) of the nearest pixel of a mask; a pixel's own where the mask is empty."""
     height, width = mask.shape
     rows, columns = np.mgrid[:height, :width]

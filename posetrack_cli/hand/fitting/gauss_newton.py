@@ -10,8 +10,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import kernel
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
-from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, empty_equations, gather
-from posetrack_cli.hand.fitting.raster import Drawing, Skin, draw, empty_drawing
+from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, copy, empty_equations, gather
+from posetrack_cli.hand.fitting.raster import Drawing, Skin, View, draw, empty_drawing
 from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, empty_posed, pose_bones
 from posetrack_cli.hand.fitting.terms import Scratch, Terms, Tile, add_terms, empty_scratch, union_cost
 
@@ -124,19 +124,23 @@ def _solve(
 ) -> None:
     """Write the Gauss-Newton step (21,) for image, prior N(mean, 1 / precision) and anatomy."""
     whole = work.whole
-    whole.matrix[:] = work.data.matrix
+    copy(work.data, whole)
     _difference(mean, pose, delta)
     for i in range(TANGENT_SIZE):
         whole.matrix[i, i] += precision[i]
-        whole.vector[i] = work.data.vector[i] + precision[i] * delta[i]
+        whole.vector[i] += precision[i] * delta[i]
     add_anatomy(hand.plausibility, pose, work.posed, work.spheres, whole)
-    delta[:] = np.linalg.solve(whole.matrix, whole.vector)
+    step = np.linalg.solve(whole.matrix, whole.vector)
+    for i in range(TANGENT_SIZE):
+        delta[i] = step[i]
 
 
 @kernel
 def _keep(pose: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
-    out.pose[:], out.cost[0] = pose, cost
-    out.data.matrix[:], out.data.vector[:] = data.matrix, data.vector
+    out.cost[0] = cost
+    for i in range(POSE_SIZE):
+        out.pose[i] = pose[i]
+    copy(data, out.data)
 
 
 @kernel
@@ -213,25 +217,36 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, work: Work) -> bool:
     pose_bones(hand.skeleton, pose, work.posed)
     if tile.observed == 0 or not draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
         return False
-    view, count = tile.projection, 0
-    middle, target = np.zeros(3), np.zeros(3)
-    for j in range(tile.image.shape[0]):
-        for i in range(tile.image.shape[1]):
-            inverse, observed = work.drawing.inverse[j, i], tile.image[j, i]
-            if inverse > 0.0:
-                count += 1
-                middle[0] += i
-                middle[1] += j
-                middle[2] += 1.0 / inverse
-            if observed > 0.0:
-                target[0] += i
-                target[1] += j
-                target[2] += observed
+    drawn, target = np.zeros(3), np.zeros(3)
+    count = _add_middle(work.drawing.inverse, True, drawn)
     if count == 0:
         return False
-    middle /= count
-    target /= tile.observed
-    pose[0] += (target[0] - middle[0]) / view.a * target[2]
-    pose[1] += (target[1] - middle[1]) / view.c * target[2]
-    pose[2] += target[2] - middle[2]
+    _place_middle(drawn, count, tile.projection)
+    _place_middle(target, _add_middle(tile.image, False, target), tile.projection)
+    for i in range(3):
+        pose[i] += target[i] - drawn[i]
     return True
+
+
+@kernel
+def _add_middle(image: FloatArray, inverted: bool, total: FloatArray) -> int:
+    """Add up column, row and depth of the pixels above 0, and count them."""
+    count = 0
+    for j in range(image.shape[0]):
+        for i in range(image.shape[1]):
+            value = image[j, i]
+            if value > 0.0:
+                count += 1
+                total[0] += i + 0.5
+                total[1] += j + 0.5
+                total[2] += 1.0 / value if inverted else value
+    return count
+
+
+@kernel
+def _place_middle(total: FloatArray, count: int, view: View) -> None:
+    """Turn sums over pixels into the point, mm, on which their mean falls."""
+    z = total[2] / count
+    total[0] = (total[0] / count - view.b) / view.a * z
+    total[1] = (total[1] / count - view.d) / view.c * z
+    total[2] = z

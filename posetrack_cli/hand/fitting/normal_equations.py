@@ -45,6 +45,15 @@ def clear(equations: NormalEquations) -> None:
     equations.blocks[:] = 0.0
 
 
+@kernel
+def copy(equations: NormalEquations, out: NormalEquations) -> None:
+    """Write matrix and vector into other equations."""
+    for i in range(TANGENT_SIZE):
+        out.vector[i] = equations.vector[i]
+        for j in range(TANGENT_SIZE):
+            out.matrix[i, j] = equations.matrix[i, j]
+
+
 @inlined
 def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: float) -> None:
     """Add one residual with its row (10,) of ``point_row``; finger PALM = -1 is the last block."""

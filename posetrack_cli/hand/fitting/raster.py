@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.skeleton import PALM
 from posetrack_cli.rendering.mesh import SkinnedMesh
@@ -34,12 +34,12 @@ class Skin(NamedTuple):
     """
 
     vertices: FloatArray
-    bones: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+    bones: IntArray
     weights: FloatArray
-    triangles: np.ndarray[tuple[int, int], np.dtype[np.int64]]
-    fingers: np.ndarray[tuple[int], np.dtype[np.int64]]
+    triangles: IntArray
+    fingers: IntArray
     reaches: FloatArray
-    triangle_fingers: np.ndarray[tuple[int], np.dtype[np.int64]]
+    triangle_fingers: IntArray
     triangle_reaches: FloatArray
 
 
@@ -67,9 +67,9 @@ class Drawing(NamedTuple):
     vertices: FloatArray
     screen: FloatArray
     inverse: FloatArray
-    triangle: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+    triangle: IntArray
     normals: FloatArray
-    facing: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    facing: BoolArray
 
 
 def skin_of(mesh: SkinnedMesh) -> Skin:
@@ -92,7 +92,7 @@ def skin_of(mesh: SkinnedMesh) -> Skin:
     )
 
 
-def _strongest(outwards: FloatArray) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], FloatArray]:
+def _strongest(outwards: FloatArray) -> tuple[IntArray, FloatArray]:
     """Of reaches (M, 5, 3) the finger with the most weight (M,), or PALM, and its reaches (M, 3)."""
     finger = outwards[:, :, 0].argmax(axis=1)
     reach = np.take_along_axis(outwards, finger[:, None, None], axis=1)[:, 0]

@@ -54,8 +54,13 @@ class Posed(NamedTuple):
 
 def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
     """Return the constants of a hand."""
-    arrays = (anatomy.base_positions, anatomy.base_rotations, anatomy.segments, anatomy.rest_origins)
-    return Skeleton(*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), -1.0 if anatomy.is_left else 1.0)
+    return Skeleton(
+        np.ascontiguousarray(anatomy.base_positions),
+        np.ascontiguousarray(anatomy.base_rotations),
+        np.ascontiguousarray(anatomy.segments),
+        np.ascontiguousarray(anatomy.rest_origins),
+        -1.0 if anatomy.is_left else 1.0,
+    )
 
 
 def empty_posed() -> Posed:
@@ -123,29 +128,34 @@ def _finger_axes(pose: FloatArray, f: int, sign: float, frame: FloatArray, axes:
 @kernel
 def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
     """Write the bones, hinge axes and joint centres of one pose (22,)."""
-    palm, frame, turned, whole = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    turns = np.empty((3, 3, 3))
+    palm, frame, turned, turns = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3, 3))
     rotation_matrix(pose[3:7], palm)
-    posed.bones[0, :, :3], posed.bones[0, :, 3] = palm, pose[:3]
+    for i in range(3):
+        posed.bones[0, i, 3] = pose[i]
+        for j in range(3):
+            posed.bones[0, i, j] = palm[i, j]
     for f in range(5):
-        base, origin = skeleton.base_rotations[f], skeleton.base_positions[f]
-        _product(palm, base, frame)
+        origin, at = skeleton.base_positions[f], posed.tips[f]
+        _product(palm, skeleton.base_rotations[f], frame)
         _finger_turns(pose, f, skeleton.sign, turns)
         _finger_axes(pose, f, skeleton.sign, frame, posed.axes[f])
-        at = np.empty(3)
         for i in range(3):
             at[i] = pose[i] + palm[i, 0] * origin[0] + palm[i, 1] * origin[1] + palm[i, 2] * origin[2]
         for k in range(3):
             _product(frame, turns[k], turned)
-            _product(turned, base.T, whole)  # camera_R_rest of the bone
-            rest, bone = skeleton.rest_origins[f, k], posed.bones[1 + 3 * f + k]
-            for i in range(3):
-                posed.centres[f, k, i] = at[i]
-                bone[i, 0], bone[i, 1], bone[i, 2] = whole[i, 0], whole[i, 1], whole[i, 2]
-                moved = whole[i, 0] * rest[0] + whole[i, 1] * rest[1] + whole[i, 2] * rest[2]
-                bone[i, 3] = at[i] - moved
-                at[i] -= turned[i, 1] * skeleton.segments[f, k]
-        posed.tips[f] = at
+            _place_bone(skeleton, f, k, turned, at, posed)
+
+
+@kernel
+def _place_bone(skeleton: Skeleton, f: int, k: int, turned: FloatArray, at: FloatArray, posed: Posed) -> None:
+    """Write bone k of a finger, ``turned`` camera_R_bone, and move ``at`` from its joint to the next one."""
+    base, rest, bone = skeleton.base_rotations[f], skeleton.rest_origins[f, k], posed.bones[1 + 3 * f + k]
+    for i in range(3):
+        posed.centres[f, k, i], bone[i, 3] = at[i], at[i]
+        for j in range(3):  # camera_R_rest = camera_R_bone finger_R_hand
+            bone[i, j] = turned[i, 0] * base[j, 0] + turned[i, 1] * base[j, 1] + turned[i, 2] * base[j, 2]
+            bone[i, 3] -= bone[i, j] * rest[j]
+        at[i] -= turned[i, 1] * skeleton.segments[f, k]
 
 
 @inlined

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations, add_row
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View
@@ -70,7 +70,7 @@ class Scratch(NamedTuple):
     """Room for ``add_terms``: unexplained points (h w, 3), vertices that face the camera (V,)."""
 
     points: FloatArray
-    vertices: np.ndarray[tuple[int], np.dtype[np.int64]]
+    vertices: IntArray
 
 
 def empty_scratch(skin: Skin, height: int, width: int) -> Scratch:

@@ -1,0 +1,105 @@
+"""Where compiled code is kept: apart for each state of the kernels' sources, and never in others' hands."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from posetrack_cli.compiled import KERNEL_SOURCES, source_digest
+
+PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
+SOURCES = sorted(path for pattern in KERNEL_SOURCES for path in PACKAGE.glob(pattern))
+WHERE = "from posetrack_cli.compiled import cache_folder; print(cache_folder())"
+CALL = """
+import numpy as np
+from posetrack_cli.hand.fitting.skeleton import rotation_matrix
+out = np.zeros((3, 3))
+rotation_matrix(np.array([0.0, 0.0, 0.0, 1.0]), out)
+print(np.array_equal(out, np.eye(3)), rotation_matrix.stats.cache_path)
+"""
+
+
+def taken_from_us(path: Path) -> list[tuple[str, str]]:
+    """Modules of ours that a file imports from, relative to the package, and what it takes."""
+    nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]
+    ours = [node for node in nodes if (node.module or "").startswith(f"{PACKAGE.name}.")]
+    return [(str(n.module).split(".", 1)[1].replace(".", "/"), a.name) for n in ours for a in n.names]
+
+
+def test_all_that_compiled_code_is_made_of_is_in_the_digest() -> None:
+    """Every file with kernels, and every file whose constants they use."""
+    for path in PACKAGE.rglob("*.py"):
+        taken = taken_from_us(path)
+        if ("compiled", "kernel") in taken or ("compiled", "inlined") in taken:
+            assert path in SOURCES
+            constants = {module for module, name in taken if name.isupper()}
+            assert {PACKAGE / f"{module}.py" for module in constants} <= set(SOURCES)
+
+
+@pytest.mark.parametrize("changed", [str(path.relative_to(PACKAGE)) for path in SOURCES])
+def test_a_change_of_any_source_is_kept_apart(changed: str, tmp_path: Path) -> None:
+    for path in SOURCES:
+        copy = tmp_path / path.relative_to(PACKAGE)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+    assert source_digest(tmp_path) == source_digest(PACKAGE)
+    with (tmp_path / changed).open("a") as file:
+        file.write("# changed\n")
+    assert source_digest(tmp_path) != source_digest(PACKAGE)
+
+
+def answer(code: str, **environment: str) -> str:
+    """What a new process prints, without the variables that say where caches are, but for those given."""
+    names = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
+    kept = {name: value for name, value in os.environ.items() if name not in names}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**kept, **environment}, capture_output=True, text=True, cwd="/"
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_folder_is_the_users_choice_first(tmp_path: Path) -> None:
+    numba, xdg, home = (str(tmp_path / name) for name in ("numba", "xdg", "home"))
+    digest = source_digest(PACKAGE)
+    assert answer(WHERE, NUMBA_CACHE_DIR=numba, XDG_CACHE_HOME=xdg) == f"{numba}/posetrack/{digest}"
+    assert answer(WHERE, XDG_CACHE_HOME=xdg, HOME=home) == f"{xdg}/posetrack/{digest}"
+    assert answer(WHERE, HOME=home) == f"{home}/.cache/posetrack/{digest}"
+
+
+def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.touch()
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    own = temporary / f"posetrack-{os.getuid()}"
+    environment = {"HOME": str(blocked), "TMPDIR": str(temporary)}
+    assert answer(WHERE, **environment) == str(own / source_digest(PACKAGE))
+    assert own.stat().st_mode & 0o077 == 0
+    right, path = answer(CALL, **environment).split()
+    assert right == "True"
+    assert path.startswith(str(own))
+    assert list(Path(path).glob("*rotation_matrix*.nbc"))  # what was compiled is there for the next process
+
+
+def test_a_folder_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
+    own = tmp_path / f"posetrack-{os.getuid()}"
+    own.mkdir()
+    own.chmod(0o777)
+    assert answer(WHERE, HOME="/dev/null", TMPDIR=str(tmp_path)) == "None"
+    assert answer(CALL, HOME="/dev/null", TMPDIR=str(tmp_path)) == "True None"  # compiled, and kept nowhere
+    assert list(own.iterdir()) == []
+
+
+def test_numbas_settings_are_left_as_they_were() -> None:
+    code = (
+        "import numba.core.config as c; before = c.CACHE_DIR; import posetrack_cli.hand.fitting.skeleton; "
+        "print(c.CACHE_DIR == before)"
+    )
+    assert answer(code) == "True"
