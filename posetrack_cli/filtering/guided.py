@@ -31,9 +31,11 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.laplace import Prediction, laplace_mixture
-from posetrack_cli.filtering.model import StateSpace
+from posetrack_cli.filtering.model import LogLikelihood, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.proposed import Proposed
 from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.step import weigh_drawn
 from posetrack_cli.filtering.weights import normalise
 
 
@@ -59,6 +61,22 @@ class Guide:
             raise FilterError("prior share cannot be used", found=self.prior_share, expected="0 to 1")
         if not 1.0 <= self.inflation < np.inf:
             raise FilterError("inflation cannot be used", found=self.inflation, expected="finite, >= 1")
+
+    def __bool__(self) -> bool:
+        return len(self.modes) > 0
+
+    def propose(
+        self,
+        prediction: Prediction,
+        space: StateSpace,
+        log_likelihood: LogLikelihood,
+        scheme: str,
+        rng: np.random.Generator,
+    ) -> Proposed:
+        """Draw from q(i, x) and weigh by (24); see `draw_guided` and `weigh_drawn`."""
+        draw = draw_guided(prediction, self, space, scheme, rng)
+        weighing = weigh_drawn(draw.log_weights, draw.poses, log_likelihood)
+        return Proposed(draw.poses, draw.increments, draw.ancestors, weighing)
 
     @property
     def inflated(self) -> LikelihoodModes:

@@ -16,11 +16,11 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import nearest_name
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.guided import Draw, Guide, draw_guided
 from posetrack_cli.filtering.kalman import VelocityGain, velocity_gain
 from posetrack_cli.filtering.laplace import Prediction
 from posetrack_cli.filtering.model import Dynamics, LogLikelihood, StateSpace, checked_variance
 from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_moments
+from posetrack_cli.filtering.proposed import Proposed, Proposer
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import (
     choose_ancestors,
@@ -28,7 +28,6 @@ from posetrack_cli.filtering.step import (
     propose,
     scatter,
     weigh,
-    weigh_drawn,
 )
 
 Proposal: TypeAlias = Literal["marginal", "paper"]
@@ -101,7 +100,7 @@ def marginal_step(
     resampling: Resampling,
     rng: np.random.Generator,
     proposal: str = "marginal",
-    guide: Guide | None = None,
+    guide: Proposer | None = None,
 ) -> tuple[MarginalState, Posterior]:
     """Advance the filter by one frame: sample (52), weigh (54), velocity (55)-(61), estimate, resample (7).
 
@@ -116,9 +115,8 @@ def marginal_step(
         rng: source of randomness.
         proposal: ``marginal`` **[fix]**, variance N of (55), or ``paper``, dt Q^n as printed in (51). Both
             with the weights (54), which are right for ``marginal`` only.
-        guide: local fits of the likelihood to draw from, see `posetrack_cli.filtering.guided`; then the
-            weights are (24), ancestors are chosen before and not after, no limit constrains, and the prior is
-            that of ``marginal``.
+        guide: a proposal that looks at the frame, `Guide` or `Annealing`; the weights are then (24),
+            ancestors chosen before and not after, no limit constrains, and the prior is that of ``marginal``.
 
     Raises:
         FilterError: dt is not > 0, the proposal is not known, or the likelihood is NaN, infinite or zero for
@@ -128,10 +126,10 @@ def marginal_step(
     gain = velocity_gain(P, dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
     drift = dt * velocities
     variance = _proposal_variance(proposal, gain, dynamics, dt)
-    if guide is not None and len(guide.modes) and log_likelihood is not None:
+    if guide and log_likelihood is not None:
         prediction = Prediction(state.poses, drift, gain.increment_variance, state.log_weights)
-        draw = draw_guided(prediction, guide, space, resampling.scheme, rng)
-        return _weigh_guided(draw, state.velocities, drift, gain, space, log_likelihood)
+        proposed = guide.propose(prediction, space, log_likelihood, resampling.scheme, rng)
+        return _guided(proposed, velocities, drift, gain, space)
     poses, increments = propose(space, state.poses, drift, variance, dynamics.constrain, rng)
     weighing = weigh(state.log_weights, poses, log_likelihood)
     velocities = velocities + gain.gain * (increments - drift)  # (59)
@@ -144,21 +142,15 @@ def marginal_step(
     return MarginalState(poses[ancestors], velocities[ancestors], gain.variance, log_weights), posterior
 
 
-def _weigh_guided(
-    draw: Draw,
-    velocities: FloatArray,
-    drift: FloatArray,
-    gain: VelocityGain,
-    space: StateSpace,
-    log_likelihood: LogLikelihood,
+def _guided(
+    proposed: Proposed, velocities: FloatArray, drift: FloatArray, gain: VelocityGain, space: StateSpace
 ) -> tuple[MarginalState, Posterior]:
-    """Weigh poses drawn by a guide (24) and move their ancestors' velocities on (59)."""
-    weighing = weigh_drawn(draw.log_weights, draw.poses, log_likelihood)
-    unexpected = draw.increments - drift[draw.ancestors]
-    velocities = velocities[draw.ancestors] + gain.gain * unexpected
+    """Move the ancestors' velocities on (59)."""
+    poses, increments, ancestors, weighing = proposed
+    velocities = velocities[ancestors] + gain.gain * (increments - drift[ancestors])
     velocity = velocity_moments(velocities, gain.variance, weighing.weights)
-    posterior = summarise(space, draw.poses, velocity, weighing, resampled=True)
-    return MarginalState(draw.poses, velocities, gain.variance, weighing.log_weights), posterior
+    posterior = summarise(space, poses, velocity, weighing, resampled=True)
+    return MarginalState(poses, velocities, gain.variance, weighing.log_weights), posterior
 
 
 def _proposal_variance(proposal: str, gain: VelocityGain, dynamics: Dynamics, dt: float) -> FloatArray:

@@ -8,10 +8,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import FilterError, check_time_step
-from posetrack_cli.filtering.guided import Guide, draw_guided
 from posetrack_cli.filtering.laplace import Prediction
 from posetrack_cli.filtering.model import Dynamics, LogLikelihood, StateSpace
 from posetrack_cli.filtering.posterior import Posterior, summarise
+from posetrack_cli.filtering.proposed import Proposer
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import (
     choose_ancestors,
@@ -19,7 +19,6 @@ from posetrack_cli.filtering.step import (
     propose,
     scatter,
     weigh,
-    weigh_drawn,
 )
 
 
@@ -56,7 +55,7 @@ def particle_step(
     log_likelihood: LogLikelihood | None,
     resampling: Resampling,
     rng: np.random.Generator,
-    guide: Guide | None = None,
+    guide: Proposer | None = None,
 ) -> tuple[ParticleState, Posterior]:
     """Advance the filter by one frame: x_t = x_{t-1} (+) w, w ~ N(0, dt Q^n); w_t = w_{t-1} p(y_t | x_t).
 
@@ -69,16 +68,20 @@ def particle_step(
             stay, and nothing is resampled.
         resampling: scheme and threshold.
         rng: source of randomness.
-        guide: local fits of the likelihood to draw from, see `posetrack_cli.filtering.guided`; then the
-            weights are (24), ancestors are chosen before and not after, and no limit constrains.
+        guide: a proposal that looks at the frame, `Guide` or `Annealing`; the weights are then (24),
+            ancestors chosen before and not after, and no limit constrains.
 
     Raises:
         FilterError: dt is not > 0, or the likelihood is NaN, infinite or zero for all particles.
     """
     check_time_step(dt)
     variance = dt * dynamics.pose_noise
-    if guide is not None and len(guide.modes) and log_likelihood is not None:
-        return _guided_step(state, variance, space, log_likelihood, guide, resampling.scheme, rng)
+    if guide and log_likelihood is not None:
+        drift = np.zeros((len(state.poses), variance.size))
+        prediction = Prediction(state.poses, drift, variance, state.log_weights)
+        proposed = guide.propose(prediction, space, log_likelihood, resampling.scheme, rng)
+        posterior = summarise(space, proposed.poses, None, proposed.weighing, resampled=True)
+        return ParticleState(proposed.poses, proposed.weighing.log_weights), posterior
     poses, _ = propose(space, state.poses, None, variance, dynamics.constrain, rng)
     weighing = weigh(state.log_weights, poses, log_likelihood)
     ancestors = None if log_likelihood is None else choose_ancestors(weighing, resampling, rng)
@@ -86,19 +89,3 @@ def particle_step(
     if ancestors is None:
         return ParticleState(poses, weighing.log_weights), posterior
     return ParticleState(poses[ancestors], equal_log_weights(len(poses))), posterior
-
-
-def _guided_step(
-    state: ParticleState,
-    variance: FloatArray,
-    space: StateSpace,
-    log_likelihood: LogLikelihood,
-    guide: Guide,
-    scheme: str,
-    rng: np.random.Generator,
-) -> tuple[ParticleState, Posterior]:
-    drift = np.zeros((len(state.poses), variance.size))
-    draw = draw_guided(Prediction(state.poses, drift, variance, state.log_weights), guide, space, scheme, rng)
-    weighing = weigh_drawn(draw.log_weights, draw.poses, log_likelihood)
-    posterior = summarise(space, draw.poses, None, weighing, resampled=True)
-    return ParticleState(draw.poses, weighing.log_weights), posterior

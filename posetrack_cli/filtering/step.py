@@ -83,14 +83,21 @@ def weigh_drawn(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogL
     Raises:
         FilterError: as in `weigh`.
     """
-    scores = np.asarray(log_likelihood(poses), dtype=np.float64)
-    if scores.shape != log_weights.shape:
-        raise FilterError(
-            "log-likelihood has the wrong shape", found=scores.shape, expected=log_weights.shape
-        )
-    scores = scores + log_weights
+    scores = scored(poses, log_likelihood) + log_weights
     weights, log_sum = normalise(scores)
     return Weighing(weights, scores - log_sum, log_sum, effective_count(weights))
+
+
+def scored(poses: FloatArray, log_likelihood: LogLikelihood) -> FloatArray:
+    """Return log p(y | x) of poses (N, S), (N,).
+
+    Raises:
+        FilterError: the likelihood has the wrong shape.
+    """
+    scores = np.asarray(log_likelihood(poses), dtype=np.float64)
+    if scores.shape != (len(poses),):
+        raise FilterError("log-likelihood has the wrong shape", found=scores.shape, expected=(len(poses),))
+    return scores
 
 
 def choose_ancestors(weighing: Weighing, resampling: Resampling, rng: np.random.Generator) -> IntArray | None:
