@@ -28,7 +28,7 @@ _OPTIONS: dict[str, Any] = {
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function of arrays and numbers when it is first called; it releases the interpreter's lock."""
+    """Compile a function of arrays and numbers at its first call; it releases the interpreter's lock."""
     return _compiled(function)
 
 

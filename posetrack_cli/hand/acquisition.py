@@ -130,7 +130,7 @@ def better_of(first: Candidate | None, second: Candidate | None) -> Candidate | 
 
 
 def distinct(poses: FloatArray, costs: FloatArray, count: int) -> list[int]:
-    """Return the best of poses (H, 22) that are turned apart or of another shape, then the best of the rest."""
+    """Return the best of poses (H, 22) that differ in rotation or shape, then the best of the rest."""
     order = np.argsort(costs, kind="stable")
     kept: list[int] = []
     for k in order:

@@ -88,15 +88,15 @@ class Guiding:
     def _modes(self, tile: Tile, observation: Observation, fits: Sequence[Fit]) -> LikelihoodModes:
         chosen = [self.fitter.assessed(tile, fit.pose) for fit in self._distinct(fits)]
         z = float(np.median(observation.image[observation.image > 0]))
-        share = self.share(observation, z)
-        scale = share * self._settings.sharpening * (self._sigma_mm / self._mixture.noise_sd(np.array(z))) ** 2
-        anatomy = [self.fitter.anatomy(fit.pose) for fit in chosen]
+        share, noise_sd = self.share(observation, z), float(self._mixture.noise_sd(np.array(z)))
+        scale = share * self._settings.sharpening * (self._sigma_mm / noise_sd) ** 2
+        pairs = [(fit.data, self.fitter.anatomy(fit.pose)) for fit in chosen]
         pixels = share * tile.observed * float(self._mixture.unexplained(np.array(z)))
         clamp = self._config.observation.clamp_mm
         return LikelihoodModes(
             np.array([fit.pose for fit in chosen]),
-            np.array([scale * fit.data.vector + own.vector for fit, own in zip(chosen, anatomy, strict=True)]),
-            np.array([scale * fit.data.matrix + own.matrix for fit, own in zip(chosen, anatomy, strict=True)]),
+            np.array([scale * data.vector + own.vector for data, own in pairs]),
+            np.array([scale * data.matrix + own.matrix for data, own in pairs]),
             np.array([-pixels * fit.cost[0] / clamp for fit in chosen]),
         )
 

@@ -36,7 +36,7 @@ def detected_poses(detection: Detection, anatomy: HandAnatomy) -> FloatArray:
     The fingers point away from the elbow; where no forearm is seen, in all directions of the image.
     """
     if detection.arm is not None:
-        turns = [rotation for rotation in _turned(detection.arm, _TILTS)]
+        turns = _turned(detection.arm, _TILTS)
     else:
         ways = np.stack([np.sin(_IN_PLANE), -np.cos(_IN_PLANE), np.zeros(len(_IN_PLANE))], axis=1)
         turns = [rotation for way in ways for rotation in _turned(way, np.zeros(1))]

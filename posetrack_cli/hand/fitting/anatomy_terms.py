@@ -1,4 +1,4 @@
-"""How plausible a hand's pose is in itself: joint limits, abduction with flexion, fingers that collide; compiled.
+"""How plausible a pose is in itself: joint limits, abduction with flexion, fingers that collide; compiled.
 
 A potential U(x) = sum of w e^2 / 2 over violations e; exp(-U) is a factor of the likelihood, as if anatomy
 were observed in every frame.

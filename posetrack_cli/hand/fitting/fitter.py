@@ -171,7 +171,7 @@ class HandFitter:
 
 
 def nearest_pixels(mask: BoolArray) -> FloatArray:
-    """Return column and row (2, h, w) of the nearest pixel of a mask; a pixel's own where the mask is empty."""
+    """Return column and row (2, h, w) of a mask's nearest pixel; a pixel's own where the mask is empty."""
     height, width = mask.shape
     rows, columns = np.mgrid[:height, :width]
     if not mask.any():

@@ -12,11 +12,11 @@ A reading that is no hand's and in front of the model hides it; where there is n
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations, add_row
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View
@@ -66,6 +66,10 @@ class Terms(NamedTuple):
     most_unexplained: int = 96
 
 
+Pull: TypeAlias = tuple[float, float, float, float, float]
+"""Of a residual: the direction of the point (3), mm that it is off, the weight, 1 / mm^2 (0 for none)."""
+
+
 class Scratch(NamedTuple):
     """Room for ``add_terms``: unexplained points (h w, 3), vertices that face the camera (V,)."""
 
@@ -107,65 +111,79 @@ def add_terms(
         scratch: room.
         equations: residuals are added to its blocks.
     """
-    height, width = tile.image.shape
-    view = tile.projection
-    row = np.empty(ROW)
+    view, row, points = tile.projection, np.empty(ROW), scratch.points
     fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
-    inverse_variance = 1.0 / (terms.sigma_mm * terms.sigma_mm)
     error, both, missed, unexplained = 0.0, 0, 0.0, 0
-    for j in range(height):
+    for j in range(tile.image.shape[0]):
         y = (j + 0.5 - view.d) / view.c
-        for i in range(width):
+        for i in range(tile.image.shape[1]):
             observed, inverse = tile.image[j, i], drawing.inverse[j, i]
-            x = (i + 0.5 - view.b) / view.a
-            if inverse == 0.0:
+            x, z, offset = (i + 0.5 - view.b) / view.a, 0.0, np.inf
+            if inverse > 0.0:
+                z, t = 1.0 / inverse, drawing.triangle[j, i]
                 if observed > 0.0:
-                    _note(scratch.points, unexplained, x, y, observed)
-                    unexplained += 1
-                continue
-            z = 1.0 / inverse
-            t = drawing.triangle[j, i]
-            if observed > 0.0:
-                dz = observed - z
-                both += 1
-                error += min(abs(dz), terms.clamp_mm)
-                if abs(dz) < terms.gate_mm:
-                    dx, dy, nz = normals[t, 0], normals[t, 1], normals[t, 2]
-                    row[9] = dz * (dx * x + dy * y + nz)
-                    weight = inverse_variance * _robust(row[9], widening * terms.surface_tau_mm)
-                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, nz, row)
+                    both, offset = both + 1, observed - z
+                    error += min(abs(offset), terms.clamp_mm)
+                    normal = (normals[t, 0], normals[t, 1], normals[t, 2])
+                    pull = _depth_pull(offset, x, y, normal, widening, terms)
+                else:
+                    share = _missed(observed, z, terms)
+                    missed += share
+                    aside = (tile.nearest[0, j, i] - i) / view.a, (tile.nearest[1, j, i] - j) / view.c
+                    pull = _outline_pull(share if observed < 0.0 else 0.0, aside, x, y, z, widening, terms)
+                dx, dy, dz, row[9], weight = pull
+                if weight > 0.0:
+                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, dz, row)
                     add_row(equations, fingers[t], row, weight)
-                elif dz > 0.0:
-                    row[9] = terms.gate_mm
-                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, 0.0, 0.0, 1.0, row)
-                    add_row(equations, fingers[t], row, terms.push)
-                if abs(dz) > terms.explained_mm:
-                    _note(scratch.points, unexplained, x, y, observed)
-                    unexplained += 1
-            elif observed == 0.0:
-                missed += terms.unread_weight
-            elif -observed > z - terms.explained_mm:
-                missed += 1.0
-                dx = (tile.nearest[0, j, i] - i) / view.a * z
-                dy = (tile.nearest[1, j, i] - j) / view.c * z
-                distance = np.sqrt(dx * dx + dy * dy)
-                if distance > 0.0:
-                    row[9], dx, dy = distance, dx / distance, dy / distance
-                    weight = inverse_variance * _robust(distance, widening * terms.silhouette_tau_mm)
-                    nz = -(dx * x + dy * y)
-                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, nz, row)
-                    add_row(equations, fingers[t], row, weight)
+            if observed > 0.0 and abs(offset) > terms.explained_mm:
+                points[unexplained, 0], points[unexplained, 1] = x * observed, y * observed
+                points[unexplained, 2] = observed
+                unexplained += 1
     _add_closest(posed, skin, drawing, terms, widening, scratch, unexplained, equations)
-    disagree = missed + (tile.observed - both)
-    union = both + disagree
-    if union <= 0.0:
-        return terms.clamp_mm
-    return (error + terms.clamp_mm * disagree) / union
+    return _union(error, both, missed, tile.observed, terms.clamp_mm)
 
 
 @inlined
-def _note(points: FloatArray, k: int, x: float, y: float, z: float) -> None:
-    points[k, 0], points[k, 1], points[k, 2] = x * z, y * z, z
+def _missed(observed: float, z: float, terms: Terms) -> float:
+    """How much a pixel without the hand counts that it is drawn on at z: 0 where something hides it."""
+    if observed == 0.0:
+        return terms.unread_weight
+    return 1.0 if -observed > z - terms.explained_mm else 0.0
+
+
+@inlined
+def _union(error: float, both: int, missed: float, observed: int, clamp_mm: float) -> float:
+    """The union cost of pixels drawn and observed, drawn only, and all that are observed."""
+    disagree = missed + (observed - both)
+    union = both + disagree
+    return (error + clamp_mm * disagree) / union if union > 0.0 else clamp_mm
+
+
+@inlined
+def _depth_pull(
+    offset: float, x: float, y: float, normal: tuple[float, float, float], widening: float, terms: Terms
+) -> Pull:
+    """Where it is drawn on the ray (x, y, 1) and observed ``offset`` behind: to its plane, or a push."""
+    nx, ny, nz = normal
+    if abs(offset) < terms.gate_mm:
+        residual = offset * (nx * x + ny * y + nz)
+        weight = _robust(residual, widening * terms.surface_tau_mm) / (terms.sigma_mm * terms.sigma_mm)
+        return nx, ny, nz, residual, weight
+    return 0.0, 0.0, 1.0, terms.gate_mm, terms.push if offset > 0.0 else 0.0
+
+
+@inlined
+def _outline_pull(
+    share: float, aside: tuple[float, float], x: float, y: float, z: float, widening: float, terms: Terms
+) -> Pull:
+    """Where the hand is drawn at (x, y, 1) z and is not: in the image plane, by ``aside`` on the ray."""
+    px, py = aside[0] * z, aside[1] * z
+    distance = np.sqrt(px * px + py * py)
+    if share == 0.0 or distance == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    dx, dy = px / distance, py / distance
+    weight = _robust(distance, widening * terms.silhouette_tau_mm) / (terms.sigma_mm * terms.sigma_mm)
+    return dx, dy, -(dx * x + dy * y), distance, share * weight  # how fast z (x, y) moves on the image
 
 
 @kernel
@@ -180,68 +198,62 @@ def _add_closest(
     equations: NormalEquations,
 ) -> None:
     """Pull the nearest vertices that face the camera to the unexplained points."""
-    facing = 0
-    for v in range(len(drawing.facing)):
-        if drawing.facing[v]:
-            scratch.vertices[facing] = v
-            facing += 1
+    facing = _note_facing(drawing.facing, scratch.vertices)
     if facing == 0 or count == 0:
         return
     stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
     row, vertices = np.empty(ROW), drawing.vertices
     for k in range(0, count, stride):
         x, y, z = scratch.points[k, 0], scratch.points[k, 1], scratch.points[k, 2]
-        best, nearest = 1e30, 0
-        for m in range(facing):
-            v = scratch.vertices[m]
-            ex, ey, ez = x - vertices[v, 0], y - vertices[v, 1], z - vertices[v, 2]
-            square = ex * ex + ey * ey + ez * ez
-            if square < best:
-                best, nearest = square, v
-        distance = np.sqrt(best)
+        v = _nearest_vertex(vertices, scratch.vertices, facing, x, y, z)
+        px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        dx, dy, dz = x - px, y - py, z - pz
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         if distance < 1e-9:
             continue
-        px, py, pz = vertices[nearest, 0], vertices[nearest, 1], vertices[nearest, 2]
-        weight = stride / (terms.closest_mm * terms.closest_mm)
-        weight *= _robust(distance, widening * terms.closest_tau_mm)
-        finger, share = skin.fingers[nearest], 1.0 / distance
-        row[9] = distance
-        point_row(
-            posed,
-            finger,
-            skin.reaches,
-            nearest,
-            px,
-            py,
-            pz,
-            share * (x - px),
-            share * (y - py),
-            share * (z - pz),
-            row,
-        )
-        add_row(equations, finger, row, weight)
+        share, row[9] = 1.0 / distance, distance
+        weight = stride * _robust(distance, widening * terms.closest_tau_mm) / (terms.closest_mm**2)
+        dx, dy, dz = share * dx, share * dy, share * dz
+        point_row(posed, skin.fingers[v], skin.reaches, v, px, py, pz, dx, dy, dz, row)
+        add_row(equations, skin.fingers[v], row, weight)
+
+
+@inlined
+def _note_facing(facing: BoolArray, vertices: IntArray) -> int:
+    """Write which vertices face the camera, and return how many do."""
+    count = 0
+    for v in range(len(facing)):
+        if facing[v]:
+            vertices[count] = v
+            count += 1
+    return count
+
+
+@inlined
+def _nearest_vertex(points: FloatArray, among: IntArray, count: int, x: float, y: float, z: float) -> int:
+    """The one of the first ``count`` of some vertices that is nearest to a point."""
+    best, nearest = np.inf, 0
+    for m in range(count):
+        v = among[m]
+        ex, ey, ez = x - points[v, 0], y - points[v, 1], z - points[v, 2]
+        square = ex * ex + ey * ey + ez * ez
+        if square < best:
+            best, nearest = square, v
+    return nearest
 
 
 @kernel
 def union_cost(tile: Tile, drawing: Drawing, terms: Terms) -> float:
     """The union cost D of a drawn pose, mm."""
-    height, width = tile.image.shape
     error, both, missed = 0.0, 0, 0.0
-    for j in range(height):
-        for i in range(width):
-            inverse = drawing.inverse[j, i]
+    for j in range(tile.image.shape[0]):
+        for i in range(tile.image.shape[1]):
+            inverse, observed = drawing.inverse[j, i], tile.image[j, i]
             if inverse == 0.0:
                 continue
-            observed = tile.image[j, i]
             if observed > 0.0:
                 both += 1
                 error += min(abs(observed - 1.0 / inverse), terms.clamp_mm)
-            elif observed == 0.0:
-                missed += terms.unread_weight
-            elif -observed > 1.0 / inverse - terms.explained_mm:
-                missed += 1.0
-    disagree = missed + (tile.observed - both)
-    union = both + disagree
-    if union <= 0.0:
-        return terms.clamp_mm
-    return (error + terms.clamp_mm * disagree) / union
+            else:
+                missed += _missed(observed, 1.0 / inverse, terms)
+    return _union(error, both, missed, tile.observed, terms.clamp_mm)
