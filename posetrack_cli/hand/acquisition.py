@@ -8,7 +8,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLES
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import PosePrior
 from posetrack_cli.hand.fitting.gauss_newton import Fit
@@ -69,16 +69,15 @@ class Acquisition:
         self._space = HandSpace()
 
     def search(self, depth: ImageArray) -> Candidate | None:
-        """Return the best hand in a whole image, the nearest of those that fit about as well.
+        """Return the nearest hand in a whole image that fits well enough.
 
         Args:
             depth: (height, width) mm.
         """
         detections = detect(depth, self._camera, self._config.detection, self._observer.sampler)
-        found = [self._fitted(depth, detection) for detection in detections]
-        good = [candidate for candidate in found if candidate is not None]
+        found = (self._fitted(depth, detection) for detection in detections)  # the nearest first
         worst = self._settings.accept_mm
-        return next((candidate for candidate in good if candidate.cost <= worst), None)
+        return next((one for one in found if one is not None and one.cost <= worst), None)
 
     def reconsider(self, observation: Observation, pose: FloatArray) -> Candidate | None:
         """Return the best fit to an observation among hands that look much like a pose (22,)."""
@@ -104,11 +103,10 @@ class Acquisition:
         chosen = distinct(
             np.array([fit.pose for fit in fits]), np.array([fit.cost[0] for fit in fits]), settings.refined
         )
-        rng = np.random.default_rng(_SCATTER_SEED)
+        rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
         for k in chosen:
-            pose = fits[k].pose
-            around = fitter.aligned(tile, fit_starts(pose, pose[None], settings.scattered, self._space, rng))
-            fits += self._descended(tile, around)
+            around = fit_starts(fits[k].pose, none, settings.scattered, self._space, rng)
+            fits += self._descended(tile, fitter.aligned(tile, around))
         fit = min(fits, key=lambda fit: float(fit.cost[0]))
         return Candidate(fit.pose.copy(), float(fit.cost[0]))
 

@@ -1,0 +1,120 @@
+"""The compiled bones against ``hand.kinematics``, and a skin point's motion against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fitting_support import HANDS, RIGHT
+from hand_support import bent, pose_strategy, random_poses
+from hypothesis import given, settings
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
+from posetrack_cli.hand.fitting.normal_equations import ROW
+from posetrack_cli.hand.fitting.skeleton import PALM, Posed, empty_posed, point_row, pose_bones, skeleton_of
+from posetrack_cli.hand.kinematics import joint_jacobian, joint_positions, skinning_transforms
+from posetrack_cli.hand.space import HandSpace
+
+SHAPED = make_anatomy("left", 1.1, (1.1, 0.9, 1.0, 1.05, 0.95), palm=(1.1, 0.9, 1.0), thumb_place=1.3)
+ANATOMIES = {"right": HANDS["right"].anatomy, "left": HANDS["left"].anatomy, "shaped": SHAPED}
+FLOAT32 = 2.0 * np.finfo(np.float32).eps * 1500.0
+"""``skinning_transforms`` are float32, of lengths up to 1.5 m."""
+EXACT_MM = 1e-9
+each_hand = pytest.mark.parametrize("name", list(ANATOMIES))
+SPACE = HandSpace()
+
+
+def posed(anatomy: HandAnatomy, pose: FloatArray) -> Posed:
+    out = empty_posed()
+    pose_bones(skeleton_of(anatomy), pose, out)
+    return out
+
+
+@each_hand
+@given(pose=pose_strategy())
+@settings(max_examples=40)
+def test_bones_are_those_of_the_kinematics(name: str, pose: FloatArray) -> None:
+    anatomy = ANATOMIES[name]
+    found, joints = posed(anatomy, pose), joint_positions(anatomy, pose[None])[0]
+    np.testing.assert_allclose(found.bones, skinning_transforms(anatomy, pose[None])[0], atol=FLOAT32)
+    np.testing.assert_allclose(
+        found.centres.reshape(15, 3), joints[1:].reshape(5, 4, 3)[:, :3].reshape(15, 3)
+    )
+    np.testing.assert_allclose(found.tips, joints[4::4], atol=EXACT_MM)
+
+
+@each_hand
+def test_axes_are_unit_vectors_across_their_joints(name: str) -> None:
+    for pose in random_poses(20, seed=2):
+        axes = posed(ANATOMIES[name], pose).axes
+        lengths = np.linalg.norm(axes, axis=2)
+        np.testing.assert_allclose(lengths[0], 1.0)
+        np.testing.assert_allclose(lengths[1:, :2], 1.0)
+        np.testing.assert_allclose((axes[1:, 0] * axes[1:, 1]).sum(axis=1), 0.0, atol=1e-12)
+
+
+def whole_row(row: FloatArray, finger: int) -> FloatArray:
+    """A row (10,) as a derivative by all of the tangent vector (21,)."""
+    out = np.zeros(21)
+    out[:6] = row[:6]
+    if finger != PALM:
+        out[6 + 3 * finger : 9 + 3 * finger] = row[6:9]
+    return out
+
+
+def row_of(
+    found: Posed, finger: int, reaches: FloatArray, point: FloatArray, along: FloatArray
+) -> FloatArray:
+    row = np.full(ROW, np.nan)
+    row[9] = 0.5
+    point_row(found, finger, reaches[None], 0, *point, *along, row)
+    assert row[9] == 0.5
+    return whole_row(row, finger)
+
+
+@each_hand
+def test_rows_of_joints_are_their_jacobian(name: str) -> None:
+    """Joint k of a finger is moved by all hinges before it, and by none after."""
+    anatomy, rng = ANATOMIES[name], np.random.default_rng(3)
+    for pose in random_poses(10, seed=4):
+        found, joints = posed(anatomy, pose), joint_positions(anatomy, pose[None])[0]
+        jacobian = joint_jacobian(anatomy, pose[None])[0]
+        for finger in range(5):
+            for k in range(1, 4):
+                joint, along = 1 + 4 * finger + k, rng.standard_normal(3)
+                reaches = (np.arange(3) < k).astype(np.float64)
+                expected = along @ jacobian[joint]
+                row = row_of(found, finger, reaches, joints[joint], along)
+                np.testing.assert_allclose(row, expected, atol=1e-9 * 1500.0)
+
+
+@each_hand
+@pytest.mark.parametrize("bone", range(16))
+def test_rows_of_rigid_points_are_central_differences(name: str, bone: int) -> None:
+    """A point that one bone alone moves: palm, and every bone of every finger, by every angle."""
+    anatomy, rng, step = ANATOMIES[name], np.random.default_rng(bone), 1e-6
+    finger, reaches = (PALM, np.zeros(3)) if bone == 0 else ((bone - 1) // 3, np.zeros(3))
+    if bone > 0:
+        reaches[: 1 + (bone - 1) % 3] = 1.0
+    for pose in random_poses(5, seed=bone):
+        rest, along = 60.0 * rng.standard_normal(3), rng.standard_normal(3)
+
+        def at(pose: FloatArray, rest: FloatArray = rest) -> FloatArray:
+            moved = posed(anatomy, pose).bones[bone]
+            return moved[:, :3] @ rest + moved[:, 3]
+
+        moved = [SPACE.retract(np.stack([pose, pose]), np.stack([d, -d])) for d in step * np.eye(21)]
+        expected = [along @ (at(plus) - at(minus)) / (2.0 * step) for plus, minus in moved]
+        row = row_of(posed(anatomy, pose), finger, reaches, at(pose), along)
+        # differences of coordinates below 1500 mm, two roundings each, over 2 steps; lengths below 4
+        np.testing.assert_allclose(row, expected, atol=4.0 * 4.0 * 1500.0 * 2.3e-16 / (2.0 * step) + 1e-6)
+
+
+def test_a_point_between_two_bones_moves_by_its_share() -> None:
+    """Half of the weight beyond a hinge turns a point half as far about it."""
+    found = posed(RIGHT.anatomy, bent(index_pip_flexion=0.4))
+    point, along = found.tips[1], np.array([0.0, 0.0, 1.0])
+    whole, half = (row_of(found, 1, np.array([1.0, w, 0.0]), point, along) for w in (1.0, 0.5))
+    hinge = 6 + 3 * 1 + 2
+    assert half[hinge] == pytest.approx(0.5 * whole[hinge])
+    np.testing.assert_allclose(half[:hinge], whole[:hinge])
