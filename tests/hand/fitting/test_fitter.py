@@ -1,0 +1,281 @@
+"""Fits against drawn hands: from several starts, in any order, and where there is nothing to fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fitting_support import HANDS, RIGHT, TILE_PX, observed
+from hand_support import KINECT
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
+from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
+from posetrack_cli.hand.fitting.fitter import FINGER_ANGLES, HandFitter, PosePrior
+from posetrack_cli.hand.fitting.gauss_newton import Fit, Steps
+from posetrack_cli.hand.fitting.starts import SCATTER, fit_starts
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.space import HandSpace
+
+SPACE = HandSpace()
+CLAMP_MM = Terms().clamp_mm
+FREE = 1.0 / np.square(np.repeat([40.0, 0.6, 0.6], [3, 3, 15]))
+"""Precision of a prior that hardly holds."""
+FOUND_MM = 1.0
+"""Mean error of the joints: the relaxed hand pulls by tenths of a millimetre at what is hidden."""
+
+
+@pytest.fixture(scope="module")
+def fitters() -> dict[str, HandFitter]:
+    return {name: HandFitter(hand, KINECT, TILE_PX) for name, hand in HANDS.items()}
+
+
+def open_hand(name: str = "right", position: tuple[float, float, float] = (30.0, 80.0, 650.0)) -> FloatArray:
+    """A relaxed hand that shows its palm, a little turned."""
+    pose = np.zeros(POSE_SIZE)
+    pose[:3] = position
+    pose[3:7] = rotations.canonical(rotations.exponential(np.array([0.15, -0.2, 0.1])))
+    pose[ANGLES] = RELAXED
+    return pose
+
+
+def moved(pose: FloatArray, seed: int, share: float = 1.0) -> FloatArray:
+    """The pose some 10 mm, 6 degrees and 9 degrees of every bend farther."""
+    sd = share * np.repeat([6.0, 0.1, 0.15], [3, 3, 15])
+    return SPACE.retract(pose[None], sd * np.random.default_rng(seed).standard_normal((1, TANGENT_SIZE)))[0]
+
+
+def error(name: str, found: FloatArray, truth: FloatArray) -> float:
+    joints = joint_positions(HANDS[name].anatomy, np.stack([found, truth]))
+    return float(np.linalg.norm(joints[0] - joints[1], axis=1).mean())
+
+
+def free(start: FloatArray) -> PosePrior:
+    return PosePrior(start, FREE)
+
+
+def descended(fitter: HandFitter, tile: Tile, starts: FloatArray, iterations: int = 10) -> list[Fit]:
+    return fitter.descend(tile, starts, [free(start) for start in starts], iterations)
+
+
+@pytest.mark.parametrize("name", list(HANDS))
+@pytest.mark.parametrize("seed", range(4))
+def test_a_drawn_hand_is_found(fitters: dict[str, HandFitter], name: str, seed: int) -> None:
+    fitter, truth = fitters[name], open_hand(name)
+    tile = fitter.tile(observed(HANDS[name], fitter, truth))
+    starts = fitter.aligned(tile, np.stack([moved(truth, 10 * seed + k) for k in range(5)]))
+    fits = descended(fitter, tile, starts)
+    before = fitter.costs(tile, starts)
+    assert all(fit.cost[0] <= cost for fit, cost in zip(fits, before, strict=True))
+    best = min(fits, key=lambda fit: float(fit.cost[0]))
+    assert min(error(name, start, truth) for start in starts) > 4.0
+    assert error(name, best.pose, truth) < FOUND_MM
+    assert best.cost[0] < 0.2 * before.min()
+
+
+def test_a_fit_says_what_its_pose_costs(fitters: dict[str, HandFitter]) -> None:
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    for fit in descended(fitter, tile, np.stack([moved(truth, k) for k in range(3)])):
+        again = fitter.assessed(tile, fit.pose)
+        assert again.cost[0] == fit.cost[0] == fitter.costs(tile, fit.pose[None])[0]
+        np.testing.assert_array_equal(again.pose, fit.pose)
+        assert np.linalg.norm(fit.pose[3:7]) == pytest.approx(1.0, abs=1e-12)
+        assert fit.pose[6] >= 0.0
+        assert (np.diag(fit.data.matrix) >= 0.0).all()
+
+
+def test_more_iterations_are_never_worse_at_the_same_width(fitters: dict[str, HandFitter]) -> None:
+    """A descent keeps the best pose on its way, the start among them."""
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    start = moved(truth, 5)
+    (still,) = descended(fitter, tile, start[None], iterations=0)
+    np.testing.assert_array_equal(still.pose, start)
+    for iterations in (1, 3, 6):
+        (fit,) = descended(fitter, tile, start[None], iterations)
+        assert fit.cost[0] <= still.cost[0]
+
+
+def test_a_firm_prior_holds_the_pose(fitters: dict[str, HandFitter]) -> None:
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    start = moved(truth, 1)
+    (fit,) = fitter.descend(tile, start[None], [PosePrior(start, np.full(TANGENT_SIZE, 1e12))], 6)
+    np.testing.assert_allclose(fit.pose, start, atol=1e-6)
+
+
+def test_the_prior_s_mean_draws_what_nothing_shows(fitters: dict[str, HandFitter]) -> None:
+    """With one pixel of 4096 seen, a step goes to the prior's mean: N(mean, 1 / precision) is exact."""
+    fitter, truth = fitters["right"], open_hand()
+    observation = observed(RIGHT, fitter, truth)
+    image = np.zeros_like(observation.image)
+    row, column = np.argwhere(observation.image > 0)[200]
+    image[row, column] = observation.image[row, column]
+    tile = fitter.tile(Observation(observation.window, image, 1))
+    start, mean = moved(truth, 2, 0.3), truth
+    firm = np.full(TANGENT_SIZE, 1e6)
+    # a first step to the mean lowers the cost: there the pixel is explained
+    (fit,) = fitter.descend(tile, start[None], [PosePrior(mean, firm)], 1)
+    assert fit.cost[0] < fitter.costs(tile, start[None])[0]
+    assert error("right", fit.pose, mean) < 0.2 < error("right", start, mean)
+
+
+def test_no_step_is_longer_than_allowed() -> None:
+    most = Steps(translation_mm=2.0, rotation_rad=0.01, angle_rad=0.02)
+    fitter, truth = HandFitter(RIGHT, KINECT, TILE_PX, steps=most), open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    start = moved(truth, 3)
+    (fit,) = descended(fitter, tile, start[None], iterations=1)
+    delta = SPACE.local(start, fit.pose)
+    assert delta.any()
+    assert np.linalg.norm(delta[:3]) <= 2.0 + 1e-9
+    assert np.linalg.norm(delta[3:6]) <= 0.01 + 1e-9
+    assert np.abs(delta[6:]).max() <= 0.02 + 1e-9
+
+
+def test_fits_come_in_the_order_of_their_starts_and_again_the_same(fitters: dict[str, HandFitter]) -> None:
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    starts = np.stack([moved(truth, k) for k in range(7)])
+    fits = descended(fitter, tile, starts, 4)
+    for again in (
+        descended(fitter, tile, starts, 4),
+        [descended(fitter, tile, s[None], 4)[0] for s in starts],
+    ):
+        for first, second in zip(fits, again, strict=True):
+            for ours, theirs in (
+                (first.pose, second.pose),
+                (first.cost, second.cost),
+                (*first.data[:1], second.data[0]),
+            ):
+                assert ours.tobytes() == theirs.tobytes()
+    costs = fitter.costs(tile, starts)
+    np.testing.assert_array_equal(costs, [fitter.costs(tile, start[None])[0] for start in starts])
+    assert len(set(costs)) == 7
+    assert fitter.costs(tile, starts[:0]).shape == (0,)
+
+
+@pytest.mark.parametrize("shift", [(40.0, -25.0, 60.0), (-25.0, 10.0, -60.0), (0.0, 0.0, 120.0)])
+def test_an_aligned_pose_lies_where_the_hand_is(
+    fitters: dict[str, HandFitter], shift: tuple[float, ...]
+) -> None:
+    """The same hand elsewhere, wholly in the window and far from the optical axis, is shifted back."""
+    fitter, truth = fitters["right"], open_hand(position=(200.0, 120.0, 650.0))
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    away = truth.copy()
+    away[:3] += shift
+    (found,) = fitter.aligned(tile, away[None])
+    np.testing.assert_array_equal(found[3:], truth[3:])
+    # seen from elsewhere the middle of what is seen is another part of the skin: some 3 mm
+    assert np.linalg.norm(found[:3] - truth[:3]) < 0.1 * np.linalg.norm(shift)
+    np.testing.assert_array_equal(away[:3], truth[:3] + shift)  # what is given stays
+
+
+def empty(observation: Observation) -> Observation:
+    return Observation(observation.window, np.zeros_like(observation.image), 0)
+
+
+def hidden(observation: Observation) -> Observation:
+    return Observation(observation.window, np.full_like(observation.image, -200.0), 0)
+
+
+def wall(observation: Observation) -> Observation:
+    return Observation(observation.window, np.full_like(observation.image, -1500.0), 0)
+
+
+@pytest.mark.parametrize("make", [empty, hidden, wall])
+def test_where_there_is_no_hand_nothing_is_moved(fitters: dict[str, HandFitter], make) -> None:  # type: ignore[no-untyped-def]
+    fitter, pose = fitters["right"], open_hand()
+    tile = fitter.tile(make(observed(RIGHT, fitter, pose)))
+    np.testing.assert_array_equal(fitter.aligned(tile, pose[None]), pose[None])
+    (fit,) = descended(fitter, tile, pose[None])
+    assert fit.cost[0] == CLAMP_MM
+    np.testing.assert_array_equal(fit.pose, pose)
+    assert not fit.data.matrix.any()
+
+
+@pytest.mark.parametrize("z", [120.0, 40.0, 0.0, -300.0])
+def test_a_hand_in_the_camera_costs_the_most_and_is_no_error(
+    fitters: dict[str, HandFitter], z: float
+) -> None:
+    """Its wrist or fingertips lie before the near plane."""
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    pose = open_hand(position=(0.0, 0.0, z))
+    pose[3:7] = rotations.exponential(np.array([np.pi / 2, 0.0, 0.0]))  # points at the camera
+    assert fitter.costs(tile, pose[None])[0] == CLAMP_MM
+    np.testing.assert_array_equal(fitter.aligned(tile, pose[None]), pose[None])
+    (fit,) = descended(fitter, tile, pose[None])
+    assert fit.cost[0] <= CLAMP_MM
+    assert np.isfinite(fit.pose).all()
+    assert np.isfinite(fit.data.matrix).all()
+
+
+def test_a_hand_beside_the_window_is_pulled_in(fitters: dict[str, HandFitter]) -> None:
+    """No pixel of it is drawn: observed ones look for its nearest skin."""
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    away = truth.copy()
+    away[0] += 320.0
+    assert fitter.costs(tile, away[None])[0] == CLAMP_MM
+    fit = fitter.assessed(tile, away)
+    assert fit.data.vector[0] < 0.0
+
+
+def test_swapping_takes_each_finger_from_where_it_fits(fitters: dict[str, HandFitter]) -> None:
+    """Three fits with one wrong finger each make the true hand."""
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    poses = np.tile(truth, (3, 1))
+    for row, finger in enumerate((1, 2, 4)):
+        poses[row, FINGER_ANGLES[finger]] += [0.6, 0.0, 0.8]
+    fits = [fitter.assessed(tile, pose) for pose in poses]
+    found = fitter.swapped(tile, fits)
+    np.testing.assert_array_equal(found, truth)
+    np.testing.assert_array_equal(fitter.swapped(tile, fits[:1]), poses[0])
+
+
+def test_starts_are_the_expected_pose_others_and_scattered_ones() -> None:
+    expected, other = open_hand(), moved(open_hand(), 1)
+    starts = fit_starts(expected, other[None], 6, SPACE, np.random.default_rng(1))
+    assert starts.shape == (6, POSE_SIZE)
+    np.testing.assert_array_equal(starts[:2], [expected, other])
+    np.testing.assert_allclose(np.linalg.norm(starts[:, 3:7], axis=1), 1.0)
+    again = fit_starts(expected, other[None], 6, SPACE, np.random.default_rng(1))
+    np.testing.assert_array_equal(starts, again)
+    assert not np.array_equal(starts, fit_starts(expected, other[None], 6, SPACE, np.random.default_rng(2)))
+    for count in (1, 2):
+        np.testing.assert_array_equal(
+            fit_starts(expected, other[None], count, SPACE, np.random.default_rng(1)),
+            [expected, other][:count],
+        )
+    alone = fit_starts(expected, np.empty((0, POSE_SIZE)), 4, SPACE, np.random.default_rng(1))
+    np.testing.assert_array_equal(alone[0], expected)
+    assert len({row.tobytes() for row in alone}) == 4
+
+
+def test_scattered_starts_spread_as_stated_and_half_the_fingers_fold_anew() -> None:
+    count, expected = 20_000, open_hand()
+    none = np.empty((0, POSE_SIZE))
+    starts = fit_starts(expected, none, count + 1, SPACE, np.random.default_rng(3))[1:]
+    delta = SPACE.local(expected, starts)
+    # position, rotation, thumb, and the abductions, which no fold changes
+    free = [*range(9), *range(10, 21, 3)]
+    np.testing.assert_allclose(delta[:, free].std(axis=0), SCATTER[free], rtol=4.0 / np.sqrt(2 * count))
+    for finger in range(1, 5):
+        folds = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
+        bends = starts[:, [7 + 3 * finger, 9 + 3 * finger]]
+        refolded = np.array([tuple(bend) in folds for bend in bends])
+        assert refolded.mean() == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(count))
+        assert {tuple(bend) for bend in bends[refolded]} == folds
+        kept = delta[~refolded][:, [6 + 3 * finger, 8 + 3 * finger]]
+        assert np.abs(kept.mean(axis=0)).max() < 4.0 * 0.36 / np.sqrt(0.5 * count)
+
+
+def test_a_prior_about_another_place_keeps_all_else() -> None:
+    prior = free(open_hand()).about(np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(prior.mean, [1.0, 2.0, 3.0, *open_hand()[3:]])
+    np.testing.assert_array_equal(prior.precision, FREE)
