@@ -29,6 +29,7 @@ from posetrack_cli.filtering.step import (
     scatter,
     weigh,
 )
+from posetrack_cli.filtering.weights import truncated
 
 Proposal: TypeAlias = Literal["marginal", "paper"]
 PROPOSALS: tuple[str, ...] = get_args(Proposal)
@@ -145,11 +146,12 @@ def marginal_step(
 def _guided(
     proposed: Proposed, velocities: FloatArray, drift: FloatArray, gain: VelocityGain, space: StateSpace
 ) -> tuple[MarginalState, Posterior]:
-    """Move the ancestors' velocities on (59)."""
+    """Move the ancestors' velocities on (59); the estimate is taken with truncated weights."""
     poses, increments, ancestors, weighing = proposed
     velocities = velocities[ancestors] + gain.gain * (increments - drift[ancestors])
-    velocity = velocity_moments(velocities, gain.variance, weighing.weights)
-    posterior = summarise(space, poses, velocity, weighing, resampled=True)
+    weights = truncated(weighing.weights)
+    velocity = velocity_moments(velocities, gain.variance, weights)
+    posterior = summarise(space, poses, velocity, weighing, resampled=True, weights=weights)
     return MarginalState(poses, velocities, gain.variance, weighing.log_weights), posterior
 
 

@@ -20,6 +20,7 @@ from posetrack_cli.filtering.step import (
     scatter,
     weigh,
 )
+from posetrack_cli.filtering.weights import truncated
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,14 @@ def particle_step(
         drift = np.zeros((len(state.poses), variance.size))
         prediction = Prediction(state.poses, drift, variance, state.log_weights)
         proposed = guide.propose(prediction, space, log_likelihood, resampling.scheme, rng)
-        posterior = summarise(space, proposed.poses, None, proposed.weighing, resampled=True)
+        posterior = summarise(
+            space,
+            proposed.poses,
+            None,
+            proposed.weighing,
+            resampled=True,
+            weights=truncated(proposed.weighing.weights),
+        )
         return ParticleState(proposed.poses, proposed.weighing.log_weights), posterior
     poses, _ = propose(space, state.poses, None, variance, dynamics.constrain, rng)
     weighing = weigh(state.log_weights, poses, log_likelihood)

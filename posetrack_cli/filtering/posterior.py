@@ -66,6 +66,7 @@ def summarise(
     velocity: tuple[FloatArray, FloatArray] | None,
     weighing: Weighing,
     resampled: bool,
+    weights: FloatArray | None = None,
 ) -> Posterior:
     """Put the posterior together from particles and their weights, before resampling (62)-(63).
 
@@ -75,8 +76,10 @@ def summarise(
         velocity: mean and variance, each (D,); None for a filter without velocity.
         weighing: weights of the poses.
         resampled: whether the next state is resampled.
+        weights: (N,) for mean and variance of the pose, if not those of the weighing.
     """
-    pose, pose_variance = pose_moments(space, poses, weighing.weights)
+    moments = weighing.weights if weights is None else weights
+    pose, pose_variance = pose_moments(space, poses, moments)
     if velocity is None:
         velocity = np.zeros_like(pose_variance), np.zeros_like(pose_variance)
     best = int(np.argmax(weighing.weights))

@@ -14,6 +14,9 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import FilterError
 
+TRUNCATION = 0.5
+"""[ours]: half of Ionides' limit; measured on hands, it gives the smallest errors and honest variances."""
+
 
 def normalise(log_weights: FloatArray) -> tuple[FloatArray, float]:
     """Return the normalised weights and the logarithm of their sum before.
@@ -53,6 +56,17 @@ def effective_sample_size(log_weights: FloatArray) -> float:
 def effective_count(weights: FloatArray) -> float:
     """Return 1 / sum_i w_i^2 of weights (N,) that sum to 1 already."""
     return 1.0 / float(weights @ weights)
+
+
+def truncated(weights: FloatArray) -> FloatArray:
+    """Return weights (N,) of sum 1, none of them above ``TRUNCATION`` sqrt(N) times their mean.
+
+    Larger ones are cut and all scaled anew. Truncated importance sampling (Ionides 2008): where few samples carry most of the weight, the variance of
+    an estimate falls much more than its bias grows, and the bias vanishes with N.
+    """
+    limited = np.minimum(weights, TRUNCATION / math.sqrt(weights.size))
+    out: FloatArray = limited / limited.sum()
+    return out
 
 
 def _without_mass(log_weights: FloatArray) -> FilterError:

@@ -91,7 +91,12 @@ class Acquisition:
             return None
         first = self._best(observation, detected_poses(detection, self._hand.anatomy))
         again = self._observer.observe(depth, first.pose)  # with the wrist where the fit has it
-        return first if again.target_pixels == 0 else self._best(again, first.pose[None])
+        if again.target_pixels == 0:
+            return first
+        second = self._best(again, first.pose[None])
+        if second.cost <= self._config.status.sure_mm:
+            return second
+        return better_of(second, self.reconsider(again, second.pose))
 
     def _best(self, observation: Observation, poses: FloatArray) -> Candidate:
         """The best fit from the most different of the best hypotheses (H, 22), refined once more."""
