@@ -205,10 +205,12 @@ def test_a_configuration_is_found_by_path_or_by_name(tmp_path: Path) -> None:
         find_configuration("hnad")
 
 
-def test_the_shipped_hand_configuration_states_every_default() -> None:
-    path = find_configuration("hand")
+def test_the_shipped_hand_configurations_state_every_default() -> None:
+    """Those of the filters in hand.toml, those of the swarm in hand-pso.toml."""
+    path, swarm = find_configuration("hand"), find_configuration("hand-pso")
     assert load_settings(HandConfig, path, {}) == HandConfig()
-    stated = leaves(tomllib_of(path))
+    assert load_settings(HandConfig, swarm, {"filter.kind": "rbpf"}) == HandConfig()
+    stated = leaves(tomllib_of(path)) | leaves({"pso": tomllib_of(swarm)["pso"]})
     # None cannot be written in TOML: such a key may be left out
     optional = {key for key, value in leaves(HandConfig().model_dump()).items() if value is None}
     assert set(leaves(HandConfig().model_dump())) - optional == set(stated) - optional

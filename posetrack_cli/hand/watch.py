@@ -62,12 +62,13 @@ class Watch:
         if confidence < settings.lost_below:
             return self.missed(settings)
         usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
+        back = replace(self, misses=0, lost=False)
         if self.is_worse(cost_mm, settings):
-            return replace(self, misses=0)
+            return back
         usual += _MEMORY * (cost_mm - usual)
         if cost_mm > settings.sure_mm:
-            return replace(self, misses=0, usual_mm=usual)
-        return replace(self, misses=0, usual_mm=usual, wait=0, pause=1)
+            return replace(back, usual_mm=usual)
+        return replace(back, usual_mm=usual, wait=0, pause=1)
 
     def missed(self, settings: StatusSettings) -> Watch:
         """After a frame without confidence."""

@@ -12,12 +12,13 @@ from hand_support import KINECT
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.config import HandConfig, ObservationSettings
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import tangent_vector
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import (
@@ -53,14 +54,22 @@ class DistanceScorer:
         distance = np.linalg.norm(poses[:, :3] - self.target, axis=1)
         return np.minimum(self.scale * distance, 40.0)
 
+    def log_likelihood(self, poses: np.ndarray, observation: Observation) -> np.ndarray:
+        return log_gibbs(self.costs(poses, observation), ObservationSettings())
+
 
 def configured(kind: str = "rbpf", particles: int = 64, **tables: dict[str, object]) -> HandConfig:
     values = {"filter": {"kind": kind, "particles": particles}, "observation": {"cost": "paper"}, **tables}
     return HandConfig.model_validate(values)
 
 
+def observing(config: HandConfig) -> Observer:
+    return Observer(config, ANATOMY, KINECT, segment=config.observation.cost != "paper")
+
+
 def tracker_with(scorer: Any, kind: str = "rbpf", **tables: Any) -> HandTracker:
-    return HandTracker(configured(kind, **tables), ANATOMY, KINECT, scorer)
+    config = configured(kind, **tables)
+    return HandTracker(config, ANATOMY, KINECT, scorer, observing(config))
 
 
 def seen(index: int, stamp_ns: int | None = None) -> Frame:
@@ -218,7 +227,7 @@ def test_confidence_that_stays_low_is_lost_and_comes_back() -> None:
     for k in range(6):
         scorer.scale = 0.1 if k == 4 else 1e9  # everywhere c_max, but in frame 4
         state, estimate = tracker.step(state, seen(k), rng)
-        statuses.append((str(estimate.status), state.misses))
+        statuses.append((str(estimate.status), state.watch.misses))
     assert statuses == [
         ("tracking", 1),
         ("tracking", 2),
@@ -238,16 +247,17 @@ def same(first: Estimate, second: Estimate) -> None:
 def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(kind: str) -> None:
     tracker = tracker_with(DistanceScorer(START[:3]), kind, status={"lost_below": 0.99})
     state, _ = run(tracker, [seen(k) for k in range(4)])
-    assert state.misses > 0
+    assert state.watch.misses > 0
     arrays = {name: array.copy() for name, array in state_arrays(state).items()}
-    restored = state_from_arrays(arrays, state.stamp_ns, state.misses, state.unseen_ns)
+    restored = state_from_arrays(arrays, state.stamp_ns, state.unseen_ns)
+    assert restored.watch == state.watch
     np.testing.assert_array_equal(restored.velocity, state.velocity)
     np.testing.assert_array_equal(restored.pose, state.pose)
     for k in range(4, 7):
         state, expected = tracker.step(state, seen(k), np.random.default_rng(k))
         restored, found = tracker.step(restored, seen(k), np.random.default_rng(k))
         same(expected, found)
-    assert restored.misses == state.misses
+    assert restored.watch == state.watch
 
 
 @both_filters
@@ -275,7 +285,8 @@ def test_the_prediction_moves_on_and_stays_inside_the_limits() -> None:
     predicted = tracker.predict(replace(state, velocity=velocity), 0.1)
     assert predicted[0] == START[0] + 100.0
     assert predicted[7] == pytest.approx(np.deg2rad(74.0))
-    assert tracker.observe(BLANK, predicted).window.centre[0] > tracker.observe(BLANK, START).window.centre[0]
+    here, there = (observing(configured()).observe(BLANK, pose).window for pose in (START, predicted))
+    assert there.centre[0] > here.centre[0]
 
 
 @both_filters
@@ -307,8 +318,8 @@ def test_the_filter_s_settings_reach_the_filter(changes: dict[str, object]) -> N
 def test_only_the_union_tells_hand_from_wall() -> None:
     wall = np.full_like(BLANK, 1500.0)
     for cost, pixels in (("paper", 64 * 64), ("union", 0)):
-        tracker = tracker_with(DistanceScorer(START[:3]), observation={"cost": cost})
-        assert tracker.observe(wall, START).target_pixels == pixels
+        config = configured(observation={"cost": cost})
+        assert observing(config).observe(wall, START).target_pixels == pixels
 
 
 def translating_hand(context: Any, count: int) -> tuple[list[Frame], np.ndarray]:
@@ -324,11 +335,11 @@ def translating_hand(context: Any, count: int) -> tuple[list[Frame], np.ndarray]
 @both_filters
 def test_a_drawn_hand_is_followed_within_millimetres(context: Any, kind: str) -> None:
     config = HandConfig.model_validate(
-        {"filter": {"kind": kind, "particles": 512}, "observation": {"tile_px": 32}}
+        {"filter": {"kind": kind, "particles": 512}, "observation": {"tile_px": 32, "cost": "union"}}
     )
     scorer = RenderedCosts(context, average_hand(), KINECT, config.observation, 512)
     frames, poses = translating_hand(context, 15)
-    _, estimates = run(HandTracker(config, ANATOMY, KINECT, scorer), frames)
+    _, estimates = run(HandTracker(config, ANATOMY, KINECT, scorer, observing(config)), frames)
     truth = joint_positions(ANATOMY, poses)
     found = np.array([e.points for e in estimates])
     # where the hand is; single fingers wander more with so few particles

@@ -162,15 +162,15 @@ def test_fits_come_in_the_order_of_their_starts_and_again_the_same(fitters: dict
 def test_an_aligned_pose_lies_where_the_hand_is(
     fitters: dict[str, HandFitter], shift: tuple[float, ...]
 ) -> None:
-    """The same hand elsewhere, wholly in the window and far from the optical axis, is shifted back."""
+    """The same hand elsewhere, far from the optical axis, is shifted back."""
     fitter, truth = fitters["right"], open_hand(position=(200.0, 120.0, 650.0))
     tile = fitter.tile(observed(RIGHT, fitter, truth))
     away = truth.copy()
     away[:3] += shift
     (found,) = fitter.aligned(tile, away[None])
     np.testing.assert_array_equal(found[3:], truth[3:])
-    # seen from elsewhere the middle of what is seen is another part of the skin: some 3 mm
-    assert np.linalg.norm(found[:3] - truth[:3]) < 0.1 * np.linalg.norm(shift)
+    # nearer and aside, other parts of the skin are seen and the window cuts off fingertips: some 6 mm
+    assert np.linalg.norm(found[:3] - truth[:3]) < 0.15 * np.linalg.norm(shift)
     np.testing.assert_array_equal(away[:3], truth[:3] + shift)  # what is given stays
 
 
