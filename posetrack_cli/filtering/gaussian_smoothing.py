@@ -21,7 +21,7 @@ from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.particle import ParticleState
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, noise_of, with_velocity
-from posetrack_cli.filtering.weights import effective_count, normalise
+from posetrack_cli.filtering.weights import effective_count, normalise, truncated
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +46,21 @@ class GaussianSmoother:
         dynamics: those of the filter.
         space: the poses' space.
         moving: whether the filter has a velocity.
+        guided: whether its steps are guided: their estimates, and so the moments, take `truncated` weights.
     """
 
-    def __init__(self, dynamics: Dynamics, space: StateSpace, moving: bool = True) -> None:
-        self._dynamics, self._space = noise_of(dynamics, moving), space
+    def __init__(
+        self, dynamics: Dynamics, space: StateSpace, moving: bool = True, guided: bool = False
+    ) -> None:
+        self._dynamics, self._space, self._guided = noise_of(dynamics, moving), space, guided
         self._later: StateGaussian | None = None
 
     def remember(self, state: ParticleState | MarginalState) -> Memory:
         """Return the moments; see `Smoother`."""
-        return vars(state_gaussian(with_velocity(state, self._dynamics.pose_noise.size), self._space))
+        weights = normalise(state.log_weights)[0]
+        weights = truncated(weights) if self._guided else weights
+        moving = with_velocity(state, self._dynamics.pose_noise.size)
+        return vars(state_gaussian(moving, weights, self._space))
 
     def begin(self, last: Memory) -> Smoothed:
         """Start from a chain's last frame; see `Smoother`."""
@@ -69,9 +75,8 @@ class GaussianSmoother:
         return self._later.smoothed
 
 
-def state_gaussian(state: MarginalState, space: StateSpace) -> StateGaussian:
-    """Return the moments of weighted particles, the covariance shrunk as `shrunk` says."""
-    weights = normalise(state.log_weights)[0]
+def state_gaussian(state: MarginalState, weights: FloatArray, space: StateSpace) -> StateGaussian:
+    """Return the moments of particles with weights (N,), the covariance shrunk as `shrunk` says."""
     pose, velocity = space.mean(state.poses, weights), weights @ state.velocities
     away = np.hstack([space.local(pose, state.poses), state.velocities - velocity])
     covariance = shrunk((weights[:, None] * away).T @ away, effective_count(weights))

@@ -138,5 +138,5 @@ def make_smoother(config: HandConfig, dynamics: Dynamics, rng: np.random.Generat
     """
     moving, space = config.filter.kind == "rbpf", HandSpace()
     if config.smoothing.method == "gaussian":
-        return GaussianSmoother(dynamics, space, moving)
+        return GaussianSmoother(dynamics, space, moving, guided=config.filter.proposal == "guided")
     return ParticleSmoother(dynamics, space, config.smoothing.trajectories, rng, moving)

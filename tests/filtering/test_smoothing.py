@@ -157,6 +157,21 @@ def test_last_frame_is_the_filter_s(make_world, method: str, kind: str) -> None:
     assert_equal(way.begin(way.remember(state)), posterior)
 
 
+def test_last_frame_is_that_of_guided_steps_too(make_world) -> None:
+    """Their estimates take truncated weights: with fits this wide, few particles have most of the weight."""
+    world = make_world(np.full(3, DT), dimension=2)
+    rng, ones = np.random.default_rng(0), np.ones(2)
+    state = initialise_marginal(0.0 * ones, ones, ones, 50, SPACE, rng)
+    for y in world.observations(1):
+        guide = Guide(world.exact_modes(y, y[None]), 0.3, inflation=50.0)
+        score = world.log_likelihood(y)
+        state, posterior = marginal_step(
+            state, DT, world.dynamics, SPACE, score, RESAMPLING, rng, guide=guide
+        )
+    way = GaussianSmoother(world.dynamics, SPACE, guided=True)
+    assert_equal(way.begin(way.remember(state)), posterior)
+
+
 def assert_equal(smoothed: Smoothed, posterior: Posterior) -> None:
     for name in ("pose", "pose_variance", "velocity", "velocity_variance"):
         np.testing.assert_allclose(getattr(smoothed, name), getattr(posterior, name), rtol=1e-12, atol=1e-12)
