@@ -1,0 +1,242 @@
+"""Start, loss and recovery of the tracker with all its parts, on drawn hands."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from hand_support import KINECT
+from scene_support import HANDS, WALL_MM, Stage, relaxed, tracker, turned_about_its_length
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.anatomy import ANGLES
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.start import rest_pose
+from posetrack_cli.hand.tracker import HandState, HandTracker
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.estimate import Estimate
+
+HAND = HANDS["right"]
+FRAME_NS = 33_333_333
+ELSEWHERE = rest_pose(HAND.anatomy, np.array([0.0, 0.0, 400.0]))
+"""What is said of a hand that was not found yet."""
+TRACKED_MM = 4.0
+"""Mean error of a drawn hand's joints: 0.5 to 2 mm, more in the first frames and at hidden fingers."""
+LOST_AFTER = HandConfig().status.lost_after_frames
+
+
+@pytest.fixture(scope="module")
+def stage(context: Any) -> Stage:
+    return Stage(context, HAND)
+
+
+@pytest.fixture(scope="module")
+def tracking(context: Any) -> HandTracker:
+    return tracker(context, HAND)
+
+
+def pose_of(estimate: Estimate) -> FloatArray:
+    return np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
+
+
+def frames_of(depths: list[np.ndarray]) -> list[Frame]:
+    return [Frame(k, k * FRAME_NS, (depth,)) for k, depth in enumerate(depths)]
+
+
+def run(tracking: HandTracker, frames: list[Frame]) -> tuple[list[HandState], list[Estimate]]:
+    """States after each frame, and estimates; every frame's randomness is its own."""
+    state = tracking.start_unknown(ELSEWHERE, frames[0], np.random.default_rng(0))
+    states, estimates = [], []
+    for frame in frames:
+        state, estimate = tracking.step(state, frame, np.random.default_rng(frame.index))
+        states.append(state)
+        estimates.append(estimate)
+    return states, estimates
+
+
+def statuses(estimates: list[Estimate]) -> list[tuple[str, int]]:
+    """Statuses and how many frames in a row have them."""
+    return [(name, len(list(group))) for name, group in itertools.groupby(str(e.status) for e in estimates)]
+
+
+def moving(count: int, start: FloatArray, step: tuple[float, float, float]) -> list[FloatArray]:
+    poses = np.tile(start, (count, 1))
+    poses[:, :3] += np.arange(count)[:, None] * np.array(step)
+    return list(poses)
+
+
+def errors(stage: Stage, estimates: list[Estimate], poses: list[FloatArray]) -> list[float]:
+    return [stage.error(pose_of(e), pose) for e, pose in zip(estimates, poses, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def wall() -> np.ndarray:
+    return np.full((KINECT.height, KINECT.width), WALL_MM, dtype=np.float32)
+
+
+def test_a_hand_is_found_in_the_first_frame_and_tracked(tracking: HandTracker, stage: Stage) -> None:
+    poses = moving(8, relaxed(), (3.0, -2.0, 2.0))
+    states, estimates = run(tracking, frames_of([stage.depth(pose) for pose in poses]))
+    assert statuses(estimates) == [("tracking", 8)]
+    assert max(errors(stage, estimates, poses)) < TRACKED_MM
+    assert all(e.confidence > 0.8 for e in estimates)
+    assert all(e.evaluations > HandConfig().filter.particles for e in estimates)
+    assert states[0].cut  # it does not follow from what was before
+    assert not any(state.cut for state in states[1:])
+
+
+def test_a_hand_that_never_comes_is_lost_where_it_was_said_to_be(
+    tracking: HandTracker, wall: np.ndarray
+) -> None:
+    _, estimates = run(tracking, frames_of([wall, np.zeros_like(wall)] * 5))
+    assert statuses(estimates) == [("lost", 10)]
+    for estimate in estimates:
+        assert (estimate.cost, estimate.confidence, estimate.evaluations) == (None, 0.0, 0)
+        assert np.linalg.norm(estimate.position - ELSEWHERE[:3]) < 20.0
+        assert np.isfinite(estimate.points).all()
+        assert np.isfinite(estimate.pose_variance).all()
+
+
+def test_a_hand_that_comes_late_is_tracked_from_its_first_find(
+    tracking: HandTracker, stage: Stage, wall: np.ndarray
+) -> None:
+    """It was never lost, so it is not found again."""
+    pose = relaxed(80.0)
+    _, estimates = run(tracking, frames_of([wall] * 6 + [stage.depth(pose)] * 8))
+    (first, before), (then, after) = statuses(estimates)
+    assert (first, then) == ("lost", "tracking")
+    assert 6 <= before <= 6 + 4  # searches come ever more seldom, every fifth frame at last
+    assert before + after == 14
+    assert stage.error(pose_of(estimates[-1]), pose) < TRACKED_MM
+
+
+def test_a_hand_that_leaves_is_lost_and_found_again_elsewhere(
+    tracking: HandTracker, stage: Stage, wall: np.ndarray
+) -> None:
+    there = moving(6, relaxed(-100.0), (2.0, 0.0, 0.0))
+    back = moving(8, relaxed(120.0, 20.0, 750.0, (0.0, 0.3, -0.3)), (-2.0, 0.0, 0.0))
+    images = [stage.depth(p) for p in there] + [wall] * 10 + [stage.depth(p) for p in back]
+    states, estimates = run(tracking, frames_of(images))
+    found = statuses(estimates)
+    assert [name for name, _ in found] == ["tracking", "lost", "reinitialised", "tracking"]
+    assert found[0][1] == 6
+    assert 10 <= found[1][1] <= 10 + 4
+    assert found[2][1] == 1
+    assert errors(stage, estimates[-3:], back[-3:])[-1] < TRACKED_MM
+    # while it is away its confidence is none, and it stays where it went
+    away = estimates[6:16]
+    assert {e.confidence for e in away} == {0.0}
+    assert max(np.linalg.norm(e.position - there[-1][:3]) for e in away) < 150.0
+    lost = [state.watch.lost for state in states]
+    assert lost.index(True) == 6 + LOST_AFTER - 1
+
+
+def plate_before(depth: np.ndarray, z: float = 450.0) -> np.ndarray:
+    """Something flat that hides the middle of the image."""
+    out = depth.copy()
+    out[60:400, 60:460] = z
+    return out
+
+
+@pytest.mark.parametrize("count", [3, 15])
+def test_a_hand_behind_a_plate_is_back_when_the_plate_is_gone(
+    tracking: HandTracker, stage: Stage, count: int
+) -> None:
+    """A tenth of a second is bridged by the motion model; half a second is a loss."""
+    poses = moving(6 + count + 8, relaxed(-20.0), (1.0, 0.5, 0.0))
+    images = [stage.depth(pose) for pose in poses]
+    images[6 : 6 + count] = [plate_before(image) for image in images[6 : 6 + count]]
+    _, estimates = run(tracking, frames_of(images))
+    names = [str(e.status) for e in estimates]
+    assert names[:6] == ["tracking"] * 6
+    assert set(names[6 : 6 + count]) == {"lost"}
+    assert names[-1] == "tracking"
+    assert max(errors(stage, estimates[-3:], poses[-3:])) < TRACKED_MM
+    assert ("reinitialised" in names) == (count > LOST_AFTER)
+    assert np.isfinite([e.points for e in estimates]).all()
+
+
+def test_a_hand_that_jumps_is_found_where_it_went(tracking: HandTracker, stage: Stage) -> None:
+    """Out of the window, while the image goes on."""
+    here, there = relaxed(-140.0), relaxed(150.0, 60.0, 700.0)
+    images = [stage.depth(here)] * 5 + [stage.depth(there)] * (LOST_AFTER + 8)
+    _, estimates = run(tracking, frames_of(images))
+    assert [name for name, _ in statuses(estimates)] == ["tracking", "lost", "reinitialised", "tracking"]
+    assert stage.error(pose_of(estimates[-1]), there) < TRACKED_MM
+
+
+def test_a_hand_that_shows_its_back_of_a_sudden_is_reconsidered(tracking: HandTracker, stage: Stage) -> None:
+    """The silhouette hardly changes; the cost does, and a hand that looks alike is found without a loss."""
+    palm = relaxed()
+    back = turned_about_its_length(palm, np.pi)
+    images = [stage.depth(palm)] * 6 + [stage.depth(back)] * 8
+    _, estimates = run(tracking, frames_of(images))
+    assert "lost" not in [str(e.status) for e in estimates]
+    assert stage.error(pose_of(estimates[-1]), back) < TRACKED_MM
+    assert stage.error(pose_of(estimates[-1]), palm) > 20.0
+
+
+def same(first: Estimate, second: Estimate) -> None:
+    for name in vars(first):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name), err_msg=name)
+
+
+Story = tuple[list[Frame], list[HandState], list[Estimate]]
+
+
+@pytest.fixture(scope="module")
+def story(tracking: HandTracker, stage: Stage, wall: np.ndarray) -> Story:
+    """A hand that is tracked, lost after frame 7, and found again in the last two frames."""
+    images = [stage.depth(relaxed())] * 3 + [wall] * 7 + [stage.depth(relaxed(60.0))] * 3
+    frames = frames_of(images)
+    states, estimates = run(tracking, frames)
+    assert [name for name, _ in statuses(estimates)] == ["tracking", "lost", "reinitialised", "tracking"]
+    return frames, states, estimates
+
+
+@pytest.mark.parametrize("at", [1, 4, 8])
+def test_a_checkpoint_goes_on_bit_by_bit_also_while_lost(
+    tracking: HandTracker, story: Story, at: int
+) -> None:
+    frames, states, estimates = story
+    arrays, numbers = tracking.state_parts(states[at])
+    restored = tracking.state_from_parts({k: v.copy() for k, v in arrays.items()}, dict(numbers))
+    assert restored.watch == states[at].watch
+    for frame in frames[at + 1 :]:
+        restored, estimate = tracking.step(restored, frame, np.random.default_rng(frame.index))
+        same(estimate, estimates[frame.index])
+
+
+@pytest.mark.parametrize("at", [1, 2, 8, 9])
+def test_a_step_leaves_the_state_given_as_it_is(tracking: HandTracker, story: Story, at: int) -> None:
+    frames, states, _ = story
+    before = {name: array.copy() for name, array in tracking.state_parts(states[at])[0].items()}
+    tracking.step(states[at], frames[at + 1], np.random.default_rng(99))
+    for name, array in tracking.state_parts(states[at])[0].items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+
+
+@pytest.mark.parametrize("proposal", ["marginal", "paper"])
+def test_proposals_that_do_not_look_at_frames_start_where_the_hand_is_found(
+    context: Any, stage: Stage, wall: np.ndarray, proposal: str
+) -> None:
+    config = HandConfig.model_validate({"filter": {"proposal": proposal, "particles": 64}})
+    blind, rng, pose = tracker(context, HAND, config), np.random.default_rng(0), relaxed(-90.0)
+    state = blind.start_unknown(ELSEWHERE, Frame(0, 0, (stage.depth(pose),)), rng)
+    assert stage.error(state.pose, pose) < TRACKED_MM
+    np.testing.assert_array_equal(blind.start_unknown(ELSEWHERE, Frame(0, 0, (wall,)), rng).pose, ELSEWHERE)
+
+
+@pytest.mark.parametrize("kind", ["rbpf", "pf"])
+def test_both_filters_follow_a_bending_hand_to_millimetres(context: Any, stage: Stage, kind: str) -> None:
+    config = HandConfig.model_validate({"filter": {"kind": kind}})
+    poses = moving(20, relaxed(), (4.0, -3.0, 2.0))
+    for k, pose in enumerate(poses):
+        pose[ANGLES][[3, 5, 6, 8]] += 0.9 * np.sin(0.15 * k)  # index and middle finger, 8 degrees a frame
+    _, estimates = run(tracker(context, HAND, config), frames_of([stage.depth(pose) for pose in poses]))
+    assert statuses(estimates) == [("tracking", 20)]
+    found = errors(stage, estimates, poses)
+    assert np.mean(found) < 2.0
+    assert max(found) < 2.0 * TRACKED_MM
