@@ -13,6 +13,11 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.rendering.window import Window
 
+_LEAST_SHARE = 0.8
+"""Of ``window_mm``: a window is at least so large."""
+_MARGIN_MM = 12.0
+"""Around the joints: a finger's radius and a little of its motion."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -76,19 +81,28 @@ def _nearest(at: Float32Array, size: int) -> IntArray:
 
 
 def window_around(joints: FloatArray, camera: Camera, settings: ObservationSettings) -> Window:
-    """The square window centred on the projection of a hand's joints (21, 3), mm.
+    """The square window around the projection of a hand's joints (21, 3), mm.
 
-    ``window_px`` fixes its size as the paper does (128); else it spans ``window_mm`` at the hand's depth,
-    in whole steps of pixels, so that every camera and distance is sampled alike **[ours]**.
+    ``window_px`` fixes its size as the paper does (128); else it spans about ``window_mm`` at the hand's
+    depth, in whole steps of pixels, so that every camera and distance is sampled alike, and all joints with a
+    margin in any case **[ours]**.
     """
     centre = joints.mean(axis=0)
     z = max(float(centre[2]), 1.0)
-    pixel = camera.pixels_from_points(np.array([centre[0], centre[1], z]))[0]
-    size_px = settings.window_px or settings.window_mm * camera.fx / z
-    step = max(1, round(size_px / settings.tile_px))
+    pixels, _ = camera.pixels_from_points(np.column_stack([joints[:, :2], np.full(len(joints), z)]))
+    step = max(1, round(settings.window_px / settings.tile_px)) if settings.window_px else 0
+    step = step or _covering_step(pixels, camera.fx / z, settings)
     # a prediction far outside the image still gives a window, with nothing in it
     limit = 2.0 * np.array([camera.width, camera.height])
-    return Window.around(np.clip(pixel, -limit, 2.0 * limit), settings.tile_px, step)
+    middle = 0.5 * (pixels.min(axis=0) + pixels.max(axis=0))
+    return Window.around(np.clip(middle, -limit, 2.0 * limit), settings.tile_px, step)
+
+
+def _covering_step(pixels: FloatArray, px_per_mm: float, settings: ObservationSettings) -> int:
+    """The least whole step of a tile that spans most of ``window_mm``, and pixels (N, 2) with a margin."""
+    extent_px = float(np.ptp(pixels, axis=0).max())
+    needed = max(_LEAST_SHARE * settings.window_mm * px_per_mm, extent_px + 2.0 * _MARGIN_MM * px_per_mm)
+    return max(1, int(np.ceil(needed / settings.tile_px)))
 
 
 def everything(tile: Float32Array, window: Window) -> Observation:

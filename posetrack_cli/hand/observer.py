@@ -43,8 +43,8 @@ class Observer:
 
     def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
         """Cut the window around a detected hand; what lies beyond its wrist is forearm."""
-        middle = _middle_of(detection, self._camera)
-        window = window_around(middle[None], self._camera, self._config.observation)
+        corners = _corners_of(detection, self._camera)
+        window = window_around(corners, self._camera, self._config.observation)
         tile = self.sampler.sample(depth, window)
         labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
         labels[_mask_in(detection, window) & (tile > 0)] = Label.HAND
@@ -56,12 +56,12 @@ class Observer:
         return Segmentation(window, tile, labels, wrist, detection.arm).observation
 
 
-def _middle_of(detection: Detection, camera: Camera) -> FloatArray:
-    """The middle (3,) of a detection's mask in the image, at the palm's depth, mm."""
+def _corners_of(detection: Detection, camera: Camera) -> FloatArray:
+    """Opposite corners (2, 3) of a detection's mask in the image, at the palm's depth, mm."""
     rows, columns = np.nonzero(detection.mask)
-    window = detection.window
-    pixel = np.array([window.columns()[columns].mean(), window.rows()[rows].mean()])
-    return camera.points_from_pixels(pixel, np.asarray(detection.palm[2]))
+    us, vs = detection.window.columns()[columns], detection.window.rows()[rows]
+    pixels = np.array([[us.min(), vs.min()], [us.max(), vs.max()]], dtype=np.float64)
+    return camera.points_from_pixels(pixels, np.full(2, detection.palm[2]))
 
 
 def _mask_in(detection: Detection, window: Window) -> BoolArray:

@@ -95,11 +95,20 @@ def joints_at(x: float, y: float, z: float) -> np.ndarray:
 def test_the_window_spans_the_hand_at_its_depth(centre: tuple[float, float, float]) -> None:
     settings_ = ObservationSettings(tile_px=64, window_mm=240.0)
     window = window_around(joints_at(*centre), KINECT, settings_)
-    pixel, _ = KINECT.pixels_from_points(np.array(centre))
-    assert np.abs(window.centre - pixel).max() <= 0.5 + 1e-9
+    flat = np.column_stack([joints_at(*centre)[:, :2], np.full(21, centre[2])])
+    pixels, _ = KINECT.pixels_from_points(flat)
+    assert np.abs(window.centre - 0.5 * (pixels.min(axis=0) + pixels.max(axis=0))).max() <= 0.5 + 1e-9
     assert (window.width, window.height) == (64, 64)
     size_px = 240.0 * 365.0 / centre[2]
-    assert abs(window.step * 64 - size_px) <= 32.0  # whole steps: the nearest multiple of the tile
+    assert 0.8 * size_px <= window.step * 64 < 0.8 * size_px + 64  # the least whole step
+
+
+def test_the_window_spans_all_of_a_hand_that_is_larger_or_nearer_than_its_settings_expect() -> None:
+    joints = 1.3 * joints_at(0.0, 0.0, 300.0) * [1.0, 1.0, 1.0 / 1.3]
+    window = window_around(joints, KINECT, ObservationSettings(tile_px=64, window_mm=150.0))
+    pixels, _ = KINECT.pixels_from_points(np.column_stack([joints[:, :2], np.full(21, 300.0)]))
+    assert (pixels.min(axis=0) > [window.left, window.top]).all()
+    assert (pixels.max(axis=0) < [window.columns()[-1], window.rows()[-1]]).all()
 
 
 def test_the_paper_s_window_is_128_pixels_at_any_depth() -> None:
