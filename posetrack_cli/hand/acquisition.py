@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -10,13 +11,12 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fitting.fitter import PosePrior
+from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
 from posetrack_cli.hand.fitting.gauss_newton import Fit
 from posetrack_cli.hand.fitting.starts import fit_starts
 from posetrack_cli.hand.fitting.terms import Tile
 from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.hypotheses import detected_poses, turned_poses
-from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
@@ -42,6 +42,28 @@ class Candidate:
     cost: float
 
 
+class Costs(Protocol):
+    """What a search asks of a likelihood, or of whatever else draws poses."""
+
+    def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """Costs D (N,), mm, of poses (N, 22)."""
+
+
+class DrawnCosts:
+    """Union costs of poses that the fits' own rasteriser draws: for a search without GL.
+
+    Args:
+        fitter: of the hand.
+    """
+
+    def __init__(self, fitter: HandFitter) -> None:
+        self._fitter = fitter
+
+    def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """Costs D (N,), mm, of poses (N, 22)."""
+        return self._fitter.costs(self._fitter.tile(observation), poses)
+
+
 class Acquisition:
     """Looks for a hand without a prediction: many hypotheses drawn at once, the best of them fitted.
 
@@ -59,7 +81,7 @@ class Acquisition:
         config: HandConfig,
         hand: HandModel,
         camera: Camera,
-        scorer: PoseScorer,
+        scorer: Costs,
         observer: Observer,
         guiding: Guiding,
     ) -> None:

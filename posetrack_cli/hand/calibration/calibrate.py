@@ -28,7 +28,7 @@ from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.recording.base import Frame, Recording
 
 SIDES = ("right", "left")
-TRIED_SCALES = (0.88, 1.0, 1.13)
+TRIED_SCALES = (0.78, 0.88, 1.0, 1.13, 1.28)
 TRIAL_FRAMES = 24
 ROUNDS = 2
 NS_PER_S = 10**9
