@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
 from posetrack_cli.hand.segmentation import Detection, Label, PredictedHand, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
-from posetrack_cli.hand.segmentation.surfaces import points_of
+from posetrack_cli.hand.segmentation.surfaces import points_of, without_pinholes
 from posetrack_cli.rendering.window import Window
 
 _FOREARM_MM = 160.0
 """Of a detected arm so much behind the wrist is left out of account, besides what lies beyond the window."""
+_STEP_MM = 25.0
+"""A reading farther from the nearest pixel of a detection's coarse mask is of another surface."""
 
 
 class Observer:
@@ -47,7 +49,9 @@ class Observer:
         window = window_around(corners, self._camera, self._config.observation)
         tile = self.sampler.sample(depth, window)
         labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
-        labels[_mask_in(detection, window) & (tile > 0)] = Label.HAND
+        read = without_pinholes(self.sampler.sample(depth, detection.window), _STEP_MM)
+        surface = _nearest_in(np.where(detection.mask, read, 0.0), detection.window, window)
+        labels[(surface > 0) & (tile > 0) & (np.abs(tile - surface) < _STEP_MM)] = Label.HAND
         if detection.wrist is not None and detection.arm is not None:
             offset = points_of(tile, window, self._camera) - detection.wrist
             beyond = (offset @ detection.arm < 0.0) & (np.linalg.norm(offset, axis=2) < _FOREARM_MM)
@@ -64,13 +68,12 @@ def _corners_of(detection: Detection, camera: Camera) -> FloatArray:
     return camera.points_from_pixels(pixels, np.full(2, detection.palm[2]))
 
 
-def _mask_in(detection: Detection, window: Window) -> BoolArray:
-    """A detection's mask at the pixels of another window."""
-    coarse = detection.window
+def _nearest_in(image: ImageArray, coarse: Window, window: Window) -> ImageArray:
+    """Values of an image over one window at the nearest pixels of another; 0 outside."""
     rows = np.rint((window.rows() - coarse.top) / coarse.step).astype(np.int64)
     columns = np.rint((window.columns() - coarse.left) / coarse.step).astype(np.int64)
     inside = np.ix_((rows >= 0) & (rows < coarse.height), (columns >= 0) & (columns < coarse.width))
-    mask = np.zeros((window.height, window.width), dtype=np.bool_)
     clipped = np.ix_(np.clip(rows, 0, coarse.height - 1), np.clip(columns, 0, coarse.width - 1))
-    mask[inside] = detection.mask[clipped][inside]
-    return mask
+    out = np.zeros((window.height, window.width), dtype=image.dtype)
+    out[inside] = image[clipped][inside]
+    return out

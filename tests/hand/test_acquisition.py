@@ -85,19 +85,18 @@ def test_what_fits_badly_is_no_find(context: Any, stage: Stage) -> None:
 def test_natural_hands_are_found_in_single_frames(context: Any) -> None:
     """With forearm, body, noise and missing readings, at twice the usual speed.
 
-    Of 18 such frames of the seeds 1 to 7, 14 were found to 7 mm; in two of seed 4, which is left out here,
-    another hand looks alike.
+    Of these 18 frames 15 were found to 3 mm, one to 11 mm; in the others another hand looks alike.
     """
     hand, errors = HANDS["right"], []
     finder = acquisition(context, hand)
     assert CAMERA == KINECT
-    for seed in (1, 2, 3, 5, 6, 7):
+    for seed in range(1, 8):
         options = SynthOptions(frames=25, seed=seed, speed=2.0)
         for frame in list(synthesise(options, context=context))[::12]:
             found = finder.search(frame.depth)
             joints = np.inf if found is None else joint_positions(hand.anatomy, found.pose[None])[0]
             errors.append(np.linalg.norm(joints - frame.joints, axis=1).mean())
-    assert len(errors) >= 12
+    assert len(errors) == 18
     assert np.mean(np.array(errors) < 10.0) >= 0.75
     assert np.median(errors) < 3.0
 

@@ -1,0 +1,130 @@
+"""Windows cut out of depth images: around a prediction, and around a hand that was detected."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hand_support import KINECT
+from scene_support import HANDS, WALL_MM, Stage, relaxed
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.segmentation import Detection, detect
+from posetrack_cli.rendering.window import Window
+
+ANATOMY = HANDS["right"].anatomy
+STEP = 4
+PALM = np.array([40.0, -30.0, 700.0])
+ARM = np.array([0.0, -1.0, 0.0])  # from the elbow, below, to the wrist
+
+
+def observer(segment: bool = True) -> Observer:
+    return Observer(HandConfig(), ANATOMY, KINECT, segment=segment)
+
+
+def coarse(rows: FloatArray, columns: FloatArray) -> BoolArray:
+    """A mask over every fourth pixel of the image: a disc of 45 mm about the palm."""
+    x, y = ((columns - KINECT.cx) / KINECT.fx, (rows - KINECT.cy) / KINECT.fy)
+    inside: BoolArray = np.hypot(PALM[2] * x - PALM[0], PALM[2] * y - PALM[1]) < 45.0
+    return inside
+
+
+def detection(wrist: FloatArray | None) -> Detection:
+    window = Window(1, 2, STEP, KINECT.width // STEP, KINECT.height // STEP)
+    mask = coarse(window.rows()[:, None], window.columns()[None])
+    arm = None if wrist is None else ARM
+    return Detection(window, mask, PALM, 45.0, wrist, arm, 60.0, 1.0)
+
+
+def limb() -> np.ndarray:
+    """A plane at the palm's depth: disc and a broad arm below it, then wall; some pixels are not read."""
+    depth = np.full((KINECT.height, KINECT.width), WALL_MM, dtype=np.float32)
+    v, u = np.mgrid[: KINECT.height, : KINECT.width]
+    depth[coarse(v, u)] = PALM[2]
+    below = (PALM[2] * (v - KINECT.cy) / KINECT.fy > PALM[1]) & (
+        np.abs(PALM[2] * (u - KINECT.cx) / KINECT.fx - PALM[0]) < 30
+    )
+    depth[below] = PALM[2]
+    depth[::9] = 0.0
+    return depth
+
+
+def test_a_detected_hand_s_pixels_are_targets_and_its_forearm_says_nothing() -> None:
+    wrist = PALM + np.array([0.0, 55.0, 0.0])
+    depth = limb()
+    found = observer().observe_detection(depth, detection(wrist))
+    window = found.window
+    rows, columns = window.rows()[:, None], window.columns()[None]
+    tile = observer().sampler.sample(depth, window)
+    middle = np.abs(coarse(rows, columns).astype(int))
+    # the mask is known to its own step, and holes in it at its edge are not bridged: compare away from it
+    edge = 2.0 * PALM[2] / KINECT.fx * STEP
+    x, y = PALM[2] * (columns - KINECT.cx) / KINECT.fx, PALM[2] * (rows - KINECT.cy) / KINECT.fy
+    radius = np.hypot(x - PALM[0], y - PALM[1])
+    hand, read = radius < 45.0 - edge, tile > 0
+    np.testing.assert_array_equal(found.image[hand & read], tile[hand & read])
+    np.testing.assert_array_equal(found.image[~read], 0.0)
+    assert found.target_pixels == np.count_nonzero(found.image > 0)
+    assert abs(found.target_pixels - np.count_nonzero(middle & read)) < 0.15 * found.target_pixels
+    beyond = (tile == PALM[2]) & (y > wrist[1] + 1.0) & (np.hypot(x - wrist[0], y - wrist[1]) < 155.0)
+    assert beyond.sum() > 100
+    np.testing.assert_array_equal(found.image[beyond], 0.0)
+    wall = read & (radius > 45.0 + edge) & (tile == WALL_MM)
+    np.testing.assert_array_equal(found.image[wall], -WALL_MM)
+    before = (tile == PALM[2]) & (radius > 45.0 + edge) & (y < wrist[1] - 1.0)
+    np.testing.assert_array_equal(found.image[before], -PALM[2])  # something else, not forearm
+
+
+def test_without_a_forearm_all_that_is_no_hand_is_something_else() -> None:
+    found = observer().observe_detection(limb(), detection(None))
+    tile = observer().sampler.sample(limb(), found.window)
+    np.testing.assert_array_equal(np.abs(found.image), tile)
+
+
+def test_the_window_is_around_the_mask_and_as_large_as_around_a_pose() -> None:
+    found = observer().observe_detection(limb(), detection(None)).window
+    pixel = KINECT.pixels_from_points(PALM[None])[0][0]
+    assert np.abs(found.centre - pixel).max() < STEP + found.step
+    predicted = observer().observe(limb(), relaxed(z=float(PALM[2]))).window
+    assert (found.width, found.step) == (predicted.width, predicted.step)
+
+
+def test_a_mask_at_the_image_s_edge_is_cut_like_the_image() -> None:
+    """Its window reaches over the edge, where nothing is read."""
+    window = Window(0, 0, STEP, KINECT.width // STEP, KINECT.height // STEP)
+    mask = np.zeros((window.height, window.width), dtype=bool)
+    mask[:10, :10] = True
+    palm = KINECT.points_from_pixels(np.array([16.0, 16.0]), np.asarray(600.0))
+    depth = np.full((KINECT.height, KINECT.width), 600.0, dtype=np.float32)
+    found = observer().observe_detection(depth, Detection(window, mask, palm, 30.0, None, None, 60.0, 1.0))
+    outside = (found.window.rows()[:, None] < 0) | (found.window.columns()[None] < 0)
+    assert outside.any()
+    np.testing.assert_array_equal(found.image[outside], 0.0)
+    assert found.target_pixels == pytest.approx((10 * STEP / found.window.step) ** 2, rel=0.15)
+
+
+def test_a_prediction_s_window_holds_the_hand_and_all_readings_if_nothing_is_segmented(context: Any) -> None:
+    pose = relaxed()
+    depth = Stage(context, HANDS["right"]).depth(pose)
+    hand, everything = (observer(segment).observe(depth, pose) for segment in (True, False))
+    drawn = observer().sampler.sample(depth, hand.window) < WALL_MM
+    assert np.count_nonzero((hand.image > 0) ^ drawn) < 0.05 * drawn.sum()
+    assert everything.target_pixels == everything.image.size
+    pixels, _ = KINECT.pixels_from_points(joint_positions(ANATOMY, pose[None])[0])
+    columns, rows = hand.window.columns(), hand.window.rows()
+    assert (pixels.min(axis=0) > [columns[0], rows[0]]).all()
+    assert (pixels.max(axis=0) < [columns[-1], rows[-1]]).all()
+
+
+def test_a_detection_s_window_agrees_with_the_one_around_its_pose(context: Any) -> None:
+    pose = relaxed(-60.0, 10.0, 800.0)
+    depth = Stage(context, HANDS["right"]).depth(pose)
+    (found,) = detect(depth, KINECT, HandConfig().detection)
+    seen = observer().observe_detection(depth, found)
+    drawn = observer().sampler.sample(depth, seen.window) < WALL_MM
+    assert np.count_nonzero((seen.image > 0) & drawn) > 0.8 * drawn.sum()
+    assert not ((seen.image > 0) & ~drawn).any()
