@@ -125,6 +125,25 @@ def test_what_is_hidden_is_told_by_anatomy_alone(stage: Stage) -> None:
     assert information[hidden] >= 0.5  # the pull of a relaxed hand
 
 
+def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> None:
+    """A fit's residuals count as much as the likelihood's readings; anatomy counts once, as in the weights."""
+    truth = relaxed()
+    truth[7 + 3 * 1] = 1.7  # the index finger is bent beyond its limit
+    config, guide = HandConfig(), guiding()
+    observation = observation_of(stage.depth(truth), truth)
+    modes, fitter = fitted(guide, observation, truth).modes, guide.fitter
+    z = float(np.median(observation.image[observation.image > 0]))
+    noise_sd = (
+        config.observation.mixture.near_sd_mm + config.observation.mixture.sd_mm_per_m2 * (z / 1e3) ** 2
+    )
+    scale = guide.share(observation, z) * config.fit.sharpening * (4.0 / noise_sd) ** 2
+    for k, pose in enumerate(modes.poses):
+        data, own = fitter.assessed(fitter.tile(observation), pose).data, fitter.anatomy(pose)
+        assert own.matrix.any()
+        np.testing.assert_allclose(modes.information[k], scale * data.matrix + own.matrix)
+        np.testing.assert_allclose(modes.gradients[k], scale * data.vector + own.vector)
+
+
 def test_every_pose_that_is_drawn_is_counted(stage: Stage) -> None:
     """Aligning, descending, swapping fingers, polishing, assessing the modes."""
     truth = relaxed()
