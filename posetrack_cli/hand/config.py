@@ -228,14 +228,16 @@ class StatusSettings(Settings):
 
     A frame's cost D is compared with the usual one, a running mean over well-tracked frames: above
     ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and replaced
-    by another one in the image if that costs less than ``better`` times as much. Confidence 1 - D / c_max that stays below
-    ``lost_below`` for ``lost_after_frames`` is a loss; the hand is then looked for in the whole image.
+    by another one in the image if that costs less than ``better`` times as much, or ``better_mm`` less.
+    Confidence 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the hand is then
+    looked for in the whole image.
     """
 
     doubt_factor: Positive = 1.5
     doubt_mm: NotNegative = 2.0
     sure_mm: NotNegative = 6.0
     better: Fraction = 0.7
+    better_mm: Positive = 2.0
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5
 

@@ -204,7 +204,7 @@ class HandTracker:
         found = finder.reconsider(look.observation, look.fits.modes.poses[0])
         if found is None or state.watch.doubts(found.cost, settings):
             found = better_of(found, finder.search(frame.depth))  # the window may be misled, too
-        if found is not None and found.cost < settings.better * look.fits.cost:
+        if found is not None and state.watch.is_replaced(look.fits.cost, found.cost, settings):
             return self._restarted(finder, found, state.watch, frame, rng)
         refused = state.watch.refused(look.fits.cost, settings)
         return look._replace(state=replace(state, watch=refused))

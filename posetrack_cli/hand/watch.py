@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
-_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 128  # frames
+_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 16  # frames
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,13 @@ class Watch:
     def doubts(self, cost_mm: float, settings: StatusSettings) -> bool:
         """Whether a fit is worse than usual, or no fit that would be good for a hand of known shape."""
         return self.is_worse(cost_mm, settings) or cost_mm > settings.sure_mm
+
+    def is_replaced(self, cost_mm: float, other_mm: float, settings: StatusSettings) -> bool:
+        """Whether another fit is so much better that it takes a fit's place.
+
+        A share tells where the model is the hand; where it is not, all costs are high, and a difference tells.
+        """
+        return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
 
     def waiting(self) -> Watch:
         """After a frame that was let pass."""

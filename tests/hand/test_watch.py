@@ -19,7 +19,7 @@ watches = st.builds(
     misses=st.integers(0, 10),
     usual_mm=st.one_of(st.just(0.0), costs),
     wait=st.integers(0, 200),
-    pause=st.integers(1, 128),
+    pause=st.integers(1, 16),
 )
 
 
@@ -89,8 +89,8 @@ def test_a_dearer_fit_is_doubted_no_less(watch: Watch, first: float, second: flo
 def test_searches_come_ever_more_seldom_but_soon_enough() -> None:
     assert refusals(Watch(usual_mm=3.0), 30.0, 6) == [1, 2, 4, 4, 4, 4]
     assert refusals(Watch(lost=True), float("inf"), 6) == [1, 2, 4, 4, 4, 4]
-    # a hand that always fits badly is reconsidered every few seconds alone
-    assert refusals(Watch(usual_mm=12.0), 12.0, 10) == [1, 2, 4, 8, 16, 32, 64, 128, 128, 128]
+    # a hand that always fits badly is reconsidered every half second
+    assert refusals(Watch(usual_mm=12.0), 12.0, 10) == [1, 2, 4, 8, 16, 16, 16, 16, 16, 16]
 
 
 @given(watches)
@@ -113,3 +113,11 @@ def test_what_was_found_is_found_and_its_usual_cost_does_not_rise(watch: Watch, 
     after = watch.restarted(cost)
     assert (after.lost, after.found, after.misses) == (False, True, 0)
     assert after.usual_mm == (cost if watch.usual_mm == 0.0 else min(cost, watch.usual_mm))
+
+
+def test_another_fit_takes_the_place_of_one_that_costs_a_share_more_or_millimetres() -> None:
+    watch, settings = Watch(usual_mm=2.0), StatusSettings(better=0.7, better_mm=2.0)
+    assert watch.is_replaced(3.0, 2.0, settings)  # by the share: below 2.1
+    assert not watch.is_replaced(3.0, 2.2, settings)
+    assert watch.is_replaced(12.0, 9.9, settings)  # by the difference, where the model is not the hand
+    assert not watch.is_replaced(12.0, 10.1, settings)
