@@ -20,9 +20,12 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class HandSettings(Settings):
-    """Which hand, how large, and of what proportions; with ``mesh``, those of the file's hand."""
+    """Which hand, how large, and of what proportions; with ``mesh``, those of the file's hand.
 
-    side: Literal["right", "left"] = "right"
+    A side ``auto`` is found out before a run begins (``calibration.before_run``).
+    """
+
+    side: Literal["auto", "right", "left"] = "auto"
     scale: Size = 1.0
     finger_lengths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
     finger_widths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
@@ -123,7 +126,7 @@ class SegmentationSettings(Settings):
     reach_mm: Positive = 140.0
     steepest: Positive = 3.0
     least_share: Fraction = 0.5
-    forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 8.0
+    forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
     wrist_sd_mm: Positive = 40.0
     margin_mm: NotNegative = 60.0
 
@@ -151,10 +154,12 @@ class InitSettings(Settings):
     """Where a run starts, and the prior of its first frame.
 
     ``auto`` finds the hand in the image; ``center`` is the paper's start (7.3): palm to the sensor, in the
-    middle of the image, ``depth_mm`` away or where the nearest surface is.
+    middle of the image, ``depth_mm`` away or where the nearest surface is. ``calibrate``: the hand's shape is
+    estimated from the first seconds before a run begins.
     """
 
     method: Literal["auto", "center"] = "auto"
+    calibrate: bool = False
     depth_mm: Positive | None = None
     spread: ComponentSettings = ComponentSettings(
         position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08
