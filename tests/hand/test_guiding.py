@@ -126,7 +126,7 @@ def test_what_is_hidden_is_told_by_anatomy_alone(stage: Stage) -> None:
 
 
 def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> None:
-    """A fit's residuals count as much as the likelihood's readings; anatomy counts once, as in the weights."""
+    """A fit's residuals count as much as the likelihood's readings; anatomy counts once."""
     truth = relaxed()
     truth[7 + 3 * 1] = 1.7  # the index finger is bent beyond its limit
     config, guide = HandConfig(), guiding()
