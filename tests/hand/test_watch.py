@@ -121,3 +121,10 @@ def test_another_fit_takes_the_place_of_one_that_costs_a_share_more_or_millimetr
     assert not watch.is_replaced(3.0, 2.2, settings)
     assert watch.is_replaced(12.0, 9.9, settings)  # by the difference, where the model is not the hand
     assert not watch.is_replaced(12.0, 10.1, settings)
+
+
+def test_a_fit_is_replaced_by_one_that_is_better_by_a_share_or_by_millimetres() -> None:
+    settings = StatusSettings(better=0.7, better_mm=2.0)
+    for cost, limit in ((2.0, 1.4), (10.0, 8.0)):  # 0.7 * 2; 10 - 2
+        assert Watch().is_replaced(cost, limit - 0.01, settings)
+        assert not Watch().is_replaced(cost, limit + 0.01, settings)
