@@ -31,6 +31,7 @@ CONFIGURED = {
     "side": "hand.side",
     "scale": "hand.scale",
     "mesh": "hand.mesh",
+    "calibrate": "init.calibrate",
 }
 
 
@@ -66,7 +67,9 @@ hand.add_command(hand_synth)
     help="Filter; pso is the optimiser of Oikonomidis et al. 2011 instead.  [default: rbpf]",
 )
 @click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512; pso: 64]")
-@click.option("--proposal", type=click.Choice(["guided", "marginal", "paper"]), help="Proposal.  [default: guided]")
+@click.option(
+    "--proposal", type=click.Choice(["guided", "marginal", "paper"]), help="Proposal.  [default: guided]"
+)
 @click.option(
     "--resampling",
     type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
@@ -74,7 +77,10 @@ hand.add_command(hand_synth)
 )
 @click.option("--cost", type=click.Choice(["union", "paper"]), help="Cost's image region.  [default: union]")
 @click.option(
-    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: right]"
+    "--hand-side",
+    "side",
+    type=click.Choice(["auto", "right", "left"]),
+    help="Which hand; auto finds out from the first second.  [default: auto]",
 )
 @click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's.")
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
@@ -84,6 +90,11 @@ hand.add_command(hand_synth)
     metavar="auto|center|FILE",
     help="Start: auto (find the hand), center (open hand in the middle, palm to the sensor), or a file with a "
     "pose.  [default: auto]",
+)
+@click.option(
+    "--calibrate/--no-calibrate",
+    default=None,
+    help="First estimate the hand's size and proportions from its first seconds.  [default: no]",
 )
 @click.option("--smooth", is_flag=True, help="Also write the smoothed track, which knows the future.")
 @click.option("--start", type=click.IntRange(min=0), default=0, help="First frame.")
@@ -102,7 +113,7 @@ def hand_run(recording: Path, **options: Any) -> None:
     The result is MCAP with pose, velocity, their variances and the 21 joints of every frame. The same input,
     configuration and seed give the same bytes.
     """
-    run, total = _prepare(recording, options)
+    run, total, found = _prepare(recording, options)
     output = options["output"]
     with (
         stop_signals() as stopped,
@@ -110,12 +121,15 @@ def hand_run(recording: Path, **options: Any) -> None:
         _kept(output),
     ):
         outcome = run.track(report, stopped)
+    if found:
+        click.echo(f"{recording}: {found}", err=True)
     _close(recording, output, outcome)
 
 
-def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None]:
-    """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.hand.run import HandRun, RunOptions, frames_ahead
+def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, str]:
+    """Everything that can be refused is refused here, before the first frame; what is open is found out."""
+    from posetrack_cli.hand.calibration.before_run import find_hand
+    from posetrack_cli.hand.run import HandRun, RunOptions, check_run, frames_ahead
     from posetrack_cli.recording.opening import open_recording
     from posetrack_cli.rendering.context import open_context
 
@@ -123,8 +137,15 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     source = open_recording(recording, **opening_arguments(options))
     names = ("output", "seed", "init", "start", "end", "stride", "resume", "overwrite", "timings", "smooth")
     run_options = RunOptions(**{name: options[name] for name in names})
-    run = HandRun(source, config, run_options, open_context(options["device"]))
-    return run, frames_ahead(source, run_options)
+    context = open_context(options["device"])
+    check_run(source, config, run_options)
+    found = find_hand(source, config, options["start"], options["seed"], _say)
+    run = HandRun(source, found.config, run_options, context)
+    return run, frames_ahead(source, run_options), found.line
+
+
+def _say(line: str) -> None:
+    click.echo(f"{line} ...", err=True)
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:

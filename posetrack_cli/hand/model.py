@@ -48,12 +48,13 @@ class HandModel:
 
 
 def hand_model(settings: HandSettings) -> HandModel:
-    """Return the hand that a configuration's ``[hand]`` table describes.
+    """Return the hand that a configuration's ``[hand]`` table describes; one of open side as a right one.
 
     Raises:
         UsageError: ``settings.mesh`` is no hand that can be used.
     """
-    return hand_maker(settings.mesh)(settings.side, settings.shape)
+    side = "right" if settings.side == "auto" else settings.side
+    return hand_maker(settings.mesh)(side, settings.shape)
 
 
 def hand_maker(mesh: str | None) -> HandMaker:

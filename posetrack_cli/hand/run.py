@@ -104,8 +104,7 @@ class HandRun:
     def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
         self._recording, self._config, self._options = recording, with_method(config, options), options
         config = self._config
-        _check_smoothing(config, options)
-        check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
+        check_run(recording, config, options)
         if frames_ahead(recording, options) == 0:
             raise self._nothing_to_track()  # before a file is made that would have to be overwritten
         hand = hand_model(config.hand)
@@ -150,7 +149,7 @@ class HandRun:
                 state, estimate = self._timed_step(state, frame, rng)
                 truth.send(frame.stamp_ns)
                 if memory is not None:
-                    memory.remember(state.particles, estimate, state.dt, state.cut)
+                    memory.remember(state.particles, estimate, state.dt, state.cut, state.modes)
                 if writer.write(estimate, self._vertices(estimate)):
                     if memory is not None:
                         memory.flush()
@@ -287,11 +286,19 @@ def _given_pose(options: RunOptions) -> FloatArray | None:
     return None if known else read_pose(Path(str(options.init)))
 
 
-def _check_smoothing(config: HandConfig, options: RunOptions) -> None:
+def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> None:
+    """Refuse what can be refused without looking at a frame.
+
+    Raises:
+        UsageError: the output may not be written, or cannot be smoothed.
+    """
     if options.smooth and config.filter.kind == "pso":
         raise UsageError(
-            "--smooth cannot be used", found="--filter pso, which states no distribution", expected="rbpf or pf"
+            "--smooth cannot be used",
+            found="--filter pso, which states no distribution",
+            expected="rbpf or pf",
         )
+    check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
 
 
 def frames_ahead(recording: Recording, options: RunOptions) -> int | None:

@@ -48,12 +48,14 @@ class CalibrationOptions:
         seconds: how much of the recording is looked at, from its start.
         frames: how many frames the shape is adjusted to.
         seed: of the scattered starts of fits.
+        start: the first frame that is looked at.
     """
 
     side: str | None = None
     seconds: float = 5.0
     frames: int = 16
     seed: int = 0
+    start: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,7 @@ def calibrate(
         RecordingError: no frame, or no hand that can be followed in at least four frames.
         UsageError: the configuration's mesh is no hand that can be used.
     """
-    frames = _first_seconds(recording, options.seconds)
+    frames = _first_seconds(recording, options.seconds, options.start)
     maker, camera = hand_maker(config.hand.mesh), recording.cameras[0]
     work = _Work(config, camera, maker, recording.path, options)
     report("which hand, and about how large")
@@ -108,8 +110,8 @@ def calibrate(
     return Calibration(side, shape, sd, len(frames), len(chosen), bundle.residual_mm)
 
 
-def _first_seconds(recording: Recording, seconds: float) -> list[Frame]:
-    frames = recording.frames(start=0, end=None, stride=1)
+def _first_seconds(recording: Recording, seconds: float, start: int = 0) -> list[Frame]:
+    frames = recording.frames(start=start, end=None, stride=1)
     first = next(frames, None)
     if first is None:
         raise RecordingError("holds no frame", where=recording.path)

@@ -1,0 +1,98 @@
+"""What is found out about a hand before a run: its side from what is seen, and nothing that was given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from posetrack_cli.hand.calibration import before_run
+from posetrack_cli.hand.calibration.before_run import find_hand
+from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.shape import SHAPE_SIZE, HandShape
+from posetrack_cli.hand.synthesis.options import SynthOptions
+from posetrack_cli.hand.synthesis.writing import write_synthetic
+from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.opening import open_recording
+
+FRAMES = 24
+
+
+@pytest.fixture(scope="module", params=["right", "left"])
+def seen(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A recording of a moving hand, and which it is."""
+    path = tmp_path_factory.mktemp(request.param) / "hand.mcap"
+    write_synthetic(SynthOptions(seed=7, frames=FRAMES, side=request.param), path)
+    return request.param, path
+
+
+def open_path(path: Path) -> Recording:
+    return open_recording(path)
+
+
+def with_hand(**values: object) -> HandConfig:
+    return HandConfig.model_validate({"hand": values})
+
+
+def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path]) -> None:
+    side, path = seen
+    found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
+    assert found.config.hand.side == side
+    assert found.line == f"a {side} hand"
+    rest = found.config.hand.model_copy(update={"side": "auto"})
+    assert found.config.model_copy(update={"hand": rest}) == HandConfig()
+    again = find_hand(open_path(path), HandConfig(), start=0, seed=0)
+    assert again == found
+
+
+def test_a_side_that_is_given_stays(seen: tuple[str, Path]) -> None:
+    side, path = seen
+    other = "left" if side == "right" else "right"
+    config = with_hand(side=other, scale=1.1)
+    found = find_hand(open_path(path), config, start=0, seed=0)
+    assert found.config == config and found.line == ""
+
+
+def test_without_a_hand_a_right_one_is_expected_and_that_is_said(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(before_run, "detect", lambda *arguments: [])
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    assert found.config.hand.side == "right"
+    assert "no hand" in found.line and "--hand-side" in found.line
+
+
+def test_after_the_last_frame_nothing_is_looked_at(seen: tuple[str, Path]) -> None:
+    found = find_hand(open_path(seen[1]), HandConfig(), start=10 * FRAMES, seed=0)
+    assert found.config.hand.side == "right" and "no hand" in found.line
+
+
+def test_costs_that_hardly_differ_are_said_to(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    costs = {"right": 5.0, "left": 4.8}
+    monkeypatch.setattr(before_run, "_mean_cost", lambda frames, config, camera, side, seed: costs[side])
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    assert found.config.hand.side == "left" and "hardly" in found.line
+
+
+def test_a_calibrated_hand_is_what_is_tracked(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shape = HandShape.of_factors(1.0 + 0.01 * np.arange(SHAPE_SIZE))
+    asked: list[CalibrationOptions] = []
+
+    def calibrated(recording: Recording, config: HandConfig, options: CalibrationOptions, report: object):  # type: ignore[no-untyped-def]
+        asked.append(options)
+        return Calibration("left", shape, np.zeros(SHAPE_SIZE), 20, 9, 1.234)
+
+    monkeypatch.setattr(before_run, "calibrate", calibrated)
+    config = HandConfig.model_validate({"init": {"calibrate": True}, "hand": {"mesh": "file.glb"}})
+    found = find_hand(open_path(seen[1]), config, start=3, seed=5)
+    assert found.config.hand.side == "left" and found.config.hand.shape == shape
+    assert found.config.hand.mesh == "file.glb"  # the factors are of that hand
+    assert asked == [replace(CalibrationOptions(), side=None, seed=5, start=3)]
+    assert "left" in found.line and "9 frames" in found.line and "1.23 mm" in found.line
