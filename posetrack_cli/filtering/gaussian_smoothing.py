@@ -20,7 +20,7 @@ from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_s
 from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.particle import ParticleState
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, noise_of, with_velocity
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of, with_velocity
 from posetrack_cli.filtering.weights import effective_count, normalise, truncated
 
 
@@ -55,12 +55,15 @@ class GaussianSmoother:
         self._dynamics, self._space, self._guided = noise_of(dynamics, moving), space, guided
         self._later: StateGaussian | None = None
 
-    def remember(self, state: ParticleState | MarginalState) -> Memory:
+    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
         """Return the moments; see `Smoother`."""
         weights = normalise(state.log_weights)[0]
         weights = truncated(weights) if self._guided else weights
         moving = with_velocity(state, self._dynamics.pose_noise.size)
         return vars(state_gaussian(moving, weights, self._space))
+
+    def resume(self, last: Memory) -> None:
+        """Nothing is needed of what was remembered before; see `Smoother`."""
 
     def begin(self, last: Memory) -> Smoothed:
         """Start from a chain's last frame; see `Smoother`."""

@@ -35,7 +35,7 @@ from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.particle import ParticleState
 from posetrack_cli.filtering.posterior import pose_moments, velocity_moments
 from posetrack_cli.filtering.resampling import resample
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, noise_of, with_velocity
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of, with_velocity
 from posetrack_cli.filtering.weights import normalise
 
 SMALLEST_SHARE = 1e-12
@@ -80,9 +80,12 @@ class ParticleSmoother:
         self._count, self._rng = trajectories, rng
         self._later: Trajectories | None = None
 
-    def remember(self, state: ParticleState | MarginalState) -> Memory:
+    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
         """Return the particles; see `Smoother`."""
         return vars(with_velocity(state, self._dynamics.pose_noise.size))
+
+    def resume(self, last: Memory) -> None:
+        """Nothing is needed of what was remembered before; see `Smoother`."""
 
     def begin(self, last: Memory) -> Smoothed:
         """Draw the trajectories' ends; see `Smoother`."""

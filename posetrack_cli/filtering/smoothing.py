@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics
+from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import ParticleState
 
 Memory: TypeAlias = Mapping[str, FloatArray]
@@ -34,11 +35,29 @@ class Smoothed:
     velocity_variance: FloatArray
 
 
+class Step(NamedTuple):
+    """How the filter came to a frame's state.
+
+    Attributes:
+        dt: seconds that it advanced by; 0 if it stood still.
+        cut: whether the state does not follow from that of the frame before.
+        modes: local fits of the frame's likelihood; None where there are none.
+    """
+
+    dt: float
+    cut: bool
+    modes: LikelihoodModes | None = None
+
+
 class Smoother(Protocol):
     """A backward pass: each frame is remembered on the way forward, and smoothed on the way back."""
 
-    def remember(self, state: ParticleState | MarginalState) -> Memory:
-        """Return what to keep of the filter's state after a frame."""
+    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
+        """Return what to keep of the filter's state after a frame, and of how it came there."""
+        ...
+
+    def resume(self, last: Memory) -> None:
+        """Go on after a frame that was remembered by another smoother, of a run that was interrupted."""
         ...
 
     def begin(self, last: Memory) -> Smoothed:

@@ -250,11 +250,18 @@ class StatusSettings(Settings):
 class SmoothingSettings(Settings):
     """How ``--smooth`` goes back over the frames **[ours]**.
 
-    ``gaussian`` smooths each frame's mean and covariance; ``particles`` is backward simulation among the
-    filter's particles with so many trajectories.
+    ``fits`` smooths the local fits of the frames, with ``pose`` and ``velocity`` as noise densities of their
+    motion (as ``motion``'s); ``gaussian`` each frame's mean and covariance of the filter; ``particles`` is
+    backward simulation among the filter's particles with so many trajectories.
     """
 
-    method: Literal["gaussian", "particles"] = "gaussian"
+    method: Literal["fits", "gaussian", "particles"] = "fits"
+    pose: ComponentSettings = ComponentSettings(
+        position_mm=5.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05
+    )
+    velocity: ComponentSettings = ComponentSettings(
+        position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
+    )
     trajectories: Annotated[int, Field(ge=1, le=10_000)] = 64
 
 

@@ -7,16 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
 from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics
+from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import ParticleState
 from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
-from posetrack_cli.filtering.smoothing import Smoothed, Smoother
+from posetrack_cli.filtering.smoothing import Smoothed, Smoother, Step
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.space import HandSpace, pose_rates
+from posetrack_cli.hand.space import HandSpace, pose_rates, tangent_vector
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.spool import Array, RecordSpool
 
@@ -50,12 +52,20 @@ class SmoothedTrack:
     def __init__(self, path: Path, smoother: Smoother, anatomy: HandAnatomy, keep: int = 0) -> None:
         self._smoother, self._anatomy = smoother, anatomy
         self._spool = RecordSpool(path, keep)
+        last = next(reversed(self._spool), None) if keep else None
+        if last is not None:
+            smoother.resume(_memory_of(last))
 
     def __len__(self) -> int:
         return len(self._spool)
 
     def remember(
-        self, particles: ParticleState | MarginalState, estimate: Estimate, dt: float, cut: bool
+        self,
+        particles: ParticleState | MarginalState,
+        estimate: Estimate,
+        dt: float,
+        cut: bool,
+        modes: LikelihoodModes | None = None,
     ) -> None:
         """Keep what the filter knows after a frame.
 
@@ -64,6 +74,7 @@ class SmoothedTrack:
             estimate: what was written of it.
             dt: seconds that the filter advanced by to this frame; 0 if it stood still.
             cut: whether the state does not follow from the frame before: the first, or one found anew.
+            modes: local fits to the frame, if there are any.
         """
         about = {
             "frame_index": estimate.frame_index,
@@ -73,7 +84,8 @@ class SmoothedTrack:
             "dt": dt,
             "confidence": float(estimate.confidence),
         }
-        kept = {f"{KEPT}{name}": values for name, values in self._smoother.remember(particles).items()}
+        memory = self._smoother.remember(particles, Step(dt, cut, modes))
+        kept = {f"{KEPT}{name}": values for name, values in memory.items()}
         self._spool.append({name: np.asarray(value) for name, value in (about | kept).items()})
 
     def flush(self) -> None:
@@ -87,9 +99,7 @@ class SmoothedTrack:
         """
         later, ends, dt = None, True, 0.0
         for record in reversed(self._spool):
-            memory = {
-                name.removeprefix(KEPT): values for name, values in record.items() if name.startswith(KEPT)
-            }
+            memory = _memory_of(record)
             if later is None or ends:
                 later = self._smoother.begin(memory)
             elif dt > 0.0:  # else the filter stood still, and the two frames have one state
@@ -128,15 +138,24 @@ class SmoothedTrack:
         )
 
 
+def _memory_of(record: dict[str, Array]) -> dict[str, Array]:
+    """What of a record is the smoother's."""
+    return {name.removeprefix(KEPT): values for name, values in record.items() if name.startswith(KEPT)}
+
+
 def make_smoother(config: HandConfig, dynamics: Dynamics, rng: np.random.Generator) -> Smoother:
-    """Return the smoother of ``smoothing.method``.
+    """Return the smoother of ``smoothing.method``; ``fits`` is ``gaussian`` where there are no fits.
 
     Args:
         config: parameters.
         dynamics: those of the filter.
         rng: of backward simulation alone, so that filtered estimates do not depend on it.
     """
-    moving, space = config.filter.kind == "rbpf", HandSpace()
-    if config.smoothing.method == "gaussian":
-        return GaussianSmoother(dynamics, space, moving, guided=config.filter.proposal == "guided")
-    return ParticleSmoother(dynamics, space, config.smoothing.trajectories, rng, moving)
+    moving, space, settings = config.filter.kind == "rbpf", HandSpace(), config.smoothing
+    guided = config.filter.proposal == "guided"
+    if settings.method == "particles":
+        return ParticleSmoother(dynamics, space, settings.trajectories, rng, moving)
+    if settings.method == "fits" and guided:
+        pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
+        return FitSmoother(Dynamics(pose**2, velocity**2), space)
+    return GaussianSmoother(dynamics, space, moving, guided=guided)

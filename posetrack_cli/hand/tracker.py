@@ -13,13 +13,14 @@ from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
 from posetrack_cli.filtering.model import Dynamics, LogLikelihood
+from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
 from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_moments
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
-from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.guiding import LocalFits
 from posetrack_cli.hand.kinematics import joint_positions
@@ -49,6 +50,7 @@ class HandState:
         unseen_ns: time since the last frame in which there was something to compare with.
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
+        modes: local fits to the frame; None without any. No step needs them, and no checkpoint has them.
     """
 
     particles: FilterState
@@ -59,6 +61,7 @@ class HandState:
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
+    modes: LikelihoodModes | None = None
 
 
 class Look(NamedTuple):
@@ -123,8 +126,8 @@ class HandTracker:
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> HandState:
         """Return the state before a first frame in which the hand has yet to be found.
 
-        Until it is, it is said to be lost at a pose (22,). Proposals that do not look at frames find it in the
-        first frame or start at the pose.
+        Until it is, it is said to be lost at a pose (22,). Proposals that do not look at frames find it in
+        the first frame or start at the pose.
         """
         if self._finder is not None:
             lost = Watch(lost=True, found=False)
@@ -151,7 +154,9 @@ class HandTracker:
         check_time_step(elapsed_ns * 1e-9)
         look = self._look(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
         particles, posterior = self._filter(look, rng)
-        scores = None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
+        scores = (
+            None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
+        )
         cost = None if scores is None else float(scores[0])
         confidence = 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
         watch = self._watched(look, cost, confidence)
@@ -160,6 +165,7 @@ class HandTracker:
         following = HandState(
             particles, frame.stamp_ns, pose, velocity, watch, unseen_ns, max(look.dt, 0.0), look.restarted
         )
+        following = replace(following, modes=None if look.fits is None else look.fits.modes)
         again = look.restarted and state.watch.found
         status = Status.LOST if watch.lost or cost is None else Status.TRACKING
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
@@ -180,9 +186,7 @@ class HandTracker:
         look = Look(state, dt, observation, fits)
         return self._reconsidered(self._finder, look, frame, rng)
 
-    def _search(
-        self, finder: Acquisition, state: HandState, frame: Frame, rng: np.random.Generator
-    ) -> Look:
+    def _search(self, finder: Acquisition, state: HandState, frame: Frame, rng: np.random.Generator) -> Look:
         """Look for a lost hand in the whole image, ever more seldom while it is not there."""
         if state.watch.wait > 0:
             return Look(replace(state, watch=state.watch.waiting()), 0.0, None)
@@ -192,9 +196,7 @@ class HandTracker:
             return Look(replace(state, watch=watch), 0.0, None)
         return self._restarted(finder, found, state.watch, frame, rng)
 
-    def _reconsidered(
-        self, finder: Acquisition, look: Look, frame: Frame, rng: np.random.Generator
-    ) -> Look:
+    def _reconsidered(self, finder: Acquisition, look: Look, frame: Frame, rng: np.random.Generator) -> Look:
         """The look, or that at a hand which looks alike and fits far better where this one fits badly."""
         state, settings = look.state, self.config.status
         if look.fits is None or look.observation is None or not state.watch.doubts(look.fits.cost, settings):
@@ -219,7 +221,7 @@ class HandTracker:
         observation = self._observer.observe(frame.depth, found.pose)
         if observation.target_pixels == 0:
             return Look(state, dt, None, restarted=True)
-        fits = finder.guiding.fit(observation, found.pose, found.pose[None], dt, rng)
+        fits = finder.guiding.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
         return Look(state, dt, observation, fits, restarted=True)
 
     def _watched(self, look: Look, cost: float | None, confidence: float) -> Watch:
