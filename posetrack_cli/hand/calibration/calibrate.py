@@ -33,7 +33,6 @@ TRIAL_FRAMES = 24
 ROUNDS = 2
 NS_PER_S = 10**9
 _FEWEST_FRAMES = 4
-_MOST_COST_OF_MEDIAN = 1.5
 _ROTATION_WEIGHT = 2.0  # of a quaternion's distance beside angles, rad
 
 Report = Callable[[str], None]
@@ -152,7 +151,8 @@ class _Work:
             RecordingError: there are too few.
         """
         found = followed.costs[np.isfinite(followed.costs)]
-        limit = _MOST_COST_OF_MEDIAN * float(np.median(found)) if found.size else 0.0
+        few = np.sort(found)[: max(_FEWEST_FRAMES, -(-found.size // 2))]  # a hand upside down fits worse
+        limit = float(few[-1]) if few.size else 0.0
         good = np.flatnonzero(followed.costs <= limit)
         if good.size < _FEWEST_FRAMES:
             raise RecordingError(

@@ -21,6 +21,8 @@ from posetrack_cli.recording.base import Frame
 _KEPT_VELOCITY = 0.8
 _LOST_COST_SHARE = 0.45
 """Of the clamp: a hand that fits no better is looked for anew."""
+_SEARCHED_EVERY = 8
+"""Frames; so often a hand that fits badly is also looked for in the whole image."""
 _SPACE = HandSpace()
 
 
@@ -62,6 +64,8 @@ class Follower:
             known = k > 0 and costs[k - 1] < worst
             before = poses[k - 2] if k > 1 and costs[k - 2] < worst else poses[k - 1]
             found = self._next(frame, poses[k - 1], before, rng) if known else self._first(frame)
+            if known and found is not None and k % _SEARCHED_EVERY == 0:
+                found = self._unless_elsewhere(frame, found)
             if found is not None:
                 poses[k], costs[k] = found
         return Followed(poses, costs)
@@ -76,6 +80,14 @@ class Follower:
             return None
         fits = self._guiding.fit(observation, expected, last[None], 1.0 / 30.0, rng)
         return inside_limits(fits.modes.poses[:1])[0], fits.cost
+
+    def _unless_elsewhere(self, frame: Frame, here: tuple[FloatArray, float]) -> tuple[FloatArray, float]:
+        """A fit, or one to the hand found anew where that is far better: a track may be upside down."""
+        settings = self._config.status
+        if here[1] <= settings.sure_mm:
+            return here
+        there = self._first(frame)
+        return here if there is None or there[1] > here[1] - settings.better_mm else there
 
     def _first(self, frame: Frame) -> tuple[FloatArray, float] | None:
         """The hand in the image, wherever it is."""
