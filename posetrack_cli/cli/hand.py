@@ -88,8 +88,8 @@ hand.add_command(hand_synth)
 @click.option(
     "--init",
     metavar="auto|center|FILE",
-    help="Start: auto (find the hand), center (open hand in the middle, palm to the sensor), or a file with a "
-    "pose.  [default: auto]",
+    help="Start: auto (find the hand), center (open hand in the middle, palm to the sensor), or a file with "
+    "a pose.  [default: auto]",
 )
 @click.option(
     "--calibrate/--no-calibrate",

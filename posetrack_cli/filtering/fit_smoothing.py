@@ -1,11 +1,11 @@
 """A smoother over the local fits of the frames rather than over the filter's particles.
 
-The filter says which local fit of each frame is the hand; with that fit's quadratic as the frame's likelihood
-and a smooth motion as the prior, the whole recording is a linear-Gaussian model about the fits: a Kalman
-filter on the way forward, Rauch, Tung and Striebel's smoother (1965) on the way back. This is one iteration of
-the iterated Kalman smoother (Bell 1994). It has no Monte Carlo error, which outweighs all that the future
-could tell of a hand that is seen well, and its motion may be smoother than the filter's, which has to catch
-what the fits did not foresee.
+The filter says which local fit of each frame is the hand; with that fit's quadratic as the frame's
+likelihood and a smooth motion as the prior, the whole recording is a linear-Gaussian model about the fits: a
+Kalman filter on the way forward, Rauch, Tung and Striebel's smoother (1965) on the way back. This is one
+iteration of the iterated Kalman smoother (Bell 1994). It has no Monte Carlo error, which outweighs all that
+the future could tell of a hand that is seen well, and its motion may be smoother than the filter's, which has
+to catch what the fits did not foresee.
 """
 
 from __future__ import annotations

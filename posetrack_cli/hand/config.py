@@ -232,10 +232,10 @@ class StatusSettings(Settings):
     """When a track is doubted, and when it counts as lost.
 
     A frame's cost D is compared with the usual one, a running mean over well-tracked frames: above
-    ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and replaced
-    by another one in the image if that costs less than ``better`` times as much, or ``better_mm`` less.
-    Confidence 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the hand is then
-    looked for in the whole image.
+    ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and
+    replaced by another one in the image if that costs less than ``better`` times as much, or ``better_mm``
+    less. Confidence 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
+    hand is then looked for in the whole image.
     """
 
     doubt_factor: Positive = 1.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -35,6 +35,7 @@ from posetrack_cli.results.estimate import Estimate, Status
 FilterState: TypeAlias = ParticleState | MarginalState
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
+NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ class HandState:
     stamp_ns: int
     pose: FloatArray
     velocity: FloatArray
-    watch: Watch = Watch()
+    watch: Watch = field(default_factory=Watch)
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
@@ -91,8 +92,8 @@ class HandTracker:
         camera: of the depth images.
         scorer: the likelihood.
         observer: cuts out and segments windows.
-        finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it in
-            every frame, others for the start alone.
+        finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it
+            in every frame, others for the start alone.
     """
 
     def __init__(
@@ -201,15 +202,32 @@ class HandTracker:
         state, settings = look.state, self.config.status
         if look.fits is None or look.observation is None or not state.watch.doubts(look.fits.cost, settings):
             return look
-        if state.watch.wait > 0:
+        if state.watch.waits(look.fits.cost, settings):
             return look._replace(state=replace(state, watch=state.watch.waiting()))
         found = finder.reconsider(look.observation, look.fits.modes.poses[0])
         if found is None or state.watch.doubts(found.cost, settings):
             found = better_of(found, finder.search(frame.depth))  # the window may be misled, too
         if found is not None and state.watch.is_replaced(look.fits.cost, found.cost, settings):
+            if self._is_near(found.pose, look.fits.modes.poses[0]):
+                return self._refined(finder, found, look, frame, rng)
             return self._restarted(finder, found, state.watch, frame, rng)
         refused = state.watch.refused(look.fits.cost, settings)
         return look._replace(state=replace(state, watch=refused))
+
+    def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
+        """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
+        joints = joint_positions(self.anatomy, np.stack([pose, other]))
+        return float(np.linalg.norm(joints[0] - joints[1], axis=1).mean()) < NEAR_MM
+
+    def _refined(
+        self, finder: Acquisition, found: Candidate, look: Look, frame: Frame, rng: np.random.Generator
+    ) -> Look:
+        """The same track, fitted once more from a hand that was found near it."""
+        observation = self._observer.observe(frame.depth, found.pose)
+        if observation.target_pixels == 0:
+            return look
+        fits = finder.guiding.fit(observation, found.pose, look.state.pose[None], look.dt, rng)
+        return look._replace(observation=observation, fits=fits)
 
     def _restarted(
         self, finder: Acquisition, found: Candidate, watch: Watch, frame: Frame, rng: np.random.Generator

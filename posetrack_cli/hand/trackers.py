@@ -31,7 +31,7 @@ class Tracker(Protocol[State]):
         """Return the state about a pose (22,) before the first frame, whose stamp is given."""
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> State:
-        """Return the state before a first frame in which the hand has yet to be found, else at a pose (22,)."""
+        """Return the state before a first frame in which the hand is not found yet, else at a pose (22,)."""
 
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by one frame; the state given is left as it is."""

@@ -42,9 +42,14 @@ class Watch:
     def is_replaced(self, cost_mm: float, other_mm: float, settings: StatusSettings) -> bool:
         """Whether another fit is so much better that it takes a fit's place.
 
-        A share tells where the model is the hand; where it is not, all costs are high, and a difference tells.
+        A share tells where the model is the hand; where it is not, all costs are high: a difference tells.
         """
         return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
+
+    def waits(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a search is put off; one that was to come late comes at once when fits get worse."""
+        most = _MOST_WAIT if self.is_worse(cost_mm, settings) else _MOST_WAIT_AS_USUAL
+        return 0 < self.wait <= most
 
     def waiting(self) -> Watch:
         """After a frame that was let pass."""
