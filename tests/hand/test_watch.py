@@ -128,3 +128,11 @@ def test_a_fit_is_replaced_by_one_that_is_better_by_a_share_or_by_millimetres() 
     for cost, limit in ((2.0, 1.4), (10.0, 8.0)):  # 0.7 * 2; 10 - 2
         assert Watch().is_replaced(cost, limit - 0.01, settings)
         assert not Watch().is_replaced(cost, limit + 0.01, settings)
+
+
+def test_a_search_that_was_to_come_late_comes_at_once_when_fits_get_worse() -> None:
+    late, soon = Watch(usual_mm=12.0, wait=10), Watch(usual_mm=12.0, wait=3)
+    assert late.waits(12.0, SETTINGS)
+    assert not late.waits(35.0, SETTINGS)  # above 1.5 x 12 + 2
+    assert soon.waits(35.0, SETTINGS)  # the last search of a bad track was a moment ago
+    assert not replace(soon, wait=0).waits(12.0, SETTINGS)
