@@ -18,7 +18,14 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.calibration import bundle
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, calibrate, spread
 from posetrack_cli.hand.calibration.hand_file import hand_text, write_hand_file
-from posetrack_cli.hand.calibration.residuals import POSE_STEPS, FrameRows, vertex_moves
+from posetrack_cli.hand.calibration.residuals import (
+    LEAST_SHARE,
+    POSE_STEPS,
+    WRIST_PART,
+    FrameRows,
+    vertex_moves,
+    wrist_shares,
+)
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.raster import View
@@ -236,3 +243,17 @@ def test_a_recording_without_a_hand_is_told(tmp_path: Path) -> None:
     (source / "camera.toml").write_text("fx = 365.0\nfy = 365.0\ncx = 255.5\ncy = 211.5\n")
     with pytest.raises(RecordingError, match=r"no hand that can be followed.*0 of 6 frames"):
         calibrate(open_recording(source, fps=30.0), HandConfig(), CalibrationOptions())
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_skin_counts_less_towards_the_wrist_alone(side: str) -> None:
+    hand = average_hand(side, OTHER)
+    shares, along = wrist_shares(hand), -hand.smooth.vertices[:, 1]
+    palm = hand.smooth.weights[:, 0] > 0.5
+    knuckles = -hand.anatomy.base_positions[1:, 1].mean()
+    behind, before = palm & (along <= 0.0), along >= WRIST_PART * knuckles
+    assert behind.any() and (shares[behind] == LEAST_SHARE).all()
+    assert before.any() and (shares[before] == 1.0).all() and (shares[~palm] == 1.0).all()
+    between = palm & ~behind & ~before
+    order = np.argsort(along[between])
+    assert between.any() and (np.diff(shares[between][order]) >= 0.0).all()

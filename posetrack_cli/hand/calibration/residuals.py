@@ -22,6 +22,8 @@ from posetrack_cli.hand.space import HandSpace
 
 POSE_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, 15])
 """Differences of the tangent vector, mm and rad: the skin moves by about half a millimetre."""
+WRIST_PART, LEAST_SHARE = 0.35, 0.05
+"""Of the palm's length from the wrist: there hands differ most, and where they end is not sure."""
 _SPACE = HandSpace()
 
 
@@ -72,7 +74,7 @@ class FrameRows:
         if drawing is None:
             return Rows(np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0))
         parts = [self._surface(tile, drawing, hand, moves), self._silhouette(tile, drawing, hand, moves)]
-        parts.append(self._unexplained(tile, drawing, moves))
+        parts.append(self._unexplained(tile, drawing, hand, moves))
         return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def _drawn(self, tile: Tile, pose: FloatArray, hand: HandModel) -> Drawing | None:
@@ -94,6 +96,7 @@ class FrameRows:
         normals = drawing.normals[faces]
         residuals = distance[there] * np.einsum("nk,nk->n", normals, points / points[:, 2:])
         weights = _robust(residuals, terms.surface_tau_mm) / terms.sigma_mm**2
+        weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
         return _along(hand, drawing, moves, faces, points, normals), residuals, weights
 
     def _silhouette(
@@ -110,10 +113,14 @@ class FrameRows:
         safe = np.maximum(residuals, 1e-9)
         ways = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
         ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])  # along the image, not the depth
+        faces = drawing.triangle[there]
         weights = _robust(residuals, terms.silhouette_tau_mm) / terms.sigma_mm**2
-        return _along(hand, drawing, moves, drawing.triangle[there], points, ways), residuals, weights
+        weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
+        return _along(hand, drawing, moves, faces, points, ways), residuals, weights
 
-    def _unexplained(self, tile: Tile, drawing: Drawing, moves: FloatArray) -> tuple[FloatArray, ...]:
+    def _unexplained(
+        self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
+    ) -> tuple[FloatArray, ...]:
         """Observed where nothing is drawn, or something far from it: the way of the nearest skin to it."""
         from scipy.spatial import cKDTree
 
@@ -128,6 +135,7 @@ class FrameRows:
         vertices = facing[nearest]
         ways = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
         weights = _robust(residuals, terms.closest_tau_mm) / terms.closest_mm**2
+        weights *= wrist_shares(hand)[vertices]
         return np.einsum("nkc,nc->nk", moves[vertices], ways), residuals, weights
 
 
@@ -149,6 +157,14 @@ def vertex_moves(
         by_pose = (np.array(there) - here) / POSE_STEPS[:, None, None]
         by_shape = np.array([(other[f] - here) / step for other in others]).reshape(-1, *here.shape)
         yield np.moveaxis(np.concatenate([by_pose, by_shape]), 0, 1)
+
+
+def wrist_shares(hand: HandModel) -> FloatArray:
+    """How much each vertex (V,) counts: little at the wrist, fully from ``WRIST_PART`` of the palm on."""
+    knuckles = float(hand.anatomy.base_positions[1:, 1].mean())
+    along = hand.smooth.vertices[:, 1] / knuckles
+    palm = hand.smooth.weights[:, 0] > 0.5
+    return np.where(palm, np.clip(along / WRIST_PART, LEAST_SHARE, 1.0), 1.0)
 
 
 def _posed(hand: HandModel, poses: FloatArray) -> FloatArray:
