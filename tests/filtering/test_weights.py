@@ -10,7 +10,13 @@ from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.weights import effective_count, effective_sample_size, normalise
+from posetrack_cli.filtering.weights import (
+    TRUNCATION,
+    effective_count,
+    effective_sample_size,
+    normalise,
+    truncated,
+)
 
 ROUNDING = 1e-12
 """A sum of up to 40 terms at exponents of up to 1e4: 40 eps, and 1e4 eps in a log-weight's last bit."""
@@ -91,3 +97,41 @@ def test_copying_every_particle_doubles_the_effective_sample_size(values: np.nda
 
 def test_effective_count_is_that_of_normalised_weights() -> None:
     assert effective_count(np.array([0.5, 0.5, 0.0])) == 2.0
+
+
+@relaxed
+@given(log_weights)
+def test_truncated_weights_sum_to_one_and_keep_their_order(values: np.ndarray) -> None:
+    weights = normalise(values)[0]
+    cut = truncated(weights)
+    assert abs(cut.sum() - 1.0) < ROUNDING
+    assert np.all(np.diff(cut[np.argsort(weights)]) >= 0.0)
+
+
+@relaxed
+@given(log_weights)
+def test_truncated_weights_are_equal_at_the_limit_and_in_proportion_below(values: np.ndarray) -> None:
+    """After scaling by 1 / s the limit is limit / s, where s is what the cut left."""
+    weights = normalise(values)[0]
+    limit = TRUNCATION / np.sqrt(weights.size)
+    cut, over = truncated(weights), weights > limit
+    left = limit * over.sum() + weights[~over].sum()
+    np.testing.assert_allclose(cut[~over] * left, weights[~over], rtol=ROUNDING)
+    np.testing.assert_allclose(cut[over] * left, limit, rtol=ROUNDING)
+
+
+@relaxed
+@given(log_weights)
+def test_truncation_never_loses_effective_particles(values: np.ndarray) -> None:
+    weights = normalise(values)[0]
+    assert effective_count(truncated(weights)) >= effective_count(weights) * (1.0 - ROUNDING)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 80, 1000])
+def test_equal_weights_stay_as_they_are(count: int) -> None:
+    np.testing.assert_allclose(truncated(np.full(count, 1.0 / count)), 1.0 / count, rtol=ROUNDING)
+
+
+def test_truncated_weights_of_four() -> None:
+    """The limit is 0.5 / sqrt(4) = 0.25 before scaling: 0.7 becomes 0.25, and the sum 0.55."""
+    np.testing.assert_allclose(truncated(np.array([0.7, 0.1, 0.2, 0.0])), np.array([5, 2, 4, 0]) / 11.0)
