@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.start import centre_pose
 from posetrack_cli.hand.synthesis.sensor import CAMERA
-from posetrack_cli.hand.tracker import HandState, HandTracker
+from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
 
 FRAME_NS = 33_333_333
@@ -30,12 +29,10 @@ class Walker:
 
     def __init__(self, context: Any, config: HandConfig, first: Any) -> None:
         hand = average_hand()
-        anatomy = hand.anatomy
-        scorer = RenderedCosts(context, hand, CAMERA, config.observation, config.filter.particles)
-        self.tracker = HandTracker(config, anatomy, CAMERA, scorer)
+        self.tracker = make_tracker(config, hand, CAMERA, context)
         self.rng = np.random.default_rng(0)
-        pose = centre_pose(first, CAMERA, anatomy, config.init.depth_mm)
-        self.state: HandState = self.tracker.start(pose, 0, self.rng)
+        pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
+        self.state: Any = self.tracker.start(pose, 0, self.rng)
 
     def step(self, index: int, depth: Any) -> float:
         """Track one frame; return the seconds it took."""

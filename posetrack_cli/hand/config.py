@@ -49,7 +49,7 @@ class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md)."""
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
-    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 80
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 64
     proposal: Literal["guided", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
@@ -204,6 +204,7 @@ class FitSettings(Settings):
     starts: Annotated[int, Field(ge=1, le=64)] = 6
     iterations: Annotated[int, Field(ge=1, le=100)] = 6
     polish: Annotated[int, Field(ge=0, le=100)] = 2
+    refold_iterations: Annotated[int, Field(ge=1, le=100)] = 3
     prior: ComponentSettings = ComponentSettings(
         position_mm=12.0, rotation_rad=0.12, flexion_rad=0.33, abduction_rad=0.1
     )

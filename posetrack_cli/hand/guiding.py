@@ -13,7 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
 from posetrack_cli.hand.fitting.gauss_newton import Fit
-from posetrack_cli.hand.fitting.starts import fit_starts
+from posetrack_cli.hand.fitting.starts import fit_starts, refolds
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import pixel_mixture, reading_share
@@ -63,6 +63,7 @@ class Guiding:
         others: FloatArray,
         dt: float,
         rng: np.random.Generator,
+        enough_mm: float = np.inf,
     ) -> LocalFits:
         """Return the fits of one frame.
 
@@ -72,6 +73,7 @@ class Guiding:
             others: (M, 22) further starts.
             dt: time since the frame before, s.
             rng: of the starts' scatter.
+            enough_mm: a best fit that costs more is tried with each finger folded otherwise.
         """
         settings, fitter = self._settings, self.fitter
         tile = fitter.tile(observation)
@@ -81,9 +83,25 @@ class Guiding:
         fits = fitter.descend(tile, starts, priors, settings.iterations)
         best = fitter.swapped(tile, fits)
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
-        modes = self._modes(tile, observation, fits)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
-        return LocalFits(modes, float(min(fit.cost[0] for fit in fits)), renders + len(modes))
+        first = min(fits, key=_cost)
+        if _cost(first) > enough_mm:
+            refolded, more = self._refolded(tile, first.pose, prior)
+            fits, renders = fits + refolded, renders + more
+        modes = self._modes(tile, observation, fits)
+        return LocalFits(modes, min(_cost(fit) for fit in fits), renders + len(modes))
+
+    def _refolded(self, tile: Tile, pose: FloatArray, prior: PosePrior) -> tuple[list[Fit], int]:
+        """Fits from a pose (22,) with one finger at a time in another fold, and how many poses they drew."""
+        settings, fitter = self._settings, self.fitter
+        starts = refolds(pose)
+        priors = [PosePrior(start, prior.precision) for start in starts]
+        fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
+        likeliest = sorted(fits, key=_cost)[: settings.starts]
+        best = fitter.swapped(tile, likeliest)
+        fits += fitter.descend(tile, best[None], [PosePrior(best, prior.precision)], settings.iterations)
+        drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
+        return fits, drawn + settings.iterations + 1
 
     def _modes(self, tile: Tile, observation: Observation, fits: Sequence[Fit]) -> LikelihoodModes:
         chosen = [self.fitter.assessed(tile, fit.pose) for fit in self._distinct(fits)]
@@ -118,6 +136,10 @@ class Guiding:
                 chosen.append(fit)
                 joints.append(here)
         return chosen[: self._settings.most_modes]
+
+
+def _cost(fit: Fit) -> float:
+    return float(fit.cost[0])
 
 
 def motion_precision(settings: FitSettings, dt: float) -> FloatArray:

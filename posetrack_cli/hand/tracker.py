@@ -183,7 +183,8 @@ class HandTracker:
             return Look(state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None)
         if self._finder is None or dt <= 0.0:
             return Look(state, dt, observation)
-        fits = self._finder.guiding.fit(observation, predicted, state.pose[None], dt, rng)
+        enough = state.watch.enough_mm
+        fits = self._finder.guiding.fit(observation, predicted, state.pose[None], dt, rng, enough)
         look = Look(state, dt, observation, fits)
         return self._reconsidered(self._finder, look, frame, rng)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
+_ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 16  # frames
 
 
@@ -29,6 +30,11 @@ class Watch:
     usual_mm: float = 0.0
     wait: int = 0
     pause: int = 1
+
+    @property
+    def enough_mm(self) -> float:
+        """The cost up to which a fit needs no further trial; infinite while nothing is usual yet."""
+        return _ENOUGH_FACTOR * self.usual_mm + _ENOUGH_MM if self.usual_mm > 0.0 else float("inf")
 
     def is_worse(self, cost_mm: float, settings: StatusSettings) -> bool:
         """Whether a fit's cost is far above the usual."""

@@ -21,7 +21,7 @@ import click
 from posetrack_cli import __version__
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.run import INIT_CENTRE, HandRun, RunOptions
+from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.synthesis.options import Switches, SynthOptions
 from posetrack_cli.hand.synthesis.writing import write_synthetic
 from posetrack_cli.recording.opening import open_recording
@@ -119,7 +119,7 @@ def track(recording: Path, unit: Unit, entrant: str, result: Path, context: Any)
     The tracker's seed is the unit's: entrants over the same recording are pairs.
     """
     config = configuration(entrant)
-    init = INIT_CENTRE if unit.motion == "C" else str(recording)
+    init = "center" if unit.motion == "C" else str(recording)
     options = RunOptions(result, seed=unit.seed, init=init, overwrite=True)
     HandRun(open_recording(recording), config, options, context).track(lambda estimate: None)
 

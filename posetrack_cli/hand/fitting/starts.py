@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
@@ -43,3 +45,11 @@ def fit_starts(
         scattered[rows, 7 + 3 * finger] = fold[rows, finger - 1, 0]
         scattered[rows, 9 + 3 * finger] = fold[rows, finger - 1, 1]
     return np.concatenate([given, scattered])
+
+
+def refolds(pose: FloatArray) -> FloatArray:
+    """Return a pose (22,) with each finger in each fold, one at a time: (20, 22)."""
+    poses = np.tile(pose, (4 * len(_FOLDS), 1))
+    for row, (finger, fold) in enumerate(product(range(1, 5), _FOLDS)):
+        poses[row, [7 + 3 * finger, 9 + 3 * finger]] = fold
+    return poses
