@@ -9,6 +9,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -65,6 +66,12 @@ QUICK_SEEDS, QUICK_FRAMES = 2, 20
     type=click.IntRange(0),
     help="Of the recordings; smaller ones are for trying things out.",
 )
+@click.option(
+    "--entrant",
+    "entrants",
+    multiple=True,
+    help="Track with this one alone, such as hand or hand-pso; repeatable.",
+)
 @click.option("--quick", is_flag=True, help=f"Try it out: {QUICK_SEEDS} recordings of {QUICK_FRAMES} frames.")
 def main(
     output: Path,
@@ -77,6 +84,7 @@ def main(
     mesh: Path | None,
     chosen: tuple[str, ...],
     first_seed: int,
+    entrants: tuple[str, ...],
     quick: bool,
 ) -> None:
     """Measure accuracy, intervals, recovery and speed; everything goes to the output folder, report.md tells.
@@ -87,7 +95,7 @@ def main(
     if quick:
         seeds, frames, hand_seeds = QUICK_SEEDS, QUICK_FRAMES, 1
     kinect, cvar, mesh = (path and path.resolve() for path in (kinect, cvar, mesh))
-    options = Options(output, seeds, frames, hand_seeds, jobs, kinect, cvar, mesh, first_seed)
+    options = Options(output, seeds, frames, hand_seeds, jobs, kinect, cvar, mesh, first_seed, entrants)
     options.runs.mkdir(parents=True, exist_ok=True)
     parts = [part for part in PARTS if not chosen or part.name in chosen]
     failures = [line for part in parts for line in _track(part, options)]
@@ -101,8 +109,15 @@ def main(
 def _track(part: Part, options: Options) -> list[str]:
     """Track what a part needs; times are taken with nothing else running."""
     jobs = 1 if part.name == Speed.name else options.jobs
-    commands = {task.name: _command(task, options) for task in part.tasks(options)}
+    tasks = [_of_chosen(task, options.entrants) for task in part.tasks(options)]
+    commands = {task.name: _command(task, options) for task in tasks if task.entrants}
     return run_modules(commands, jobs, part.name, one_core=part.name != Speed.name) if commands else []
+
+
+def _of_chosen(task: Task, entrants: Sequence[str]) -> Task:
+    """The task of the chosen entrants alone, of all where none is chosen."""
+    chosen = {name: arguments for name, arguments in task.entrants.items() if name in entrants}
+    return replace(task, entrants=chosen) if entrants else task
 
 
 def _command(task: Task, options: Options) -> list[str]:

@@ -30,6 +30,7 @@ class Options:
         cvar: folder of the annotated, head-mounted recordings; None leaves them out.
         mesh: GLB file of a hand; None leaves it out.
         first_seed: of the recordings; others than the default's are for trying things out.
+        entrants: those that are run now; none for all. Results that are there already count in any case.
     """
 
     output: Path
@@ -41,6 +42,7 @@ class Options:
     cvar: Path | None = None
     mesh: Path | None = None
     first_seed: int = FIRST_SEED
+    entrants: tuple[str, ...] = ()
 
     @property
     def runs(self) -> Path:
