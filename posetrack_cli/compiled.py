@@ -12,6 +12,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,6 +50,31 @@ def _compiled(function: Function, **options: Any) -> Function:
     finally:
         config.CACHE_DIR = others
     return compiled
+
+
+@contextmanager
+def announced(report: Callable[[str], None]) -> Iterator[None]:
+    """Say so, once, when a kernel is compiled: the first run after a change waits for it.
+
+    Nothing is said where the compiled code is loaded from the cache.
+
+    Args:
+        report: called with a line for people, in the thread that compiles.
+    """
+    import numba.core.event
+
+    event: Any = numba.core.event
+    kept = "once" if cache_folder() else "in every run, as nothing can be kept"
+    lines = [f"compiling the fits, {kept}: about 20 s"]
+
+    def say(_: object) -> None:
+        if lines:
+            report(lines.pop())
+
+    listener = event.RecordingListener()
+    listener.on_start = say
+    with event.install_listener("numba:compile", listener):
+        yield
 
 
 @functools.cache

@@ -103,3 +103,33 @@ def test_numbas_settings_are_left_as_they_were() -> None:
         "print(c.CACHE_DIR == before)"
     )
     assert answer(code) == "True"
+
+
+SAID = """
+import numpy as np
+from posetrack_cli.compiled import announced
+from posetrack_cli.hand.fitting.skeleton import _product, rotation_matrix
+out = np.zeros((3, 3))
+with announced(print):
+    rotation_matrix(np.array([0.0, 0.0, 0.0, 1.0]), out)
+    _product(out, out, out.copy())
+print("done")
+"""
+
+
+def test_compiling_is_announced_once_and_not_where_it_is_loaded(tmp_path: Path) -> None:
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    assert answer(SAID, **cache).splitlines() == ["compiling the fits, once: about 20 s", "done"]
+    assert answer(SAID, **cache) == "done"
+
+
+def test_where_nothing_can_be_kept_every_run_says_so(tmp_path: Path) -> None:
+    (tmp_path / f"posetrack-{os.getuid()}").touch()
+    for _ in range(2):
+        said = answer(SAID, HOME="/dev/null", TMPDIR=str(tmp_path)).splitlines()
+        assert said == ["compiling the fits, in every run, as nothing can be kept: about 20 s", "done"]
+
+
+def test_outside_of_the_context_nothing_is_said(tmp_path: Path) -> None:
+    code = SAID.replace("with announced(print):", "with announced(print): pass\nif True:")
+    assert answer(code, NUMBA_CACHE_DIR=str(tmp_path)) == "done"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
@@ -113,14 +114,15 @@ def hand_run(recording: Path, **options: Any) -> None:
     The result is MCAP with pose, velocity, their variances and the 21 joints of every frame. The same input,
     configuration and seed give the same bytes.
     """
-    run, total, found = _prepare(recording, options)
     output = options["output"]
-    with (
-        stop_signals() as stopped,
-        _progress(total, options["start"], options["stride"]) as report,
-        _kept(output),
-    ):
-        outcome = run.track(report, stopped)
+    with compiling_said():
+        run, total, found = _prepare(recording, options)
+        with (
+            stop_signals() as stopped,
+            _progress(total, options["start"], options["stride"]) as report,
+            _kept(output),
+        ):
+            outcome = run.track(report, stopped)
     if found:
         click.echo(f"{recording}: {found}", err=True)
     _close(recording, output, outcome)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -58,7 +59,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     seconds = _seconds(options["seconds"])
     source = open_recording(recording, **opening_arguments(options))
     chosen = CalibrationOptions(options["side"], seconds, options["frames"], options["seed"])
-    found = calibrate(source, config, chosen, lambda line: click.echo(f"{line} ...", err=True))
+    with compiling_said():
+        found = calibrate(source, config, chosen, lambda line: click.echo(f"{line} ...", err=True))
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
     click.echo(
