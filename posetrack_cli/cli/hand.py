@@ -69,7 +69,9 @@ hand.add_command(hand_synth)
 )
 @click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512; pso: 64]")
 @click.option(
-    "--proposal", type=click.Choice(["guided", "marginal", "paper"]), help="Proposal.  [default: guided]"
+    "--proposal",
+    type=click.Choice(["guided", "annealed", "marginal", "paper"]),
+    help="Proposal; annealed is a slow check of guided.  [default: guided]",
 )
 @click.option(
     "--resampling",

@@ -50,7 +50,7 @@ class FilterSettings(Settings):
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
     particles: Annotated[int, Field(ge=1, le=1_000_000)] = 64
-    proposal: Literal["guided", "marginal", "paper"] = "guided"
+    proposal: Literal["guided", "annealed", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
     ess_threshold: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5

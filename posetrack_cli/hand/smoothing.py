@@ -152,10 +152,10 @@ def make_smoother(config: HandConfig, dynamics: Dynamics, rng: np.random.Generat
         rng: of backward simulation alone, so that filtered estimates do not depend on it.
     """
     moving, space, settings = config.filter.kind == "rbpf", HandSpace(), config.smoothing
-    guided = config.filter.proposal == "guided"
+    fitted, annealed = (config.filter.proposal == name for name in ("guided", "annealed"))
     if settings.method == "particles":
         return ParticleSmoother(dynamics, space, settings.trajectories, rng, moving)
-    if settings.method == "fits" and guided:
+    if settings.method == "fits" and fitted:
         pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
         return FitSmoother(Dynamics(pose**2, velocity**2), space)
-    return GaussianSmoother(dynamics, space, moving, guided=guided)
+    return GaussianSmoother(dynamics, space, moving, guided=fitted or annealed)

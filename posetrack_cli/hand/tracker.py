@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.annealed import Annealing
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
@@ -16,6 +17,7 @@ from posetrack_cli.filtering.model import Dynamics, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
 from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_moments
+from posetrack_cli.filtering.proposed import Proposer
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
@@ -35,6 +37,8 @@ from posetrack_cli.results.estimate import Estimate, Status
 FilterState: TypeAlias = ParticleState | MarginalState
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
+# Components of the tangent space that annealing moves together: the palm, then each finger.
+BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -93,7 +97,7 @@ class HandTracker:
         scorer: the likelihood.
         observer: cuts out and segments windows.
         finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it
-            in every frame, others for the start alone.
+            in every frame, others for the start alone; annealing takes the anatomy's potential from it.
     """
 
     def __init__(
@@ -108,6 +112,8 @@ class HandTracker:
         self.config, self.anatomy, self.camera = config, anatomy, camera
         self.scorer, self._observer, self._start_finder = scorer, observer, finder
         self._finder = finder if config.filter.proposal == "guided" else None
+        plausible = finder is not None and config.filter.proposal in ("guided", "annealed")
+        self._fitter = finder.guiding.fitter if finder is not None and plausible else None
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self.dynamics = dynamics(config)
@@ -154,7 +160,7 @@ class HandTracker:
         elapsed_ns = frame.stamp_ns - state.stamp_ns
         check_time_step(elapsed_ns * 1e-9)
         look = self._look(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
-        particles, posterior = self._filter(look, rng)
+        particles, posterior, drawn = self._filter(look, rng)
         scores = (
             None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
         )
@@ -171,7 +177,7 @@ class HandTracker:
         status = Status.LOST if watch.lost or cost is None else Status.TRACKING
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
-        return following, replace(estimate, evaluations=self._evaluations(look))
+        return following, replace(estimate, evaluations=_evaluations(look, drawn))
 
     def _look(self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator) -> Look:
         """What the frame shows; where the hand is gone or doubtful, it is looked for elsewhere."""
@@ -251,12 +257,6 @@ class HandTracker:
         fitted = cost if look.fits is None else look.fits.cost
         return watch.seen(fitted, confidence, settings)
 
-    def _evaluations(self, look: Look) -> int:
-        """How many poses were drawn for the frame: particles, local fits, and the estimate itself."""
-        if look.observation is None:
-            return 0
-        return self.config.filter.particles + 1 + (0 if look.fits is None else look.fits.renders)
-
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""
         moved = self._space.retract(state.pose[None], dt * state.velocity[None])
@@ -272,26 +272,37 @@ class HandTracker:
         """Put a state together from what ``state_parts`` made of it."""
         return state_from_arrays(arrays, **numbers)
 
-    def _log_likelihood(self, observation: Observation | None) -> LogLikelihood | None:
+    def _log_likelihood(self, observation: Observation | None) -> _Counted | None:
         """None where there is nothing to compare with: the filter then only predicts."""
         if observation is None:
             return None
-        if self._finder is None:
-            return lambda poses: self.scorer.log_likelihood(poses, observation)
-        fitter = self._finder.guiding.fitter
-        return lambda poses: self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses)
+        fitter = self._fitter
+        if fitter is None:
+            return _Counted(lambda poses: self.scorer.log_likelihood(poses, observation))
+        return _Counted(
+            lambda poses: self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses)
+        )
 
-    def _filter(self, look: Look, rng: np.random.Generator) -> tuple[FilterState, Posterior]:
+    def _proposer(self, look: Look) -> Proposer | None:
+        """What looks at the frame before particles are drawn; None if nothing does."""
+        if self.config.filter.proposal == "annealed":
+            return Annealing(BLOCKS)
+        return None if look.fits is None else Guide(look.fits.modes, self.config.fit.prior_share)
+
+    def _filter(self, look: Look, rng: np.random.Generator) -> tuple[FilterState, Posterior, int]:
+        """Advance; also how many poses were drawn for it."""
         particles = look.state.particles
         if look.dt <= 0.0:
-            return particles, self._standing_still(particles)
-        guide = None if look.fits is None else Guide(look.fits.modes, self.config.fit.prior_share)
+            return particles, self._standing_still(particles), 0
+        guide = self._proposer(look)
         score = self._log_likelihood(look.observation)
         common = (look.dt, self.dynamics, self._space, score, self._resampling, rng)
         if isinstance(particles, MarginalState):
             proposal = "paper" if self.config.filter.proposal == "paper" else "marginal"
-            return marginal_step(particles, *common, proposal=proposal, guide=guide)
-        return particle_step(particles, *common, guide=guide)
+            advanced = marginal_step(particles, *common, proposal=proposal, guide=guide)
+            return *advanced, 0 if score is None else score.count
+        moved = particle_step(particles, *common, guide=guide)
+        return *moved, 0 if score is None else score.count
 
     def _standing_still(self, particles: FilterState) -> Posterior:
         """What is known of the hand when neither time nor an observation moves it."""
@@ -321,6 +332,24 @@ class HandTracker:
             resampled=posterior.resampled,
             cost=cost,
         )
+
+
+class _Counted:
+    """A log-likelihood that counts the poses it is asked about."""
+
+    def __init__(self, log_likelihood: LogLikelihood) -> None:
+        self._log_likelihood, self.count = log_likelihood, 0
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        self.count += len(poses)
+        return self._log_likelihood(poses)
+
+
+def _evaluations(look: Look, drawn: int) -> int:
+    """How many poses were drawn for a frame: the filter's, local fits, and the estimate itself."""
+    if look.observation is None:
+        return 0
+    return drawn + 1 + (0 if look.fits is None else look.fits.renders)
 
 
 def dynamics(config: HandConfig) -> Dynamics:

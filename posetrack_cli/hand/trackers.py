@@ -59,7 +59,7 @@ def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: A
     scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
     observer = Observer(config, hand.anatomy, camera, segment=config.observation.cost != "paper")
     finder = None
-    if config.filter.proposal == "guided" or config.init.method == "auto":
+    if config.filter.proposal in ("guided", "annealed") or config.init.method == "auto":
         finder = Acquisition(config, hand, camera, scorer, observer, Guiding(config, hand, camera))
     if config.filter.kind == "pso":
         objective = RenderedObjective(context, hand, camera, config)

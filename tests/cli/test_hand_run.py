@@ -165,6 +165,21 @@ def test_converted_folder_gives_identical_estimates(folder: Path, tmp_path: Path
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
 
 
+def test_annealing_finds_what_plain_sampling_misses(recording: Path, tmp_path: Path) -> None:
+    """Few particles, no fits. Measured over seeds: 3 to 6 mm, where plain sampling is off by 17 to 34."""
+    errors = {}
+    for proposal in ("annealed", "marginal"):
+        output = tmp_path / f"{proposal}.mcap"
+        assert track(recording, output, "--end", "3", "--proposal", proposal) == 0
+        truth = load_arrays(output, "/truth/hand/estimate")["points"][:3]
+        away = np.linalg.norm(load_arrays(output)["points"] - truth, axis=2)
+        errors[proposal] = away.mean()
+    assert errors["annealed"] < 10.0 < errors["marginal"]
+    # each of 48 particles once, six blocks of it at every temperature, and the estimate itself
+    moves, rest = np.divmod(load_arrays(tmp_path / "annealed.mcap")["evaluations"] - 1 - 48, 48 * 6)
+    assert np.all(moves > 5) and not np.any(rest)
+
+
 @pytest.mark.parametrize(
     "options",
     [
