@@ -85,7 +85,8 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
 ) -> None:
     output, seen = tmp_path / "r.mcap", list[int]()
     flushing = {"flush_frames": 2}
-    config = HandConfig.model_validate({"filter": {"kind": "pso", "particles": 32}, "pso": SWARM})
+    tables = {"hand": {"side": "right"}, "filter": {"kind": "pso", "particles": 32}, "pso": SWARM}
+    config = HandConfig.model_validate(tables)  # the side as the run found it
     assert HandConfig.model_validate_json(read_result(result).run["configuration"]) == config
     whole = tmp_path / "whole.mcap"
     assert track(recording, whole, "--set", "output.flush_frames=2") == 0
