@@ -15,6 +15,8 @@ MOST_DEVICES = 16
 LIBRARIES = (
     "numpy",
     "scipy",
+    "numba",
+    "fast-simplification",
     "opencv-python-headless",
     "moderngl",
     "lz4",

@@ -47,8 +47,14 @@ def statistics(values: ArrayLike) -> Statistics:
         return Statistics(nan, nan, nan, nan, nan, 0)
     median, p95 = _percentiles(flat, [50.0, 95.0])
     with np.errstate(invalid="ignore"):  # infinity less infinity
-        mean, sd = float(flat.mean()), float(flat.std())
+        mean, sd = float(flat.mean()), _deviation(flat)
     return Statistics(mean, sd, float(median), float(p95), float(flat.max()), flat.size)
+
+
+def _deviation(flat: FloatArray) -> float:
+    """The standard deviation, scaled first: squares of a NEES with next to no variance would overflow."""
+    largest = float(np.abs(flat).max())
+    return largest * float((flat / largest).std()) if 0.0 < largest < np.inf else float(flat.std())
 
 
 def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:

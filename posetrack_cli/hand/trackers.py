@@ -57,11 +57,14 @@ def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: A
         FilterError: a swarm that would not converge.
     """
     scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
-    observer = Observer(config, hand.anatomy, camera, segment=config.observation.cost != "paper")
+    segmenting = Observer(config, hand.anatomy, camera, segment=True)
     finder = None
     if config.filter.proposal in ("guided", "annealed") or config.init.method == "auto":
-        finder = Acquisition(config, hand, camera, scorer, observer, Guiding(config, hand, camera))
+        finder = Acquisition(config, hand, camera, scorer, segmenting, Guiding(config, hand, camera))
     if config.filter.kind == "pso":
         objective = RenderedObjective(context, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, camera, objective, finder)
+    # the paper's cost takes all readings for the hand's; fits have to know which are
+    plain = config.observation.cost == "paper" and config.filter.proposal != "guided"
+    observer = Observer(config, hand.anatomy, camera, segment=False) if plain else segmenting
     return HandTracker(config, hand.anatomy, camera, scorer, observer, finder)

@@ -75,3 +75,10 @@ def test_the_order_of_values_does_not_matter(values: list[float]) -> None:
     assert got.median == reverse.median
     assert got.mean == pytest.approx(reverse.mean, rel=1e-9, abs=1e-6)
     assert np.sign(got.sd) >= 0
+
+
+def test_squares_of_huge_values_do_not_overflow() -> None:
+    """The NEES of a filter whose particles have become one divides by next to nothing."""
+    found = statistics(np.array([1e200, 3e200]))
+    assert found.mean == pytest.approx(2e200)
+    assert found.sd == pytest.approx(1e200)

@@ -26,7 +26,8 @@ from posetrack_cli.results import Estimate, load_arrays, read_result
 CAMERA = Camera(120, 100, 90.0, 91.0, 59.5, 49.5, (0.01, 0.0, 0.0, 0.0), name="kinect")
 CONFIG = HandConfig.model_validate(
     {
-        "filter": {"particles": 6},
+        "filter": {"particles": 6, "proposal": "marginal"},  # what is filmed is no hand
+        "init": {"method": "center"},
         "observation": {"tile_px": 16, "cost": "paper"},
         "output": {"mesh": "none", "flush_frames": 2},
     }
