@@ -68,7 +68,7 @@ def test_rules_out_of_range_are_refused(rules: dict[str, float]) -> None:
     [(sphere, 5, 150, 1e-8), (rosenbrock, 3, 400, 1e-3), (rastrigin, 3, 300, 1e-3)],
 )
 def test_minima_are_found(cost, size: int, generations: int, bound: float, seed: int) -> None:
-    """The start, N(-2, 1), lies beside the minimum; bounds are far below the next local one (rastrigin: 1)."""
+    """The start, N(-2, 1), lies beside the minimum; bounds are far below the next one (rastrigin: 1)."""
     found = optimum(cost, size, SwarmRules(generations=generations, redraw_every=0), seed=seed)
     assert found.cost < bound
     assert cost(found.position[None])[0] == found.cost
