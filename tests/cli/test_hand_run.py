@@ -82,7 +82,7 @@ def write_folder(path: Path, images: list[tuple[int, np.ndarray]], camera: bool 
 
 
 def track(source: Path, output: Path, *options: str) -> int:
-    return run(["hand", "run", str(source), "-o", str(output), *SMALL, *options])
+    return run(["hand", "run", str(source), "-o", str(output), "--hand-side", "right", *SMALL, *options])
 
 
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:

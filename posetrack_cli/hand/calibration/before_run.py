@@ -6,11 +6,13 @@ It depends on the recording, the configuration and the seed alone, so a run that
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, dropwhile, islice, takewhile
 
 import numpy as np
 
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.calibration.calibrate import (
     NS_PER_S,
@@ -95,11 +97,17 @@ def _with_hand_in_view(frames: Iterator[Frame], config: HandConfig, camera: Came
     if first is None:
         return []
     last = first.stamp_ns + int(LOOKED_AT_S * NS_PER_S)
-    early = takewhile(lambda frame: frame.stamp_ns <= last, frames)
+    early = takewhile(lambda frame: frame.stamp_ns <= last, _readable(frames))
     unseen = dropwhile(
         lambda frame: not detect(frame.depth, camera, config.detection), chain((first,), early)
     )
     return list(islice(unseen, TRIAL_FRAMES))
+
+
+def _readable(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """The frames up to one that cannot be read, which the run itself will tell."""
+    with suppress(RecordingError):
+        yield from frames
 
 
 def _mean_cost(frames: Sequence[Frame], config: HandConfig, camera: Camera, side: str, seed: int) -> float:

@@ -146,5 +146,5 @@ def test_sums_by_hand() -> None:
 
 def test_nothing_at_all_is_no_agreement() -> None:
     zero = np.zeros(1)
-    nothing = TileSums(zero, zero, zero, zero, zero, zero, zero, 0.0)
+    nothing = TileSums(zero, zero, zero, zero, zero, zero, zero, zero, 0.0)
     assert region_overlap(nothing) == 0.0 and np.isnan(residual_mm(nothing))
