@@ -129,8 +129,8 @@ def replace_depth(scene: Scene, depth: np.ndarray) -> Segmentation:
 @pytest.mark.parametrize("slide_mm", [-25.0, 25.0])
 def test_the_wrist_comes_from_the_image(scene: Scene, slide_mm: float) -> None:
     """A prediction that slid along the arm does not take the cut along."""
-    # so much of the forearm is compared as is left on: with the default's 0 mm a slide of 25 mm is followed
-    told = scene.told(scene.moved(0.0, slide_mm, 0.0), forearm_mm=8.0)
+    # with the default, 40 mm, a slide of 25 mm towards the elbow is still followed in this scene
+    told = scene.told(scene.moved(0.0, slide_mm, 0.0), wrist_sd_mm=60.0)
     assert told.arm is not None
     np.testing.assert_allclose(told.arm, [0.0, -1.0, 0.0], atol=0.1)
     pixel_mm = 3.75  # the window's, and the slices' length
