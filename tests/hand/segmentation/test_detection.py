@@ -166,11 +166,22 @@ def test_a_mirrored_image_gives_mirrored_hands(angle: float, x: float, y: float,
     depth = scene(Stick(x, y, z, angle), camera=camera)
     there = detect(depth, camera, SETTINGS)
     back = detect(np.ascontiguousarray(depth[:, ::-1]), camera.mirrored(), SETTINGS)
-    assert there and back  # the arm's far end may count as one more, at the threshold of the score
+    assert there and back  # how many more there are: see the known defect below
     near = PIXELS * pixel_mm(there[0])
     assert np.linalg.norm(there[0].palm * [-1.0, 1.0, 1.0] - back[0].palm) < near
     assert there[0].arm is not None and back[0].arm is not None
     assert np.linalg.norm(there[0].arm * [-1.0, 1.0, 1.0] - back[0].arm) < 0.1
+
+
+@pytest.mark.xfail(
+    strict=True, reason="known defect: an upright arm is found as further hands, 2 or 3 by side"
+)
+def test_an_upright_arm_is_one_hand_in_the_mirror_too() -> None:
+    camera = replace(KINECT, width=511, cx=255.0)
+    depth = scene(Stick(0.0, -1.0, 835.0, 0.0), camera=camera)
+    there = detect(depth, camera, SETTINGS)
+    back = detect(np.ascontiguousarray(depth[:, ::-1]), camera.mirrored(), SETTINGS)
+    assert len(there) == len(back) == 1
 
 
 @settings(max_examples=15)
