@@ -20,12 +20,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 KERNEL_SOURCES = ("compiled.py", "hand/anatomy.py", "hand/fitting/*.py")
 """Files that compiled code is made of, constants included."""
-# No error is raised for a division by zero; sums may be reordered, but NaN and infinity keep their meaning.
-_OPTIONS: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "arcp", "nsz"},
-}
+# No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in
+# which order fastmath would add up, depends on what was compiled or loaded before: equal runs, unequal bits.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 def kernel(function: Function) -> Function:

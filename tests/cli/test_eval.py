@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import filecmp
 import json
 import os
 import subprocess
@@ -419,7 +420,7 @@ def test_reports_are_written_when_a_gate_fails_and_are_the_same_each_time(
         arguments = ["--json", as_json, "--csv", as_csv, "--html", as_html, "--fail-if", FAILS]
         assert evaluate(result, *arguments) == 1
     for first, second in zip(*names, strict=True):
-        assert first.read_bytes() == second.read_bytes() and first.stat().st_size > 1000
+        assert filecmp.cmp(first, second, shallow=False) and first.stat().st_size > 1000
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [
         ".csv",
         ".csv",
@@ -542,14 +543,16 @@ def test_a_closed_pipe_is_no_stack_trace(result: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize("buffered", [True, False])
 @pytest.mark.parametrize(("gate", "code"), [(PASSES, 0), (FAILS, 1)])
 def test_a_reader_that_leaves_early_does_not_change_what_gates_say(
-    result: Path, gate: str, code: int
+    result: Path, gate: str, code: int, buffered: bool
 ) -> None:
+    environment = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}
     arguments = [sys.executable, "-m", "posetrack_cli.cli.main", "eval", str(result), "--fail-if", gate]
     reading, writing = os.pipe()
     os.close(reading)  # nobody reads the table
-    done = subprocess.run(arguments, stdout=writing, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run(arguments, stdout=writing, stderr=subprocess.PIPE, text=True, env=environment)
     os.close(writing)
     assert done.returncode == code
     assert ("joint_error_mm.mean is" in done.stderr) == (code == 1) and len(lines(done.stderr)) == code

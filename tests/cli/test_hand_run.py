@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import io
 import os
 import resource
@@ -109,26 +110,29 @@ def test_result_holds_every_frame_with_truth_and_run_record(recording: Path, res
     assert truth["stamp_ns"].tolist() == arrays["stamp_ns"].tolist()
 
 
-def test_a_first_run_says_why_it_waits(recording: Path, tmp_path: Path) -> None:
-    """In a process of its own, as this one has compiled everything; the second one has nothing to say."""
+def test_a_first_run_says_why_it_waits_and_gives_the_same_bytes(recording: Path, tmp_path: Path) -> None:
+    """In a process of its own, as this one has compiled everything; the second one has nothing to say.
+
+    Freshly compiled and loaded code once added up in different orders.
+    """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    said = []
-    for _ in range(2):
+    said, outputs = [], [tmp_path / "compiled.mcap", tmp_path / "loaded.mcap"]
+    for output in outputs:
         arguments = [
             "hand",
             "run",
             str(recording),
             "-o",
-            str(tmp_path / "r.mcap"),
-            "--overwrite",
+            str(output),
             "--end",
-            "1",
+            "3",
         ]
         arguments += SMALL
         done = subprocess.run([*COMMAND, *arguments], env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         said.append([line for line in done.stderr.splitlines() if "compiling" in line])
     assert said == [["compiling the fits, once: about 20 s ..."], []]
+    assert filecmp.cmp(*outputs, shallow=False)
 
 
 def test_tracks_the_hand(recording: Path, tmp_path: Path) -> None:
@@ -147,7 +151,7 @@ def test_two_runs_give_the_same_bytes_and_another_seed_others(
 ) -> None:
     assert track(recording, tmp_path / "a.mcap") == 0
     assert track(recording, tmp_path / "b.mcap", "--seed", "1") == 0
-    assert (tmp_path / "a.mcap").read_bytes() == result.read_bytes()
+    assert filecmp.cmp(tmp_path / "a.mcap", result, shallow=False)
     assert not np.array_equal(load_arrays(tmp_path / "b.mcap")["position"], load_arrays(result)["position"])
 
 
@@ -266,7 +270,7 @@ def test_stopped_run_is_readable_and_resumes_to_the_same_bytes(
         assert run(["info", str(part_path(output))]) == 0
     assert len(list(read_result(part_path(output)).estimates())) >= 10
     assert run(["hand", "run", str(recording), "-o", str(output), "--particles", MANY, "--resume"]) == 0
-    assert output.read_bytes() == slow_result.read_bytes()
+    assert filecmp.cmp(output, slow_result, shallow=False)
     assert not part_path(output).exists() and not state_path(output).exists()
 
 
@@ -438,7 +442,7 @@ def test_the_recording_is_never_replaced(
     (tmp_path / "link.mcap").symlink_to(source)
     assert track(source, tmp_path / name, "--overwrite") == 2
     assert "would replace the recording" in one_line(capsys)
-    assert source.read_bytes() == recording.read_bytes()
+    assert filecmp.cmp(source, recording, shallow=False)
     assert not part_path(source).exists()
 
 

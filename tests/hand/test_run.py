@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -218,7 +219,7 @@ def test_a_strided_run_resumes_to_the_same_bytes(
     whole = track(recording, "whole.mcap", **chosen)
     assert track(recording, stopped=after(frames), **chosen).stopped
     resumed = track(recording, resume=True, **chosen)
-    assert (tmp_path / "r.mcap").read_bytes() == (tmp_path / "whole.mcap").read_bytes()
+    assert filecmp.cmp(tmp_path / "r.mcap", tmp_path / "whole.mcap", shallow=False)
     flushed = frames // 2 * 2
     assert (whole.tracked, resumed.tracked, resumed.frames) == (8, 8 - flushed, 8)
     assert (resumed.lost, resumed.losses) == (whole.lost, whole.losses)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -56,7 +57,7 @@ def test_equal_input_gives_equal_bytes(tmp_path: Path, make: SimpleNamespace) ->
     folder = make.write_folder(tmp_path / "r", make.depth_codes(4))
     for name in ("a.mcap", "b.mcap"):
         convert_recording(open_recording(folder), tmp_path / name)
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert filecmp.cmp(tmp_path / "a.mcap", tmp_path / "b.mcap", shallow=False)
 
 
 def test_size_stays_within_the_margin_of_the_pngs(tmp_path: Path, make: SimpleNamespace) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import filecmp
 import io
 import json
 from dataclasses import replace
@@ -251,7 +252,7 @@ def test_two_exports_are_the_same_bytes(path: Path, tmp_path: Path, format_name:
     source = export_source(read_result(path))
     for name in ("a", "b"):
         export_file(source, format_name, tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert filecmp.cmp(tmp_path / "a", tmp_path / "b", shallow=False)
 
 
 def test_names_in_any_script_and_with_commas_survive(tmp_path: Path) -> None:

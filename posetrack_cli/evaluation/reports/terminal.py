@@ -31,10 +31,8 @@ def print_tables(
         file: where to.
         width: columns of text; by default the terminal's, or no limit.
     """
-    from rich.console import Console
-
     limit = width if width is not None else None if file.isatty() else PIPE_WIDTH
-    console = Console(file=file, width=limit, markup=False, emoji=False, highlight=False)
+    console = _console(file, limit)
     plain = console.encoding.lower() not in ("utf-8", "utf8")
     available = console.width
     for table in tables:
@@ -46,8 +44,20 @@ def print_tables(
         file.write(_printed(console, _encoded(line, plain), soft_wrap=True))
 
 
+def _console(file: IO[str], width: int | None) -> Console:
+    from rich.console import Console
+
+    class OurConsole(Console):
+        """Rich's would end the program where nobody reads, which is not its to decide."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return OurConsole(file=file, width=width, markup=False, emoji=False, highlight=False)
+
+
 def _printed(console: Console, shown: RichTable | str, **options: Any) -> str:
-    """What the console would print: it ends the program where nobody reads, which is not its to decide."""
+    """What the console would print; it flushes the file all the same."""
     with console.capture() as capture:
         console.print(shown, **options)
     return capture.get()
