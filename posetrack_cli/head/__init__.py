@@ -1,0 +1,1 @@
+"""Heads: pose and face deformation from images of one or more calibrated cameras."""

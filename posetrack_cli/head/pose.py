@@ -1,0 +1,62 @@
+"""A head's pose ``camera_T_head`` and how small changes of it are counted.
+
+The camera is the recording's reference camera (x right, y down, z forward). A tangent vector has six entries:
+translation in camera axes, mm, then a rotation vector w in camera axes, rad, about the head's origin:
+t' = t + d[:3], R' = exp(w) R. For a head that looks at the camera w is (pitch, yaw, roll) to first order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.poses import in_camera
+from posetrack_cli.geometry.rotations import (
+    canonical,
+    conjugate,
+    exponential,
+    logarithm,
+    matrices_from_quaternions,
+    multiply,
+)
+
+POSE_SIZE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class HeadPose:
+    """Where one head is.
+
+    Attributes:
+        position: (3,) of the head's origin in the reference camera's axes, mm.
+        quaternion: (4,) x y z w, w >= 0, rotation of ``camera_T_head``.
+    """
+
+    position: FloatArray
+    quaternion: FloatArray
+
+    @property
+    def rotation(self) -> FloatArray:
+        """The (3, 3) rotation matrix R."""
+        return matrices_from_quaternions(self.quaternion)
+
+    @property
+    def facing(self) -> FloatArray:
+        """(3,) unit vector out of the face, in camera axes."""
+        return self.rotation[:, 2]
+
+    def points(self, shape: FloatArray) -> FloatArray:
+        """Return R m + t, (..., 3) mm in camera axes, of points m (..., 3) in the head's frame."""
+        return in_camera(shape, self.position, self.quaternion)
+
+    def moved(self, tangent: FloatArray) -> HeadPose:
+        """Return the pose after a tangent vector (6,)."""
+        turned = multiply(exponential(tangent[3:]), self.quaternion)
+        return HeadPose(self.position + tangent[:3], canonical(turned))
+
+    def difference(self, other: HeadPose) -> FloatArray:
+        """Return the tangent vector (6,) that takes this pose to the other."""
+        turn = logarithm(multiply(other.quaternion, conjugate(self.quaternion)))
+        return np.concatenate([other.position - self.position, turn])

@@ -1,0 +1,1 @@
+"""What every tracker of recorded frames shares: the run over a recording, its record, its checkpoints."""
