@@ -34,6 +34,47 @@ class ModelSettings(Settings):
     correlation: Fraction = 0.5
 
 
+class PointSettings(Settings):
+    """One number for each kind of feature point, mm."""
+
+    eyes: Positive
+    mouth: Positive
+    nostrils: Positive
+    brows: Positive
+
+
+class RefinementSettings(Settings):
+    """The refinement of pose, deformation and points after the particle filter **[ours]**.
+
+    Patches are compared as vectors of zero mean and unit norm; each comparison has a weight (``reference``,
+    ``previous``, ``between_cameras``, ``keyframe``), times the point's visibility, times
+    ((ncc - ``correlation_floor``) / (1 - floor)) ^ ``correlation_power``. ``patch_sd`` is the standard
+    deviation of one such vector's difference per unit of weight. A point's residual is Student-t of
+    ``degrees_of_freedom`` with the sd of ``residual_mm``; in the recalculation of points, with the pose held,
+    of ``recalculation_mm``. ``recalculation = "printed"`` is the thesis's: raw intensities, ``rho`` and
+    ``epsilon`` of (3.3) and (3.5).
+    """
+
+    joint: bool = True
+    iterations: Count = 5
+    recalculation_iterations: Count = 5
+    reference: NotNegative = 1.0
+    keyframe: NotNegative = 1.0
+    previous: NotNegative = 1.0
+    between_cameras: NotNegative = 4.0
+    correlation_floor: Fraction = 0.2
+    correlation_power: NotNegative = 6.0
+    patch_sd: Positive = 0.3
+    degrees_of_freedom: Positive = 4.0
+    residual_mm: PointSettings = PointSettings(eyes=0.5, mouth=1.5, nostrils=0.8, brows=0.8)
+    recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=5.0, nostrils=2.5, brows=2.0)
+    recalculation: Literal["joint", "printed"] = "joint"
+    rho: NotNegative = 4.0
+    epsilon: NotNegative = 2000.0
+    rigid_motion_mm: NotNegative = 3.0
+    keyframe_deg: Positive = 15.0
+
+
 class HeadStatusSettings(Settings):
     """When a head counts as tracked **[ours]**.
 
@@ -55,5 +96,6 @@ class HeadStereoConfig(Settings):
     """Everything that a stereo run depends on besides its recording and its seed."""
 
     model: ModelSettings = ModelSettings()
+    refinement: RefinementSettings = RefinementSettings()
     status: HeadStatusSettings = HeadStatusSettings()
     output: HeadOutputSettings = HeadOutputSettings()
