@@ -75,6 +75,31 @@ class RefinementSettings(Settings):
     keyframe_deg: Positive = 15.0
 
 
+class ParticleSettings(Settings):
+    """The particle filter over pose and deformation (thesis, 3.3).
+
+    ``floor_mm`` (camera x, y, z) and ``floor_rad`` (about camera x, y, z: pitch, yaw, roll) are the least
+    standard deviations of what a pose does beyond its prediction within a thirtieth of a second; ``gain`` times
+    the way of that time by the present velocity replaces them where it is larger. ``kappa`` is the same for
+    the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27). ``local_radius`` is d of
+    (3.29), in units of the diffusion's standard deviations. ``sampling`` is halfway partitioned sampling with
+    the weights it needs to keep its target **[ours]**, or as printed. ``gap_max_s`` is the longest time without a
+    frame that is predicted, and counts for all longer ones.
+    """
+
+    count: Count = 1000
+    sigma: Positive = 3.0
+    kappa: Positive = 0.5
+    floor_mm: tuple[Positive, Positive, Positive] = (0.8, 0.8, 1.5)
+    floor_rad: tuple[Positive, Positive, Positive] = (0.008, 0.010, 0.006)
+    gain: NotNegative = 0.4
+    local_radius: Positive = 3.0
+    sampling: Literal["weighted", "printed"] = "weighted"
+    resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
+    lookup: Literal["bilinear", "nearest"] = "bilinear"
+    gap_max_s: Positive = 0.2
+
+
 class HeadStatusSettings(Settings):
     """When a head counts as tracked **[ours]**.
 
@@ -96,6 +121,7 @@ class HeadStereoConfig(Settings):
     """Everything that a stereo run depends on besides its recording and its seed."""
 
     model: ModelSettings = ModelSettings()
+    particles: ParticleSettings = ParticleSettings()
     refinement: RefinementSettings = RefinementSettings()
     status: HeadStatusSettings = HeadStatusSettings()
     output: HeadOutputSettings = HeadOutputSettings()
