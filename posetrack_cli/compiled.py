@@ -18,7 +18,15 @@ from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-KERNEL_SOURCES = ("compiled.py", "hand/anatomy.py", "hand/fitting/*.py")
+KERNEL_SOURCES = (
+    "compiled.py",
+    "hand/anatomy.py",
+    "hand/fitting/*.py",
+    "head/particle_kernels.py",
+    "head/patches.py",
+    "head/templates.py",
+    "head/refinement/*.py",
+)
 """Files that compiled code is made of, constants included."""
 # No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in
 # which order fastmath would add up, depends on what was compiled or loaded before: equal runs, unequal bits.

@@ -61,5 +61,21 @@ SHAPE_SD = np.array(
     ]
 )
 """(K, 3) standard deviations between identities, mm, after rigid alignment."""
-MEAN_SHAPE.setflags(write=False)
-SHAPE_SD.setflags(write=False)
+_OUT = np.array(
+    [
+        [-0.5, 0.0, 1.0],
+        [-0.1, 0.0, 1.0],
+        [0.1, 0.0, 1.0],
+        [0.5, 0.0, 1.0],
+        [-0.45, 0.0, 1.0],
+        [0.45, 0.0, 1.0],
+        [-0.2, -0.5, 1.0],
+        [0.2, -0.5, 1.0],
+        [-0.1, 0.1, 1.0],
+        [0.1, 0.1, 1.0],
+    ]
+)
+POINT_NORMALS = _OUT / np.linalg.norm(_OUT, axis=1, keepdims=True)
+"""(K, 3) unit vectors out of the skin about each point, roughly, **[ours]**: no statistics give them."""
+for _figures in (MEAN_SHAPE, SHAPE_SD, POINT_NORMALS):
+    _figures.setflags(write=False)

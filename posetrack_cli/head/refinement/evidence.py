@@ -1,0 +1,202 @@
+"""What the patches say about where a point is: normal equations in its three coordinates; compiled.
+
+Of a point X, mm in the reference camera's axes, patches p_c(X) about its pixels m_c(X) are compared with
+templates q and with each other:
+
+    E(X) = 1/2 sum_c,s w |p_c - q_cs|^2  +  1/2 sum_(c,b) w |p_c - p_b|^2
+
+As |p| = 1, p^T dp = 0: the gradient of a template's term is -G^T q, with G = dp / dm. Weights are held.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.head.patches import GRID, SIZE, differentiate, normalise, product, sample_grid
+from posetrack_cli.head.refinement.scene import Optics, Robustness, Scene
+
+
+class Evidence(NamedTuple):
+    """Of one point.
+
+    Attributes:
+        hessian: (3, 3) Gauss-Newton's of E, 1 / mm^2.
+        gradient: (3,) of E, 1 / mm.
+        correlations: (C,) the best with a template that is not of the frame before; NaN where there is none.
+        pixels: (C, 2).
+    """
+
+    hessian: FloatArray
+    gradient: FloatArray
+    correlations: FloatArray
+    pixels: FloatArray
+
+
+class Room(NamedTuple):
+    """Arrays that are written over for every point."""
+
+    grid: FloatArray
+    patches: FloatArray
+    gradients: FloatArray
+    norms: FloatArray
+    jacobians: FloatArray
+    warp: FloatArray
+    other: FloatArray
+    other_gradient: FloatArray
+    rows: FloatArray
+
+
+@kernel
+def make_evidence(cameras: int) -> Evidence:
+    """Return room for one point's evidence."""
+    return Evidence(np.zeros((3, 3)), np.zeros(3), np.zeros(cameras), np.zeros((cameras, 2)))
+
+
+@kernel
+def make_room(cameras: int) -> Room:
+    """Return room for one point."""
+    return Room(
+        np.zeros((GRID, GRID)),
+        np.zeros((cameras, SIZE)),
+        np.zeros((cameras, 2, SIZE)),
+        np.zeros(cameras),
+        np.zeros((cameras, 2, 3)),
+        np.eye(2),
+        np.zeros(SIZE),
+        np.zeros((2, SIZE)),
+        np.zeros((4, 3)),
+    )
+
+
+@kernel
+def project_point(optics: Optics, c: int, k: int, X: FloatArray, pixel: FloatArray, J: FloatArray) -> bool:
+    """Write the pixel (2,) of point k on camera c and its derivative (2, 3); False behind the camera."""
+    T, focal, lens = optics.transforms[c], optics.intrinsics[c], optics.lenses[c, k]
+    local = np.empty(3)
+    for i in range(3):
+        local[i] = T[i, 0] * X[0] + T[i, 1] * X[1] + T[i, 2] * X[2] + T[i, 3]
+    if local[2] <= 0.0:
+        return False
+    x, y = local[0] / local[2], local[1] / local[2]
+    for i in range(2):
+        f = focal[i]
+        pixel[i] = f * (lens[i, 0] * x + lens[i, 1] * y + lens[i, 2]) + focal[2 + i]
+        a, b = f * lens[i, 0] / local[2], f * lens[i, 1] / local[2]
+        for j in range(3):
+            J[i, j] = a * T[0, j] + b * T[1, j] - (a * x + b * y) * T[2, j]
+    return True
+
+
+@kernel
+def gather(scene: Scene, k: int, X: FloatArray, room: Room, out: Evidence) -> None:
+    """Write the evidence of point k at X (3,)."""
+    out.hessian[:] = 0.0
+    out.gradient[:] = 0.0
+    for c in range(len(scene.images.sizes)):
+        out.correlations[c] = np.nan
+        _look(scene, c, k, X, room, out.pixels[c])
+        if room.norms[c] > 0.0:
+            _add_templates(scene, c, k, room, out)
+    for pair in range(len(scene.targets.pairs)):
+        _add_pair(scene, pair, k, room, out)
+
+
+@kernel
+def _look(scene: Scene, c: int, k: int, X: FloatArray, room: Room, pixel: FloatArray) -> None:
+    """Sample the patch of point k on camera c; its norm is 0 where there is none."""
+    room.norms[c] = 0.0
+    pixel[:] = np.nan
+    if not project_point(scene.optics, c, k, X, pixel, room.jacobians[c]):
+        return
+    images = scene.images
+    u, v = pixel[0] - images.corners[c, 0], pixel[1] - images.corners[c, 1]
+    room.warp[0, 0], room.warp[0, 1], room.warp[1, 0], room.warp[1, 1] = 1.0, 0.0, 0.0, 1.0
+    if sample_grid(images.windows[c], images.sizes[c, 0], images.sizes[c, 1], u, v, room.warp, room.grid):
+        room.norms[c] = normalise(room.grid, room.patches[c])
+    if room.norms[c] > 0.0:
+        differentiate(room.grid, room.patches[c], room.norms[c], room.gradients[c])
+
+
+@inlined
+def belief(robustness: Robustness, ncc: float) -> float:
+    """The weight of a comparison that correlates so."""
+    above = (ncc - robustness.floor) / (1.0 - robustness.floor)
+    return robustness.precision * above**robustness.power if above > 0.0 else 0.0
+
+
+@kernel
+def _add_templates(scene: Scene, c: int, k: int, room: Room, out: Evidence) -> None:
+    targets, gradient, J = scene.targets, room.gradients[c], room.jacobians[c]
+    total, g0, g1 = 0.0, 0.0, 0.0
+    for s in range(len(targets.patches)):
+        if targets.weights[s, c, k] <= 0.0:
+            continue
+        q = targets.patches[s, c, k]
+        ncc = product(room.patches[c], q)
+        weight = targets.weights[s, c, k] * belief(scene.robustness, ncc)
+        total += weight
+        g0 -= weight * product(gradient[0], q)
+        g1 -= weight * product(gradient[1], q)
+        if s < targets.stored and not out.correlations[c] > ncc:
+            out.correlations[c] = ncc
+    h00, h01 = total * product(gradient[0], gradient[0]), total * product(gradient[0], gradient[1])
+    h11 = total * product(gradient[1], gradient[1])
+    for i in range(3):
+        out.gradient[i] += J[0, i] * g0 + J[1, i] * g1
+        for j in range(3):
+            out.hessian[i, j] += J[0, i] * (h00 * J[0, j] + h01 * J[1, j]) + J[1, i] * (
+                h01 * J[0, j] + h11 * J[1, j]
+            )
+
+
+@kernel
+def _add_pair(scene: Scene, pair: int, k: int, room: Room, out: Evidence) -> None:
+    """Compare the patch of camera c with camera b's image under the warp between them."""
+    targets, images = scene.targets, scene.images
+    c, b = targets.pairs[pair, 0], targets.pairs[pair, 1]
+    if targets.pair_weights[pair, k] <= 0.0 or room.norms[c] <= 0.0 or np.isnan(out.pixels[b, 0]):
+        return
+    u, v = out.pixels[b, 0] - images.corners[b, 0], out.pixels[b, 1] - images.corners[b, 1]
+    W = targets.pair_warps[pair, k]
+    if not sample_grid(images.windows[b], images.sizes[b, 0], images.sizes[b, 1], u, v, W, room.grid):
+        return
+    norm = normalise(room.grid, room.other)
+    if norm <= 0.0:
+        return
+    differentiate(room.grid, room.other, norm, room.other_gradient)
+    weight = targets.pair_weights[pair, k] * belief(scene.robustness, product(room.patches[c], room.other))
+    _pair_rows(room, c, b, W)
+    _add_quadratic(room, c, weight, out)
+
+
+@kernel
+def _pair_rows(room: Room, c: int, b: int, W: FloatArray) -> None:
+    """Write (4, 3): how the centres of both grids move with X, in each grid's pixels; the second negative."""
+    determinant = W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]
+    J, K, rows = room.jacobians[c], room.jacobians[b], room.rows
+    for j in range(3):
+        rows[0, j], rows[1, j] = J[0, j], J[1, j]
+        rows[2, j] = -(W[1, 1] * K[0, j] - W[0, 1] * K[1, j]) / determinant
+        rows[3, j] = -(W[0, 0] * K[1, j] - W[1, 0] * K[0, j]) / determinant
+
+
+@kernel
+def _add_quadratic(room: Room, c: int, weight: float, out: Evidence) -> None:
+    """Add weight/2 |p_c - p_b|^2 with d (p_c - p_b) = [G_c, G_b] rows dX."""
+    rows, gram, slope = room.rows, np.empty((4, 4)), np.empty(4)
+    for i in range(4):
+        left = room.gradients[c, i] if i < 2 else room.other_gradient[i - 2]
+        slope[i] = -product(left, room.other) if i < 2 else product(left, room.patches[c])
+        for j in range(4):
+            right = room.gradients[c, j] if j < 2 else room.other_gradient[j - 2]
+            gram[i, j] = product(left, right)
+    for n in range(4):
+        for i in range(3):
+            out.gradient[i] += weight * rows[n, i] * slope[n]
+            for m in range(4):
+                for j in range(3):
+                    out.hessian[i, j] += weight * rows[n, i] * gram[n, m] * rows[m, j]

@@ -1,0 +1,295 @@
+"""Gauss-Newton over pose, deformation and a residual per point at once **[ours]**; compiled.
+
+    X_k = R (Mbar_k + V_k a + delta_k) + t
+    E = sum_k E_k(X_k)  +  1/2 sum_b (a_b / mu_b)^2  +  sum_k (nu + 3)/2 log(1 + |delta_k|^2 / (nu s_k^2))
+        + 1/2 |pose (-) predicted|^2 in units of a wide prior
+
+E_k is the patches' (``evidence``). delta is Student-t: a point that lies elsewhere than the model says costs
+little more the farther it is. Every step reweights it, l_k = (nu + 3) / (nu s_k^2 + |delta_k|^2), and
+eliminates
+it (Schur complement), so that 6 + B unknowns are solved for, whatever K is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.head.refinement.evidence import Evidence, gather, make_evidence, make_room
+from posetrack_cli.head.refinement.scene import Scene
+
+POSE = 6
+CONVERGED_PX = 0.01
+"""No point moves farther in a last step: a tenth of what the patches tell."""
+
+
+class Face(NamedTuple):
+    """The model, as the kernels read it.
+
+    Attributes:
+        mean: (K, 3) mm.
+        basis: (K, 3, B).
+        precisions: (B,) 1 / mu^2, 1 / mm^2.
+    """
+
+    mean: FloatArray
+    basis: FloatArray
+    precisions: FloatArray
+
+
+class Prior(NamedTuple):
+    """What is thought of residuals and pose before looking.
+
+    Attributes:
+        scales: (K,) s_k, mm.
+        freedom: nu.
+        pose: (6,) precisions about the predicted pose, 1 / mm^2, then 1 / rad^2.
+    """
+
+    scales: FloatArray
+    freedom: float
+    pose: FloatArray
+
+
+class Joint(NamedTuple):
+    """The unknowns; written over by ``descend``.
+
+    Attributes:
+        rotation: (3, 3) R.
+        position: (3,) t, mm.
+        coefficients: (B,) a, mm.
+        residuals: (K, 3) delta in the head's frame, mm.
+        moved: (6,) how far the pose went, a tangent vector summed over the steps.
+        correlations: (C, K).
+        pixels: (C, K, 2).
+    """
+
+    rotation: FloatArray
+    position: FloatArray
+    coefficients: FloatArray
+    residuals: FloatArray
+    moved: FloatArray
+    correlations: FloatArray
+    pixels: FloatArray
+
+
+@kernel
+def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Joint) -> None:
+    """Take Gauss-Newton steps until no point moves any more, then look once more at where it ended."""
+    count, size = len(face.mean), POSE + len(face.precisions)
+    cameras = len(scene.images.sizes)
+    evidence, room = make_evidence(cameras), make_room(cameras)
+    matrix, vector = np.empty((size, size)), np.empty(size)
+    arms = np.empty((count, 3))
+    hessians, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
+    for _ in range(iterations):
+        start(face, prior, state, matrix, vector)
+        for k in range(count):
+            place(face, state, k, arms[k])
+            gather(scene, k, arms[k] + state.position, room, evidence)
+            hessians[k], gradients[k] = evidence.hessian, evidence.gradient
+            eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
+        step = np.linalg.solve(matrix, -vector)
+        farthest = 0.0
+        for k in range(count):
+            moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)
+            farthest = max(farthest, moved)
+        move(state, step)
+        if farthest < CONVERGED_PX * state.position[2] / scene.optics.intrinsics[0, 0]:
+            break
+    look(scene, face, state, arms[0], evidence)
+
+
+@kernel
+def look(scene: Scene, face: Face, state: Joint, arm: FloatArray, evidence: Evidence) -> None:
+    """Write correlations and pixels at the present unknowns."""
+    room = make_room(len(scene.images.sizes))
+    for k in range(len(face.mean)):
+        place(face, state, k, arm)
+        gather(scene, k, arm + state.position, room, evidence)
+        for c in range(len(evidence.correlations)):
+            state.correlations[c, k] = evidence.correlations[c]
+            state.pixels[c, k] = evidence.pixels[c]
+
+
+@inlined
+def place(face: Face, state: Joint, k: int, arm: FloatArray) -> None:
+    """Write R M_k (3,), the point from the head's origin in camera axes."""
+    local = np.empty(3)
+    for i in range(3):
+        local[i] = face.mean[k, i] + state.residuals[k, i]
+        for b in range(len(face.precisions)):
+            local[i] += face.basis[k, i, b] * state.coefficients[b]
+    for i in range(3):
+        arm[i] = 0.0
+        for j in range(3):
+            arm[i] += state.rotation[i, j] * local[j]
+
+
+@kernel
+def start(face: Face, prior: Prior, state: Joint, matrix: FloatArray, vector: FloatArray) -> None:
+    """Begin the normal equations with the priors of pose and deformation."""
+    matrix[:] = 0.0
+    for i in range(POSE):
+        matrix[i, i] = prior.pose[i]
+        vector[i] = prior.pose[i] * state.moved[i]
+    for b in range(len(face.precisions)):
+        matrix[POSE + b, POSE + b] = face.precisions[b]
+        vector[POSE + b] = face.precisions[b] * state.coefficients[b]
+
+
+@inlined
+def tail_precision(prior: Prior, k: int, squared: float) -> float:
+    """The weight l_k of a Student-t residual of this squared length, 1 / mm^2."""
+    return (prior.freedom + 3.0) / (prior.freedom * prior.scales[k] ** 2 + squared)
+
+
+@kernel
+def jacobian(face: Face, state: Joint, k: int, arm: FloatArray, T: FloatArray) -> None:
+    """Write dX_k / d (translation, rotation, a), (3, 6 + B): (1, -[R M]_x, R V)."""
+    T[:] = 0.0
+    for i in range(3):
+        T[i, i] = 1.0
+        for b in range(len(face.precisions)):
+            for j in range(3):
+                T[i, POSE + b] += state.rotation[i, j] * face.basis[k, j, b]
+    T[0, 4], T[0, 5] = arm[2], -arm[1]
+    T[1, 3], T[1, 5] = -arm[2], arm[0]
+    T[2, 3], T[2, 4] = arm[1], -arm[0]
+
+
+@kernel
+def invert(A: FloatArray, added: float, out: FloatArray) -> None:
+    """Write (A + added 1)^-1 of a symmetric (3, 3) by cofactors."""
+    a, b, c = A[0, 0] + added, A[0, 1], A[0, 2]
+    d, e, f = A[1, 1] + added, A[1, 2], A[2, 2] + added
+    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
+    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
+    determinant = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] /= determinant
+            out[j, i] = out[i, j]
+
+
+@kernel
+def _residual(state: Joint, k: int, out: FloatArray) -> float:
+    """Write R delta_k, camera axes; return its squared length."""
+    squared = 0.0
+    for i in range(3):
+        out[i] = 0.0
+        for j in range(3):
+            out[i] += state.rotation[i, j] * state.residuals[k, j]
+        squared += state.residuals[k, i] ** 2
+    return squared
+
+
+@kernel
+def eliminate(
+    face: Face,
+    prior: Prior,
+    state: Joint,
+    k: int,
+    arm: FloatArray,
+    evidence: Evidence,
+    matrix: FloatArray,
+    vector: FloatArray,
+) -> None:
+    """Add what point k says about pose and deformation, its residual eliminated.
+
+    (H + l) e + H T x = -(g + l d), with d = R delta, gives T^T S T x = -T^T s, S = l (H + l)^-1 H and
+    s = l (H + l)^-1 (g - H d).
+    """
+    T, inverse, d, s, S = (
+        np.empty((3, len(vector))),
+        np.empty((3, 3)),
+        np.empty(3),
+        np.empty(3),
+        np.empty((3, 3)),
+    )
+    weight = tail_precision(prior, k, _residual(state, k, d))
+    jacobian(face, state, k, arm, T)
+    H, g = evidence.hessian, evidence.gradient
+    invert(H, weight, inverse)
+    for i in range(3):
+        s[i] = 0.0
+        for j in range(3):
+            s[i] += weight * inverse[i, j] * (g[j] - H[j, 0] * d[0] - H[j, 1] * d[1] - H[j, 2] * d[2])
+            S[i, j] = 0.0
+            for m in range(3):
+                S[i, j] += weight * inverse[i, m] * H[m, j]
+    for a in range(len(vector)):
+        for i in range(3):
+            vector[a] += T[i, a] * s[i]
+            for b in range(len(vector)):
+                for j in range(3):
+                    matrix[a, b] += T[i, a] * S[i, j] * T[j, b]
+
+
+@kernel
+def back_substitute(
+    face: Face,
+    prior: Prior,
+    state: Joint,
+    k: int,
+    arm: FloatArray,
+    H: FloatArray,
+    g: FloatArray,
+    step: FloatArray,
+) -> float:
+    """Move the residual of point k; return how far the point goes in all, mm."""
+    T, inverse, d, shift, e = (
+        np.empty((3, len(step))),
+        np.empty((3, 3)),
+        np.empty(3),
+        np.zeros(3),
+        np.zeros(3),
+    )
+    weight = tail_precision(prior, k, _residual(state, k, d))
+    jacobian(face, state, k, arm, T)
+    for i in range(3):
+        for a in range(len(step)):
+            shift[i] += T[i, a] * step[a]
+    invert(H, weight, inverse)
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            pull = g[j] + weight * d[j]
+            for m in range(3):
+                pull += H[j, m] * shift[m]
+            e[i] -= inverse[i, j] * pull
+        total += (shift[i] + e[i]) ** 2
+    for i in range(3):
+        for j in range(3):
+            state.residuals[k, i] += state.rotation[j, i] * e[j]
+    return float(np.sqrt(total))
+
+
+@kernel
+def move(state: Joint, step: FloatArray) -> None:
+    """Add a step to pose and deformation: t + d, exp(w) R, a + da."""
+    for i in range(POSE):
+        state.moved[i] += step[i]
+    for i in range(3):
+        state.position[i] += step[i]
+    for b in range(len(state.coefficients)):
+        state.coefficients[b] += step[POSE + b]
+    w = step[3:6]
+    angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+    if angle > 0.0:
+        turn(state.rotation, w / angle, np.sin(angle), np.cos(angle))
+
+
+@kernel
+def turn(R: FloatArray, axis: FloatArray, sine: float, cosine: float) -> None:
+    """Turn the columns of R about an axis (Rodrigues): v cos + (axis x v) sin + axis (axis . v) (1 - cos)."""
+    x, y, z = axis[0], axis[1], axis[2]
+    for j in range(3):
+        a, b, c = R[0, j], R[1, j], R[2, j]
+        along = (x * a + y * b + z * c) * (1.0 - cosine)
+        R[0, j] = a * cosine + (y * c - z * b) * sine + x * along
+        R[1, j] = b * cosine + (z * a - x * c) * sine + y * along
+        R[2, j] = c * cosine + (x * b - y * a) * sine + z * along

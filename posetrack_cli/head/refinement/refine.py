@@ -1,0 +1,175 @@
+"""One frame's refinement: the calls that a tracker makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rotations import quaternions_from_matrices
+from posetrack_cli.head.config import PointSettings, RefinementSettings
+from posetrack_cli.head.face import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.refinement.joint import Face, Joint, Prior, descend
+from posetrack_cli.head.refinement.recalculation import recalculate_points
+from posetrack_cli.head.refinement.scene import Scene, make_scene
+from posetrack_cli.head.shape_model import ShapeModel
+from posetrack_cli.head.templates import TemplateSet
+
+WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
+"""(6,) standard deviations about the predicted pose, mm and rad: keep what no patch tells."""
+LEAST_DEVIATION_MM = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """What the patches of one frame agree on.
+
+    Attributes:
+        pose: of the head.
+        coefficients: (B,) a, mm.
+        residuals: (K, 3) delta, how far each point lies from the model, in the head's frame, mm.
+        correlations: (C, K) the best with a template of ``sets``; NaN where there is none.
+        visibility: (C, K) cosine of normal and ray at the predicted pose; 0 from behind and without an image.
+        pixels: (C, K, 2) of the points with their residuals; NaN behind a camera.
+    """
+
+    pose: HeadPose
+    coefficients: FloatArray
+    residuals: FloatArray
+    correlations: FloatArray
+    visibility: FloatArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Recalculated:
+    """The points' own places.
+
+    Attributes:
+        shape: (K, 3) M' in the head's frame, mm.
+        correlations: (C, K) as of ``Refined``.
+        pixels: (C, K, 2).
+    """
+
+    shape: FloatArray
+    correlations: FloatArray
+    pixels: FloatArray
+
+
+def refine(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    sets: Sequence[TemplateSet],
+    previous: TemplateSet | None,
+    model: ShapeModel,
+    pose: HeadPose,
+    coefficients: FloatArray,
+    settings: RefinementSettings,
+    residuals: FloatArray | None = None,
+) -> Refined:
+    """Refine pose and deformation together from where a filter puts them (``joint``).
+
+    Args:
+        images: grey, uint8, one a camera; None where a camera gave none.
+        cameras: of the recording.
+        sets: templates of the reference, then of keyframes.
+        previous: templates of the frame before.
+        model: mean and deformations of the face.
+        pose, coefficients: start, (B,) mm.
+        settings: weights, priors, steps.
+        residuals: (K, 3) start of the residuals; without, 0.
+    """
+    start = np.zeros_like(model.mean) if residuals is None else residuals
+    for _ in range(_looks(cameras)):
+        shape = model.shapes(coefficients) + start
+        scene, seen = make_scene(images, cameras, sets, previous, pose, shape, settings)
+        state = _descended(scene, model, pose, coefficients, start, settings)
+        pose, coefficients, start = _pose(state), state.coefficients, state.residuals
+    return Refined(pose, coefficients, start, state.correlations, seen, state.pixels)
+
+
+def recalculate(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    sets: Sequence[TemplateSet],
+    previous: TemplateSet | None,
+    pose: HeadPose,
+    shape: FloatArray,
+    start: FloatArray,
+    settings: RefinementSettings,
+) -> Recalculated:
+    """Find the points' own places with the pose held (``recalculation``).
+
+    Args:
+        images, cameras, sets, previous: as of ``refine``.
+        pose: of the head.
+        shape: (K, 3) M, what the model says, in the head's frame, mm.
+        start: (K, 3) M' of the frame before.
+        settings: weights, priors, steps.
+    """
+    count = (len(cameras), len(shape))
+    points, correlations, pixels = start.copy(), np.empty(count), np.empty((*count, 2))
+    prior = _prior(settings.recalculation_mm, settings)
+    for _ in range(_looks(cameras)):
+        scene, _seen = make_scene(images, cameras, sets, previous, pose, points, settings)
+        recalculate_points(
+            scene,
+            pose.rotation,
+            pose.position,
+            shape,
+            prior,
+            settings.recalculation_iterations,
+            points,
+            correlations,
+            pixels,
+        )
+    return Recalculated(points, correlations, pixels)
+
+
+def _looks(cameras: Sequence[Camera]) -> int:
+    """Lenses are linearised about the start, so with a distorted one a second round begins where it ended."""
+    return 2 if any(camera.is_distorted for camera in cameras) else 1
+
+
+def _descended(
+    scene: Scene,
+    model: ShapeModel,
+    pose: HeadPose,
+    coefficients: FloatArray,
+    residuals: FloatArray,
+    settings: RefinementSettings,
+) -> Joint:
+    count = (len(scene.images.sizes), len(model.mean))
+    state = Joint(
+        pose.rotation,
+        pose.position.copy(),
+        np.array(coefficients, dtype=np.float64),
+        residuals.copy(),
+        np.zeros(6),
+        np.empty(count),
+        np.empty((*count, 2)),
+    )
+    precisions = np.maximum(model.deviations, LEAST_DEVIATION_MM) ** -2
+    face = Face(np.array(model.mean), np.ascontiguousarray(model.basis), precisions)
+    descend(scene, face, _prior(settings.residual_mm, settings), settings.iterations, state)
+    return state
+
+
+def _pose(state: Joint) -> HeadPose:
+    return HeadPose(state.position, quaternions_from_matrices(state.rotation))
+
+
+def _prior(scales: PointSettings, settings: RefinementSettings) -> Prior:
+    return Prior(point_values(scales), settings.degrees_of_freedom, WIDE_PRIOR**-2)
+
+
+def point_values(settings: PointSettings) -> FloatArray:
+    """Return (K,) the number of each point's kind."""
+    values = np.empty(POINT_COUNT)
+    values[EYES], values[MOUTH] = settings.eyes, settings.mouth
+    values[NOSTRILS], values[BROWS] = settings.nostrils, settings.brows
+    return values

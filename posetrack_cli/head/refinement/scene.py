@@ -1,0 +1,173 @@
+"""One frame as the kernels of the refinement read it: images, optics, templates and what is compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import RefinementSettings
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.projection import Projection, project
+from posetrack_cli.head.templates import TemplateSet, tangents, visibility, warped, warps_between
+
+MARGIN = 48
+"""Pixels kept around the predicted points: half a patch and how far a point may be refined."""
+
+
+class Images(NamedTuple):
+    """The part of each camera's image that shows the face.
+
+    Attributes:
+        windows: (C, h, w), h and w the largest over the cameras.
+        corners: (C, 2) column and row of a window's first pixel in the image.
+        sizes: (C, 2) width and height of the part that is filled; 0 where a camera gave no image.
+    """
+
+    windows: ImageArray
+    corners: FloatArray
+    sizes: IntArray
+
+
+class Optics(NamedTuple):
+    """C cameras; their lenses are linearised about the predicted points.
+
+    Attributes:
+        transforms: (C, 3, 4) camera_T_reference, mm.
+        intrinsics: (C, 4) fx, fy, cx, cy, pixels.
+        lenses: (C, K, 2, 3) of ``Projection``.
+    """
+
+    transforms: FloatArray
+    intrinsics: FloatArray
+    lenses: FloatArray
+
+
+class Targets(NamedTuple):
+    """What the patches of the frame are compared with.
+
+    Attributes:
+        patches: (S, C, K, SIZE) warped templates, that of the frame before, if there is one, the last.
+        stored: number of the sets that are not of the frame before.
+        weights: (S, C, K) of each comparison, visibility included; 0 where there is no template.
+        pairs: (P, 2) cameras whose patches are compared with each other: of the first, with the second's.
+        pair_warps: (P, K, 2, 2) from the first's patch to the second's image; NaN where there is none.
+        pair_weights: (P, K).
+    """
+
+    patches: FloatArray
+    stored: int
+    weights: FloatArray
+    pairs: IntArray
+    pair_warps: FloatArray
+    pair_weights: FloatArray
+
+
+class Robustness(NamedTuple):
+    """How far a comparison is believed: precision x ((ncc - floor) / (1 - floor)) ^ power."""
+
+    precision: float
+    floor: float
+    power: float
+
+
+class Scene(NamedTuple):
+    """All of it."""
+
+    images: Images
+    optics: Optics
+    targets: Targets
+    robustness: Robustness
+
+
+def make_scene(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    sets: Sequence[TemplateSet],
+    previous: TemplateSet | None,
+    pose: HeadPose,
+    shape: FloatArray,
+    settings: RefinementSettings,
+) -> tuple[Scene, FloatArray]:
+    """Return the frame about a predicted pose and shape (K, 3), and the visibility (C, K) of its points.
+
+    Args:
+        images: grey, uint8, one a camera; None where a camera gave none.
+        cameras: of the recording.
+        sets: reference first, then keyframes.
+        previous: templates of the frame before.
+        pose, shape: where the points are expected.
+        settings: weights.
+    """
+    projection = project(cameras, pose.points(shape))
+    there = np.array([image is not None for image in images])
+    seen = visibility(projection, pose) * there[:, None]
+    now = tangents(projection, pose)
+    return Scene(
+        _cut_images(images, projection.pixels),
+        _optics(cameras, projection),
+        _targets(sets, previous, now, seen, settings),
+        _robustness(settings),
+    ), seen
+
+
+def _cut_images(images: Sequence[ImageArray | None], pixels: FloatArray) -> Images:
+    """Copy the boxes around the points (C, K, 2), clipped to the images."""
+    corners, sizes = np.zeros((len(images), 2)), np.zeros((len(images), 2), dtype=np.int64)
+    for c, image in enumerate(images):
+        if image is not None:
+            limit = np.array(image.shape[::-1])
+            first = np.clip(np.floor(pixels[c].min(axis=0)) - MARGIN, 0, limit)
+            last = np.clip(np.ceil(pixels[c].max(axis=0)) + MARGIN, first, limit)
+            corners[c], sizes[c] = first, last - first
+    width, height = sizes.max(axis=0)
+    windows = np.zeros((len(images), height, width), dtype=np.uint8)
+    for c, image in enumerate(images):
+        if image is not None:
+            (x, y), (w, h) = corners[c].astype(int), sizes[c]
+            windows[c, :h, :w] = image[y : y + h, x : x + w]
+    return Images(windows, corners, sizes)
+
+
+def _optics(cameras: Sequence[Camera], projection: Projection) -> Optics:
+    transforms = np.array([camera.camera_T_reference for camera in cameras])
+    intrinsics = np.array([(camera.fx, camera.fy, camera.cx, camera.cy) for camera in cameras])
+    return Optics(transforms, intrinsics, projection.lenses)
+
+
+def _targets(
+    sets: Sequence[TemplateSet],
+    previous: TemplateSet | None,
+    now: FloatArray,
+    seen: FloatArray,
+    settings: RefinementSettings,
+) -> Targets:
+    weights = [settings.reference, *[settings.keyframe] * (len(sets) - 1)]
+    found = [warped(one, now) for one in sets]
+    if previous is not None:
+        weights.append(settings.previous)
+        found.append(warped(previous, now))
+    patches = np.stack([one[0] for one in found])
+    known = np.stack([one[1] for one in found])
+    return Targets(
+        patches,
+        len(sets),
+        np.array(weights)[:, None, None] * seen * known,
+        *_pairs(now, seen, settings.between_cameras),
+    )
+
+
+def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Compare each camera with the first that gave an image."""
+    first, *others = [*np.flatnonzero(seen.any(axis=1)), 0][:-1] or [0]
+    pairs = np.array([(c, first) for c in others], dtype=np.int64).reshape(-1, 2)
+    warps = warps_between(now[pairs[:, 0]], now[pairs[:, 1]])
+    weights = weight * np.minimum(seen[pairs[:, 0]], seen[pairs[:, 1]])
+    return pairs, warps, np.where(np.isnan(warps[..., 0, 0]), 0.0, weights)
+
+
+def _robustness(settings: RefinementSettings) -> Robustness:
+    return Robustness(settings.patch_sd**-2, settings.correlation_floor, settings.correlation_power)
