@@ -19,8 +19,9 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackErro
 
 if TYPE_CHECKING:
     from posetrack_cli.hand.config import HandConfig
-    from posetrack_cli.hand.run import HandRun, RunOutcome
+    from posetrack_cli.hand.run import HandRun
     from posetrack_cli.results.estimate import Estimate
+    from posetrack_cli.tracking.options import RunOutcome
 
 # option -> configuration key
 CONFIGURED = {
@@ -133,9 +134,10 @@ def hand_run(recording: Path, **options: Any) -> None:
 def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, str]:
     """Everything that can be refused is refused here, before the first frame; what is open is found out."""
     from posetrack_cli.hand.calibration.before_run import find_hand
-    from posetrack_cli.hand.run import HandRun, RunOptions, check_run, frames_ahead
+    from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.recording.opening import open_recording
     from posetrack_cli.rendering.context import open_context
+    from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)
     source = open_recording(recording, **opening_arguments(options))

@@ -1,8 +1,7 @@
-"""Which tracker a configuration asks for, and what a run expects of any of them."""
+"""Which hand tracker a configuration asks for, and how each of them begins."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -19,13 +18,13 @@ from posetrack_cli.hand.swarm.objective import RenderedObjective
 from posetrack_cli.hand.swarm.tracker import SwarmTracker
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.tracking.protocol import Tracker
 
 State = TypeVar("State")
 
 
-class Tracker(Protocol[State]):
-    """A hand tracker: pure steps from one state to the next, and states that can be saved."""
+class HandTrackerProtocol(Tracker[State], Protocol[State]):
+    """A hand tracker: begins at a pose, or without one."""
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> State:
         """Return the state about a pose (22,) before the first frame, whose stamp is given."""
@@ -33,17 +32,10 @@ class Tracker(Protocol[State]):
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> State:
         """Return the state before a first frame in which the hand is not found yet, else at a pose (22,)."""
 
-    def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
-        """Advance by one frame; the state given is left as it is."""
 
-    def state_parts(self, state: State) -> tuple[dict[str, FloatArray], dict[str, int]]:
-        """Take a state apart into arrays and whole numbers, for a checkpoint."""
-
-    def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> State:
-        """Put a state together from what ``state_parts`` made of it."""
-
-
-def make_tracker(config: HandConfig, hand: HandModel, camera: Camera, context: Any) -> Tracker[Any]:
+def make_tracker(
+    config: HandConfig, hand: HandModel, camera: Camera, context: Any
+) -> HandTrackerProtocol[Any]:
     """Return the tracker of ``filter.kind``.
 
     Args:

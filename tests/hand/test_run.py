@@ -17,12 +17,13 @@ from posetrack_cli import __version__
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.run import HandRun, RunOptions, RunOutcome, frames_ahead, run_record
+from posetrack_cli.hand.run import HandRun, RunOptions, run_record
 from posetrack_cli.recording.base import Frame, Loss, TruthMessage
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, load_arrays, read_result
+from posetrack_cli.tracking.options import RunOutcome, frames_ahead
 
 CAMERA = Camera(120, 100, 90.0, 91.0, 59.5, 49.5, (0.01, 0.0, 0.0, 0.0), name="kinect")
 CONFIG = HandConfig.model_validate(

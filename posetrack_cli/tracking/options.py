@@ -1,0 +1,75 @@
+"""What a run is asked for, and what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.base import Loss, Recording
+from posetrack_cli.recording.losses import loss_line
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What a run depends on besides recording and configuration.
+
+    Attributes:
+        output: the result's path.
+        seed: of the random generator.
+        init: how the start is found; None as configured.
+        start, end, stride: which frames.
+        resume: go on with an interrupted run.
+        overwrite: replace an existing result.
+        timings: write each frame's milliseconds; then two runs differ in their bytes.
+    """
+
+    output: Path
+    seed: int = 0
+    init: str | None = None
+    start: int = 0
+    end: int | None = None
+    stride: int = 1
+    resume: bool = False
+    overwrite: bool = False
+    timings: bool = False
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What came of a run.
+
+    Attributes:
+        frames: estimates in the result, also those of a run that was resumed.
+        tracked: frames tracked now.
+        lost: estimates in the result with status lost.
+        seconds: wall-clock time.
+        losses: data that could not be used.
+        stopped: whether it was interrupted.
+    """
+
+    frames: int
+    tracked: int
+    lost: int
+    seconds: float
+    losses: tuple[Loss, ...]
+    stopped: bool
+
+
+def frames_ahead(recording: Recording, options: RunOptions) -> int | None:
+    """How many frames of the recording a run goes through, None when that shows only in reading it."""
+    count = recording.frame_count
+    if count is None:
+        return None
+    end = count if options.end is None else min(count, options.end)
+    return len(range(options.start, end, options.stride))
+
+
+def nothing_to_track(recording: Recording) -> UsageError | RecordingError:
+    """The error of a run that finds no frame: the options' fault, or the recording's."""
+    losses = recording.losses
+    if losses:
+        return RecordingError("no frame can be tracked", where=recording.path, found=loss_line(losses))
+    count = recording.frame_count
+    found = "none that can be read" if count is None else f"{count} frames"
+    return UsageError("no frame to track", where=recording.path, found=found, hint="check --start and --end")
