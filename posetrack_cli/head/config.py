@@ -79,12 +79,12 @@ class ParticleSettings(Settings):
     """The particle filter over pose and deformation (thesis, 3.3).
 
     ``floor_mm`` (camera x, y, z) and ``floor_rad`` (about camera x, y, z: pitch, yaw, roll) are the least
-    standard deviations of what a pose does beyond its prediction within a thirtieth of a second; ``gain`` times
-    the way of that time by the present velocity replaces them where it is larger. ``kappa`` is the same for
-    the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27). ``local_radius`` is d of
-    (3.29), in units of the diffusion's standard deviations. ``sampling`` is halfway partitioned sampling with
-    the weights it needs to keep its target **[ours]**, or as printed. ``gap_max_s`` is the longest time without a
-    frame that is predicted, and counts for all longer ones.
+    standard deviations of what a pose does beyond its prediction within a thirtieth of a second; ``gain``
+    times the way that the present velocity goes in that time replaces them where it is larger. ``kappa`` is
+    the same for the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27).
+    ``local_radius`` is d of (3.29), in units of these standard deviations. ``sampling`` is halfway
+    partitioned sampling with the weights that it needs to keep its target **[ours]**, or as printed.
+    ``gap_max_s`` is the longest time without a frame that is predicted, and counts for all longer ones.
     """
 
     count: Count = 1000

@@ -1,0 +1,135 @@
+"""Halfway partitioned sampling: two groups of components move one after the other (thesis, 3.3.2).
+
+Heads mostly turn, or mostly deform. So first every second particle moves in the first group of components
+only (the pose) and every other one in the second group only (the deformation); what they reach is weighed and
+resampled; then all move again. Two forms:
+
+    printed    the second move is a whole one, in all components, and the weights are the likelihood. Noise
+               and likelihood count twice, so the particles represent
+               p(y | x_t) int N(x_t; x~, Q) p(y | x~) p_half(x~ | x_{t-1}), not the filter's posterior.
+    weighted   **[ours]** the second move is the other half of the first, and the weights are divided by those
+               that were resampled with: p(y | x_t) / p(y | x~). Each particle has then made one whole move,
+               one group first, and the target is p(x_t | y_1..t), as in partitioned sampling proper
+               (MacCormick and Isard 2000): weighted resampling changes no distribution.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.model import LogLikelihood
+from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.step import Weighing, scored, weigh_drawn
+from posetrack_cli.filtering.weights import normalise
+
+Sampling: TypeAlias = Literal["weighted", "printed"]
+
+
+class Motion(NamedTuple):
+    """How particles move: x_t = x_{t-1} + drift + w, w ~ N(0, diag sd^2); (3.26).
+
+    Attributes:
+        drift: (D,).
+        sd: (D,), >= 0.
+        first: (D,) whether a component belongs to the first group.
+    """
+
+    drift: FloatArray
+    sd: FloatArray
+    first: BoolArray
+
+
+class Particles(NamedTuple):
+    """Points (N, D) of R^D, and their weighing."""
+
+    points: FloatArray
+    weighing: Weighing
+
+
+def partitioned_step(
+    points: FloatArray,
+    weights: FloatArray,
+    motion: Motion,
+    log_likelihood: LogLikelihood,
+    sampling: Sampling,
+    scheme: str,
+    rng: np.random.Generator,
+) -> Particles:
+    """Advance particles by one frame by halfway partitioned sampling.
+
+    Args:
+        points: (N, D) of the frame before; left as they are.
+        weights: (N,) theirs, >= 0.
+        motion: drift and noise; a group of components may be empty.
+        log_likelihood: log p(y_t | x) of points (N, D), up to a constant.
+        sampling: ``weighted`` or ``printed``, see above.
+        scheme: of resampling.
+        rng: source of randomness.
+
+    Returns:
+        The weighted particles; they are resampled at the beginning of the next step.
+
+    Raises:
+        FilterError: shapes or weights cannot be used, or the likelihood is NaN or zero for all.
+    """
+    _check(points, motion)
+    start = points[resample(scheme, weights, rng)]
+    moves = _alternating(len(points), motion.first)
+    halfway = start + _half_moves(motion, moves, sampling, rng)
+    scores = scored(halfway, log_likelihood)
+    chosen = resample(scheme, normalise(scores)[0], rng)
+    noise = motion.sd * rng.standard_normal(points.shape)
+    if sampling == "weighted":
+        arrived = halfway[chosen] + np.where(moves[chosen], 0.0, noise)
+        return Particles(arrived, weigh_drawn(-scores[chosen], arrived, log_likelihood))
+    arrived = halfway[chosen] + noise
+    return Particles(arrived, weigh_drawn(np.zeros(len(points)), arrived, log_likelihood))
+
+
+def local_mean(points: FloatArray, weights: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
+    """Return the weighted mean of the particles near the heaviest one, (D,); (3.29), (3.30).
+
+    Near is |(x - x_heaviest) / scale| < radius: the thesis says neither what d is nor in which units a sum of
+    millimetres and radians is to be taken **[ours]**.
+
+    Args:
+        points: (N, D).
+        weights: (N,) >= 0, of any positive sum.
+        scale: (D,), > 0.
+        radius: d, in units of scale.
+    """
+    away = (points - points[np.argmax(weights)]) / scale
+    near = np.einsum("nd,nd->n", away, away) < radius * radius
+    mean: FloatArray = weights[near] @ points[near] / weights[near].sum()
+    return mean
+
+
+def _alternating(count: int, first: BoolArray) -> BoolArray:
+    """Return (N, D) what moves first: the first group in every second particle, else the second.
+
+    Not in the first N/2: schemes leave children in their parents' order, and these would be other parents'.
+    """
+    even = np.arange(count) % 2 == 0
+    moves: BoolArray = even[:, None] == first
+    return moves
+
+
+def _half_moves(motion: Motion, moves: BoolArray, sampling: Sampling, rng: np.random.Generator) -> FloatArray:
+    """Return (N, D) increments before the first weighing; as printed, the drift too is a group's own."""
+    noise = motion.sd * rng.standard_normal(moves.shape)
+    if sampling == "printed":
+        return np.where(moves, motion.drift + noise, 0.0)
+    return motion.drift + np.where(moves, noise, 0.0)
+
+
+def _check(points: FloatArray, motion: Motion) -> None:
+    """Raise unless points (N, D) and the motion's (D,) match, with finite sd >= 0."""
+    shapes = {part.shape for part in motion}
+    if points.ndim != 2 or shapes != {points.shape[1:]}:
+        raise FilterError("particles do not match their motion", found=f"{points.shape} and {shapes}")
+    if not np.all(np.isfinite(motion.sd)) or np.any(motion.sd < 0.0):
+        raise FilterError("noise cannot be used", found=motion.sd, expected="finite, >= 0")

@@ -1,0 +1,93 @@
+"""How well each template fits around a place: one map for all particles **[ours]**.
+
+The thesis correlates per particle and point (3.3.1). All particles see a point within a small box of the
+image; there one cv2.matchTemplate gives every correlation at once, and particles look theirs up. The numbers
+are the same, and the cost depends on the box, not on the number of particles.
+
+A template has PATCH x PATCH pixels, at the offsets (column - 7.5, row - 7.5) from its point.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.head.patches import PATCH
+
+HALF = 0.5 * (PATCH - 1)
+LARGEST_BOX = 160
+"""Pixels a side. It is cut about its middle beyond; particles outside score 0."""
+
+
+class Box(NamedTuple):
+    """Pixels of top left corners that a template is laid at: columns left..right, rows top..bottom."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no place in the image for the template."""
+        return self.right < self.left or self.bottom < self.top
+
+
+class ScoreMap(NamedTuple):
+    """Normalised correlations, -1 to 1.
+
+    Attributes:
+        scores: (H, W).
+        left, top: pixel of the point, not of the corner, for scores[0, 0].
+    """
+
+    scores: Float32Array
+    left: float
+    top: float
+
+
+def box_around(
+    u: tuple[float, float], v: tuple[float, float], width: int, height: int, largest: int = LARGEST_BOX
+) -> Box:
+    """Return the places that particles between two columns and two rows look at, within the image.
+
+    Args:
+        u, v: smallest and largest pixel.
+        width, height: of the image.
+        largest: side; what is larger is cut about its middle.
+    """
+    left, right = _span(*u, width, largest)
+    top, bottom = _span(*v, height, largest)
+    return Box(left, top, right, bottom)
+
+
+def score_map(image: ImageArray, template: ImageArray, box: Box) -> ScoreMap:
+    """Return the normalised correlations (TM_CCOEFF_NORMED) of a template at every place of a box.
+
+    Args:
+        image: (height, width), grey.
+        template: (PATCH, PATCH) float32; mean and norm do not matter.
+        box: not empty.
+    """
+    window = image[box.top : box.bottom + PATCH, box.left : box.right + PATCH].astype(np.float32)
+    scores = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
+    return ScoreMap(np.asarray(scores, np.float32), box.left + HALF, box.top + HALF)
+
+
+def extremes(values: Float32Array) -> tuple[FloatArray, FloatArray]:
+    """Return the smallest and the largest of each row of (K, N), (K,) each."""
+    return values.min(axis=1).astype(np.float64), values.max(axis=1).astype(np.float64)
+
+
+def _span(low: float, high: float, size: int, largest: int) -> tuple[int, int]:
+    """Return the first and the last corner for points between low and high on an axis of `size` pixels."""
+    last = float(size - PATCH)
+    low, high = min(max(low - HALF, 0.0), last + 1.0), max(min(high - HALF, last), -1.0)
+    first, final = int(np.floor(low)), int(np.ceil(high))
+    excess = final - first + 1 - largest
+    if excess > 0:
+        first, final = first + excess // 2, first + excess // 2 + largest - 1
+    return first, final
