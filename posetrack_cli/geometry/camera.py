@@ -5,7 +5,7 @@ Pixel coordinates follow OpenCV: the centre of the first pixel is (0, 0).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ DISTORTION_LENGTHS = {
 SMALLEST_FOCAL_PX, LARGEST_PX = 0.1, 1e6
 # p2, the thin prism's s1 and s2, the sensor's tilt about y: with them x' keeps terms even in x
 _CHANGE_SIGN_IN_A_MIRROR = (3, 8, 9, 13)
+IN_PLACE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+"""Transform of the reference camera."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
     name: str = "camera"
-    camera_T_reference: tuple[tuple[float, ...], ...] = field(
-        default=((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
-    )
+    camera_T_reference: tuple[tuple[float, ...], ...] = IN_PLACE
 
     def __post_init__(self) -> None:
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
@@ -89,12 +89,20 @@ class Camera:
         return any(self.distortion)
 
     def mirrored(self) -> Camera:
-        """Return the camera of the image flipped left to right: cx' = width - 1 - cx."""
+        """Return the camera of the image flipped left to right: cx' = width - 1 - cx.
+
+        With other cameras mirrored too it sees the mirrored scene, x to -x in the reference's axes as well.
+        """
         signs = [-1.0 if k in _CHANGE_SIGN_IN_A_MIRROR else 1.0 for k in range(len(self.distortion))]
         if self.distortion_model == "equidistant":
             signs = [1.0] * len(signs)
         distortion = tuple(sign * value for sign, value in zip(signs, self.distortion, strict=True))
-        return replace(self, cx=self.width - 1 - self.cx, distortion=distortion)
+        flip = (-1.0, 1.0, 1.0)
+        rows = tuple(
+            tuple(s * v * r + 0.0 for v, r in zip(row, (*flip, 1.0), strict=True))  # + 0.0: no -0.0
+            for s, row in zip(flip, self.camera_T_reference, strict=True)
+        )
+        return replace(self, cx=self.width - 1 - self.cx, distortion=distortion, camera_T_reference=rows)
 
     def pixels_from_points(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Project without distortion.

@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.extrinsics import composed, inverse
 from posetrack_cli.geometry.projection import normalised_from_pixels, undistorted_pixels
 
 CLEARLY_BETTER = 3.0
@@ -20,9 +21,8 @@ EPIPOLAR_LIMIT_PX = 2.0
 
 def relative_transform(first: Camera, second: Camera) -> tuple[FloatArray, FloatArray]:
     """Return R (3, 3) and t (3,) mm with p_second = R p_first + t."""
-    a, b = np.array(first.camera_T_reference), np.array(second.camera_T_reference)
-    rotation = b[:, :3] @ a[:, :3].T
-    return rotation, b[:, 3] - rotation @ a[:, 3]
+    transform = composed(np.array(second.camera_T_reference), inverse(np.array(first.camera_T_reference)))
+    return transform[:, :3], transform[:, 3]
 
 
 def essential_matrix(first: Camera, second: Camera) -> FloatArray:

@@ -37,8 +37,7 @@ def triangulate(
         (..., 3) points in the reference camera's axes, mm, and (...) whether at least two cameras with
         different rays see the point in front of them. Points that are not valid are 0.
     """
-    finite = np.isfinite(pixels).all(axis=-1)
-    used: BoolArray = finite if seen is None else np.asarray(seen & finite, bool)
+    used = _usable(pixels, seen)
     flat = np.where(used[..., None], pixels, 0.0).reshape(len(cameras), -1, 2)
     mask = used.reshape(len(cameras), -1)
     points, valid = _linear(cameras, flat, mask)
@@ -59,6 +58,11 @@ def reprojection_errors(cameras: Sequence[Camera], points: FloatArray, pixels: F
         projected, valid = pixels_from_points(camera, in_camera_axes(camera, points))
         error[...] = np.where(valid, np.linalg.norm(projected - own, axis=-1), np.inf)
     return errors
+
+
+def _usable(pixels: FloatArray, seen: BoolArray | None) -> BoolArray:
+    finite: BoolArray = np.asarray(np.isfinite(pixels).all(axis=-1), bool)
+    return finite if seen is None else np.logical_and(seen, finite)
 
 
 def _linear(cameras: Sequence[Camera], pixels: FloatArray, seen: BoolArray) -> tuple[FloatArray, BoolArray]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 
 TRUTH_PREFIX = "/truth/"
@@ -25,18 +26,22 @@ class Frame:
     Attributes:
         index: position in the recording, counted from 0 over all frames, also those left out.
         stamp_ns: when it was taken, integer nanoseconds.
-        images: one (height, width) array per camera, in the order of ``Recording.cameras``. Depth
-            is float32 millimetres, 0 = no reading (never NaN, inf or negative).
+        images: one (height, width) array per camera, in the order of ``Recording.cameras``; None at the
+            place of a camera that has no image of this instant. Depth is float32 millimetres, 0 = no
+            reading (never NaN, inf or negative), grey is uint8.
     """
 
     index: int
     stamp_ns: int
-    images: tuple[ImageArray, ...]
+    images: tuple[ImageArray | None, ...]
 
     @property
     def depth(self) -> ImageArray:
-        """The first camera's image."""
-        return self.images[0]
+        """The image of a recording of one camera, whose frames always have one."""
+        image = self.images[0]
+        if image is None:
+            raise RecordingError("frame has no image of the first camera", found=f"frame {self.index}")
+        return image
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError
 
@@ -21,16 +21,16 @@ Unit = Annotated[float, Field(ge=1e-6, le=1e6)]  # 16-bit codes of it are depths
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class CameraFile(Settings):
-    """What camera.toml says; all of it about the images as they are stored, before crop and mirror.
+File = TypeVar("File", bound="Intrinsics")
+
+
+class Intrinsics(Settings):
+    """What a camera file says about one camera's stored images, whatever they hold.
 
     Attributes:
         width, height: size of the stored images, pixels; checked against them when given.
         fx, fy, cx, cy: intrinsics, pixels.
         distortion, distortion_model: as in ``Camera``.
-        depth_unit_mm: millimetres per stored unit.
-        missing: stored code that means no reading; 0 always means it, too.
-        mirror: flip the images left to right.
         crop: x, y, width, height of the part that is used; cut out before mirroring.
     """
 
@@ -42,15 +42,7 @@ class CameraFile(Settings):
     cy: Finite
     distortion: tuple[Finite, ...] = ()
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
-    depth_unit_mm: Unit = 1.0
-    missing: Annotated[int, Field(ge=0, le=65535)] = 0
-    mirror: bool = False
     crop: tuple[int, int, int, int] | None = None
-
-    @property
-    def window(self) -> Window:
-        """The part of the images that is used."""
-        return Window(self.crop, self.mirror)
 
     def stored_camera(self, width: int, height: int, name: str = "camera") -> Camera:
         """Return the camera of stored images of this size.
@@ -80,19 +72,46 @@ class CameraFile(Settings):
         )
 
 
+class CameraFile(Intrinsics):
+    """What camera.toml says of one depth camera; all of it about the images before crop and mirror.
+
+    Attributes:
+        depth_unit_mm: millimetres per stored unit.
+        missing: stored code that means no reading; 0 always means it, too.
+        mirror: flip the images left to right.
+    """
+
+    depth_unit_mm: Unit = 1.0
+    missing: Annotated[int, Field(ge=0, le=65535)] = 0
+    mirror: bool = False
+
+    @property
+    def window(self) -> Window:
+        """The part of the images that is used."""
+        return Window(self.crop, self.mirror)
+
+
 def load_camera_file(path: Path) -> CameraFile:
     """Read and check a camera.toml.
 
     Raises:
         RecordingError: if it is missing, not TOML, or a key is unknown, missing or of the wrong kind.
     """
+    return checked_settings(CameraFile, read_toml(path), path)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return what a TOML file says.
+
+    Raises:
+        RecordingError: if it is missing or not TOML.
+    """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RecordingError("is not TOML", where=path, found=error) from error
-    return _checked(values, path)
 
 
 def no_intrinsics(where: object) -> RecordingError:
@@ -102,27 +121,30 @@ def no_intrinsics(where: object) -> RecordingError:
     )
 
 
-def _checked(values: dict[str, Any], path: Path) -> CameraFile:
+def checked_settings(kind: type[File], values: dict[str, Any], where: object) -> File:
+    """Return the settings of one camera that a table of a camera file holds.
+
+    Raises:
+        RecordingError: if a key is unknown, missing or of the wrong kind.
+    """
     try:
-        camera_file = CameraFile.model_validate(values)
-        if camera_file.distortion:
-            camera_file.stored_camera(camera_file.width or 1, camera_file.height or 1)
+        settings = kind.model_validate(values)
+        if settings.distortion:
+            settings.stored_camera(settings.width or 1, settings.height or 1)
     except ValidationError as error:
-        raise _first_problem(error, path) from error
+        raise _first_problem(error, kind, where) from error
     except PosetrackError as error:
-        raise RecordingError(str(error), where=path) from error
-    return camera_file
+        raise RecordingError(str(error), where=where) from error
+    return settings
 
 
-def _first_problem(error: ValidationError, path: Path) -> RecordingError:
+def _first_problem(error: ValidationError, kind: type[Intrinsics], where: object) -> RecordingError:
     first = error.errors(include_url=False)[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return RecordingError(
-            f"unknown key '{key}'", where=path, hint=nearest_name(key, CameraFile.model_fields)
-        )
+        return RecordingError(f"unknown key '{key}'", where=where, hint=nearest_name(key, kind.model_fields))
     if first["type"] == "missing":
-        return RecordingError(f"key '{key}' is missing", where=path, hint=f"for example {EXAMPLE}")
+        return RecordingError(f"key '{key}' is missing", where=where, hint=f"for example {EXAMPLE}")
     return RecordingError(
-        f"key '{key}' cannot be used", where=path, found=first["input"], expected=expected_words(first)
+        f"key '{key}' cannot be used", where=where, found=first["input"], expected=expected_words(first)
     )
