@@ -1,0 +1,206 @@
+"""Following a found head from frame to frame: filter, refinement, the points' own places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.keyframes import chosen
+from posetrack_cli.head.motion import predicted_pose, velocity_between
+from posetrack_cli.head.particles import HeadFilter, HeadParticles
+from posetrack_cli.head.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.projection import project
+from posetrack_cli.head.refinement.refine import Recalculated, Refined, recalculate, refine
+from posetrack_cli.head.shape_model import ShapeModel
+from posetrack_cli.head.templates import (
+    TemplateSet,
+    take_templates,
+    tangents,
+    template_images,
+    visibility,
+    warped,
+)
+
+Images = Sequence[ImageArray | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Following:
+    """A head that is being followed, after a frame.
+
+    Attributes:
+        stamp_ns: of the frame.
+        pose: of the head.
+        velocity: (6,) tangent vector per second.
+        particles: about that pose.
+        shape: (K, 3) M', the points' own places in the head's frame, mm.
+        previous: templates of this frame.
+    """
+
+    stamp_ns: int
+    pose: HeadPose
+    velocity: FloatArray
+    particles: HeadParticles
+    shape: FloatArray
+    previous: TemplateSet
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What one frame says about a head.
+
+    Attributes:
+        following: to go on with.
+        coefficients: (B,) deformation, mm.
+        correlations: (K,) the best camera's of each point, NaN where no camera sees it.
+        score: mean correlation of the points, weighted by their visibility; 0 if none is visible.
+        pixels: (C, K, 2) where the points are on the images.
+        effective_sample_size: of the particles.
+    """
+
+    following: Following
+    coefficients: FloatArray
+    correlations: FloatArray
+    score: float
+    pixels: FloatArray
+    effective_sample_size: float
+
+
+class Follower:
+    """One step of the method of chapter 3, for a head that was found.
+
+    Args:
+        config: parameters.
+        cameras: of the recording.
+    """
+
+    def __init__(self, config: HeadStereoConfig, cameras: Sequence[Camera]) -> None:
+        self._settings, self._motion, self._cameras = config.refinement, config.particles, cameras
+        self._filter = HeadFilter(config.particles, cameras)
+
+    def begin(
+        self,
+        stamp_ns: int,
+        images: Images,
+        pose: HeadPose,
+        shape: FloatArray,
+        model: ShapeModel,
+        rng: np.random.Generator,
+        pixels: FloatArray | None = None,
+    ) -> Following:
+        """Return a head at rest at a pose, its points at ``shape`` (K, 3) or seen at ``pixels`` (C, K, 2)."""
+        particles = self._filter.start(pose, model, rng)
+        templates = take_templates(images, self._cameras, pose, shape, pixels)
+        return Following(stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, templates)
+
+    def step(
+        self,
+        before: Following,
+        stamp_ns: int,
+        images: Images,
+        sets: Sequence[TemplateSet],
+        model: ShapeModel,
+        rng: np.random.Generator,
+    ) -> Followed:
+        """Advance by one frame.
+
+        Args:
+            before: the head after the frame before.
+            stamp_ns: of this frame.
+            images: grey, uint8, one a camera; None where a camera gave none.
+            sets: templates, reference first.
+            model: of the face.
+            rng: source of randomness.
+        """
+        dt = (stamp_ns - before.stamp_ns) * 1e-9
+        predicted = predicted_pose(before.pose, before.velocity, dt, self._motion)
+        shape = model.shapes(before.particles.with_model(model).coefficients)
+        patches, seen = self._expected(images, sets, predicted, shape)
+        filtered = self._filter.step(
+            before.particles, predicted, before.velocity, dt, images, patches, seen, model, rng
+        )
+        stored = chosen(sets, filtered.pose.facing)
+        refined = self._refined(images, stored, before, model, filtered.pose, filtered.coefficients)
+        own = self._own_places(images, stored, before, model, refined)
+        following = Following(
+            stamp_ns,
+            refined.pose,
+            velocity_between(before.pose, refined.pose, dt),
+            filtered.particles.moved_to(refined.pose, refined.coefficients),
+            own.shape,
+            take_templates(images, self._cameras, refined.pose, own.shape, own.pixels),
+        )
+        correlations, score = agreement(refined.correlations, refined.visibility)
+        return Followed(
+            following,
+            refined.coefficients,
+            correlations,
+            score,
+            own.pixels,
+            filtered.effective_sample_size,
+        )
+
+    def _expected(
+        self, images: Images, sets: Sequence[TemplateSet], pose: HeadPose, shape: FloatArray
+    ) -> tuple[ImageArray, FloatArray]:
+        """What the points should look like at a predicted pose, and how far they are visible (C, K)."""
+        projection = project(self._cameras, pose.points(shape))
+        patches, known = warped(chosen(sets, pose.facing)[-1], tangents(projection, pose))
+        there = np.array([image is not None for image in images])
+        return template_images(patches), visibility(projection, pose) * known * there[:, None]
+
+    def _refined(
+        self,
+        images: Images,
+        sets: Sequence[TemplateSet],
+        before: Following,
+        model: ShapeModel,
+        pose: HeadPose,
+        coefficients: FloatArray,
+    ) -> Refined:
+        residuals = np.zeros((POINT_COUNT, 3))
+        return refine(
+            images,
+            self._cameras,
+            sets,
+            before.previous,
+            model,
+            pose,
+            coefficients,
+            self._settings,
+            residuals,
+        )
+
+    def _own_places(
+        self,
+        images: Images,
+        sets: Sequence[TemplateSet],
+        before: Following,
+        model: ShapeModel,
+        refined: Refined,
+    ) -> Recalculated:
+        shape = model.shapes(refined.coefficients)
+        return recalculate(
+            images, self._cameras, sets, before.previous, refined.pose, shape, before.shape, self._settings
+        )
+
+
+def agreement(correlations: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:
+    """Return each point's best correlation (K,) over cameras, and their mean weighted by visibility.
+
+    Args:
+        correlations: (C, K); NaN where a camera has nothing to compare.
+        seen: (C, K) visibility, 0 to 1.
+    """
+    known = np.where(np.isnan(correlations) | (seen <= 0.0), -np.inf, correlations)
+    best = known.max(axis=0)
+    weights = np.where(np.isfinite(best), seen.max(axis=0), 0.0)
+    total = float(weights.sum())
+    score = float(weights @ np.where(np.isfinite(best), best, 0.0)) / total if total > 0.0 else 0.0
+    return np.where(np.isfinite(best), best, np.nan), score
