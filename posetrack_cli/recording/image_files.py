@@ -1,4 +1,4 @@
-"""16-bit depth images: finding them in a folder, decoding and encoding them."""
+"""Images: finding them in a folder; decoding and encoding those of 16-bit depth."""
 
 from __future__ import annotations
 
@@ -13,14 +13,19 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.stored import UnreadableImageError
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
+GREY_SUFFIXES = (*DEPTH_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".ppm", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_LEVEL = 9
 PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
 
-def list_images(folder: Path) -> list[Path]:
+def list_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> list[Path]:
     """Return the images of a folder, sorted by name; hidden files are left out.
+
+    Args:
+        folder: to look in.
+        suffixes: that images have, lower case.
 
     Raises:
         RecordingError: if the folder cannot be listed or holds no image.
@@ -29,11 +34,11 @@ def list_images(folder: Path) -> list[Path]:
         entries = sorted(folder.iterdir(), key=lambda entry: entry.name)
     except OSError as error:
         raise RecordingError("cannot be read", where=folder, found=error.strerror or error) from error
-    images = [e for e in entries if e.suffix.lower() in IMAGE_SUFFIXES and not e.name.startswith(".")]
+    images = [e for e in entries if e.suffix.lower() in suffixes and not e.name.startswith(".")]
     if not images:
         found = f"{len(entries)} other files" if entries else "an empty folder"
         raise RecordingError(
-            "no images", where=folder, found=found, expected=f"files named *{', *'.join(IMAGE_SUFFIXES)}"
+            "no images", where=folder, found=found, expected=f"files named *{', *'.join(suffixes)}"
         )
     return images
 
@@ -80,7 +85,7 @@ def decode_any(data: bytes) -> ImageArray:
     """
     if not data:
         raise UnreadableImageError("file is empty")
-    if data.startswith(PNG_SIGNATURE) and not _is_whole_png(data):
+    if data.startswith(PNG_SIGNATURE) and not is_whole_png(data):
         raise UnreadableImageError("image cannot be decoded")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -91,7 +96,7 @@ def decode_any(data: bytes) -> ImageArray:
     return image
 
 
-def _is_whole_png(data: bytes) -> bool:
+def is_whole_png(data: bytes) -> bool:
     """Whether all chunks are there and fit their checksums; libpng would print a line of its own if not."""
     view, position = memoryview(data), len(PNG_SIGNATURE)
     while position + PNG_CHUNK.size + 4 <= len(data):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.folder import FolderRecording
 from posetrack_cli.recording.mcap_records import MAGIC
+from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS
 from posetrack_cli.recording.stored import StoredRecording
+
+LONGEST_TOLERANCE_MS = 1000.0
 
 
 def open_recording(
@@ -60,6 +65,53 @@ def open_recording(
     from posetrack_cli.recording.mcap_recording import McapRecording
 
     return McapRecording(path, topic=topic, camera_topic=camera_topic, camera_file=camera_file, mirror=mirror)
+
+
+def open_images(
+    path: Path,
+    *,
+    cameras: Sequence[str] | None = None,
+    camera_file: Path | None = None,
+    fps: float | None = None,
+    mirror: bool | None = None,
+    tolerance_ms: float | None = None,
+) -> Recording:
+    """Open grey images of one or more calibrated cameras: folders, an MCAP file or a video.
+
+    Frames have uint8 images, None at the place of a camera that has none at that instant; colour is
+    converted to luma, of more than 8 bits the upper 8 are kept. ``cameras`` of the recording has the
+    reference first, the others placed relative to it.
+
+    Args:
+        path: a folder of images, a folder with one folder of images per camera, an MCAP file or a video.
+        cameras: names (MCAP: or topics) of those to use; None for all.
+        camera_file: camera.toml in place of the recording's own calibration.
+        fps: frame rate, Hz, in place of timestamps.csv or a video's own stamps.
+        mirror: flip images left to right.
+        tolerance_ms: largest difference of stamps within a frame; 10 if None.
+
+    Raises:
+        RecordingError: if it cannot be read, or its cameras are not calibrated.
+        UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
+    """
+    from posetrack_cli.recording.images_folder import ImagesFolderRecording
+
+    if not path.exists():
+        raise RecordingError("no such file or folder", where=path)
+    tolerance = _tolerance(tolerance_ms)
+    if path.is_dir():
+        return ImagesFolderRecording(
+            path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror, tolerance_ms=tolerance
+        )
+    raise NotImplementedError
+
+
+def _tolerance(given: float | None) -> float:
+    tolerance = DEFAULT_TOLERANCE_MS if given is None else given
+    if not 0.0 <= tolerance <= LONGEST_TOLERANCE_MS:
+        expected = f"milliseconds from 0 to {LONGEST_TOLERANCE_MS:g}"
+        raise UsageError("--tolerance-ms cannot be used", found=f"{tolerance:g}", expected=expected)
+    return tolerance
 
 
 def is_mcap(path: Path) -> bool:

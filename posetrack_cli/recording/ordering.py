@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Protocol, TypeVar
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.stored import StoredFrame
 
 NOT_LATER = "frame dropped, stamp not later than the frame before"
 OUT_OF_RANGE = "frame dropped, stamp before 1970 or after 2262"
@@ -14,14 +14,29 @@ LATEST_NS = 2**63 - 1
 """What 64-bit integers, and so arrays of stamps, can hold."""
 
 
+class Stamped(Protocol):
+    """A frame as far as its order is concerned: when it was taken, and how errors call it."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Integer nanoseconds."""
+
+    @property
+    def where(self) -> str:
+        """File name, or topic and time."""
+
+
+S = TypeVar("S", bound=Stamped)
+
+
 def select_frames(
-    stored: Iterable[StoredFrame | None],
+    stored: Iterable[S | None],
     losses: LossLog,
     *,
     start: int = 0,
     end: int | None = None,
     stride: int = 1,
-) -> Iterator[tuple[int, StoredFrame]]:
+) -> Iterator[tuple[int, S]]:
     """Yield (index, frame) for the indices start, start + stride, ... below end.
 
     Which frames count as out of order does not depend on the range: every frame is compared with the

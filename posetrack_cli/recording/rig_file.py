@@ -172,7 +172,7 @@ def check_apart(cameras: Sequence[Camera], where: object) -> None:
 def _table(camera: Camera) -> str:
     transform = np.array(camera.camera_T_reference)
     values: dict[str, Any] = {"width": camera.width, "height": camera.height}
-    values |= {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy")}
+    values |= {key: float(getattr(camera, key)) for key in ("fx", "fy", "cx", "cy")}
     lines = [f"[{TABLE}.{_key(camera.name)}]", *(f"{key} = {value!r}" for key, value in values.items())]
     if camera.distortion:
         lines += [f'distortion_model = "{camera.distortion_model}"']
