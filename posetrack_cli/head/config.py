@@ -81,23 +81,26 @@ class ParticleSettings(Settings):
     ``floor_mm`` (camera x, y, z) and ``floor_rad`` (about camera x, y, z: pitch, yaw, roll) are the least
     standard deviations of what a pose does beyond its prediction within a thirtieth of a second; ``gain``
     times the way that the present velocity goes in that time replaces them where it is larger. ``kappa`` is
-    the same for the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27).
-    ``local_radius`` is d of (3.29), in units of these standard deviations. ``sampling`` is halfway
-    partitioned sampling with the weights that it needs to keep its target **[ours]**, or as printed.
-    ``gap_max_s`` is the longest time without a frame that is predicted, and counts for all longer ones.
+    the same for the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27); the thesis's 3.0
+    hardly tells a pixel from none **[ours]**. ``local_radius`` is d of (3.29), in units of these standard
+    deviations. ``sampling`` is halfway partitioned sampling with the weights that it needs to keep its target
+    **[ours]**, or as printed. ``gap_max_s`` is the longest time without a frame that is predicted, and counts for all longer ones;
+    ``speed_mm_s`` and ``speed_rad_s`` are the same for velocities, so that one wild frame is not followed.
     """
 
     count: Count = 1000
-    sigma: Positive = 3.0
+    sigma: Positive = 0.5
     kappa: Positive = 0.5
     floor_mm: tuple[Positive, Positive, Positive] = (0.8, 0.8, 1.5)
     floor_rad: tuple[Positive, Positive, Positive] = (0.008, 0.010, 0.006)
     gain: NotNegative = 0.4
-    local_radius: Positive = 3.0
+    local_radius: Positive = 6.0
     sampling: Literal["weighted", "printed"] = "weighted"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
     lookup: Literal["bilinear", "nearest"] = "bilinear"
     gap_max_s: Positive = 0.2
+    speed_mm_s: Positive = 2000.0
+    speed_rad_s: Positive = 12.0
 
 
 class HeadStatusSettings(Settings):

@@ -28,7 +28,7 @@ def predicted_pose(pose: HeadPose, velocity: FloatArray, dt: float, settings: Pa
     Raises:
         FilterError: dt is not > 0.
     """
-    return pose.moved(velocity * _predicted_time(dt, settings))
+    return pose.moved(_limited(velocity, settings) * _predicted_time(dt, settings))
 
 
 def velocity_between(before: HeadPose, after: HeadPose, dt: float) -> FloatArray:
@@ -53,7 +53,7 @@ def pose_diffusion(velocity: FloatArray, dt: float, settings: ParticleSettings) 
         FilterError: dt is not > 0.
     """
     floor = np.array([*settings.floor_mm, *settings.floor_rad])
-    frame: FloatArray = np.maximum(floor, settings.gain * FRAME_S * np.abs(velocity))
+    frame: FloatArray = np.maximum(floor, settings.gain * FRAME_S * np.abs(_limited(velocity, settings)))
     return frame * math.sqrt(_predicted_time(dt, settings) / FRAME_S)
 
 
@@ -65,6 +65,12 @@ def deformation_diffusion(deviations: FloatArray, dt: float, settings: ParticleS
     """
     frames = _predicted_time(dt, settings) / FRAME_S
     return settings.kappa * math.sqrt(frames) * deviations
+
+
+def _limited(velocity: FloatArray, settings: ParticleSettings) -> FloatArray:
+    """Return the velocity (6,), its components no larger than those of any head **[ours]**."""
+    limits = np.repeat([settings.speed_mm_s, settings.speed_rad_s], 3)
+    return np.clip(velocity, -limits, limits)
 
 
 def _predicted_time(dt: float, settings: ParticleSettings) -> float:

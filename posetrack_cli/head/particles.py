@@ -12,13 +12,14 @@ from functools import partial
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.partitioned import Motion, local_mean, partitioned_step
 from posetrack_cli.filtering.weights import effective_count
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import ParticleSettings
 from posetrack_cli.head.motion import FRAME_S, deformation_diffusion, pose_diffusion
-from posetrack_cli.head.particle_scores import ParticleScores
+from posetrack_cli.head.particle_kernels import recentre
+from posetrack_cli.head.particle_scores import Observation, ParticleScores
 from posetrack_cli.head.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.shape_model import ShapeModel
 
@@ -64,12 +65,10 @@ class HeadParticles:
         return replace(self, coefficients=coefficients, deviations=deviations, model=model)
 
     def about(self, mean: FloatArray) -> HeadParticles:
-        """Return the same particles as deviations from one of them, or from their mean (6 + B,).
-
-        exp(w) exp(-m) = exp(d + 1/2 m x d), d = w - m, to third order in w and m.
-        """
-        away = self.deviations - mean
-        away[:, 3:6] += 0.5 * np.cross(mean[3:6], away[:, 3:6])
+        """Return the same particles as deviations from one of them, or from their mean (6 + B,)."""
+        away = self.deviations.copy()
+        recentre(away, mean)
+        away[:, POSE_SIZE:] -= mean[POSE_SIZE:]
         return HeadParticles(
             self.pose.moved(mean[:POSE_SIZE]),
             self.coefficients + mean[POSE_SIZE:],
@@ -125,9 +124,7 @@ class HeadFilter:
         predicted: HeadPose,
         velocity: FloatArray,
         dt: float,
-        images: Sequence[ImageArray | None],
-        templates: ImageArray,
-        visibility: FloatArray,
+        observation: Observation,
         model: ShapeModel,
         rng: np.random.Generator,
     ) -> Filtered:
@@ -138,9 +135,7 @@ class HeadFilter:
             predicted: that estimate moved on by its velocity; templates are warped to it.
             velocity: (6,) per second, whose size the diffusion grows with.
             dt: s since the frame before.
-            images: one a camera, grey; None where a camera gave none.
-            templates: (C, K, PATCH, PATCH) float32.
-            visibility: (C, K) weights 0 to 1 of the correlations.
+            observation: images, templates, visibility.
             model: of the face now.
             rng: source of randomness.
 
@@ -154,7 +149,7 @@ class HeadFilter:
             drift[:POSE_SIZE] = before.pose.difference(predicted)
         else:
             before = before.moved_to(predicted, before.coefficients)
-        self._scores.observe(images, templates, visibility)
+        self._scores.observe(observation, before.pose, before.coefficients, model)
         moved = partitioned_step(
             before.deviations,
             before.weights,
@@ -164,12 +159,16 @@ class HeadFilter:
             self._settings.resampling,
             rng,
         )
-        weights = moved.weighing.weights
+        return self._summarised(replace(before, deviations=moved.points, weights=moved.weighing.weights), sd)
+
+    def _summarised(self, particles: HeadParticles, sd: FloatArray) -> Filtered:
+        """Return the local mean, and the particles about it."""
+        weights = particles.weights
         scale = np.maximum(sd, LEAST_DEVIATION_MM * self._settings.kappa)
-        mean = local_mean(moved.points, weights, scale, self._settings.local_radius)
-        after = replace(before, deviations=moved.points, weights=weights).about(mean)
-        score = self._scores.mean_correlation(before, moved.points[np.argmax(weights)])
-        return Filtered(after, score, effective_count(weights))
+        mean = local_mean(particles.deviations, weights, scale, self._settings.local_radius)
+        missing, visible = float(self._missing[np.argmax(weights)]), self._scores.visible
+        score = 1.0 - missing / visible if visible > 0.0 else 0.0
+        return Filtered(particles.about(mean), score, effective_count(weights))
 
     def _diffusion(self, velocity: FloatArray, dt: float, model: ShapeModel) -> FloatArray:
         """Return the standard deviations (6 + B,) of omega."""
@@ -183,7 +182,7 @@ class HeadFilter:
         visibility (1 - correlation): the same where all is visible; a point or camera that is not seen
         says nothing **[ours]**.
         """
-        missing = self._scores.missing(particles, deviations)
+        self._missing = missing = self._scores.missing(deviations)
         mu = np.maximum(particles.model.deviations, LEAST_DEVIATION_MM)
         whitened = (particles.coefficients + deviations[:, POSE_SIZE:]) / mu
         prior = np.einsum("nb,nb->n", whitened, whitened)

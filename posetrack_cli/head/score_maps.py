@@ -9,12 +9,13 @@ A template has PATCH x PATCH pixels, at the offsets (column - 7.5, row - 7.5) fr
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.arrays import Float32Array, ImageArray
 from posetrack_cli.head.patches import PATCH
 
 HALF = 0.5 * (PATCH - 1)
@@ -35,6 +36,24 @@ class Box(NamedTuple):
         """Whether there is no place in the image for the template."""
         return self.right < self.left or self.bottom < self.top
 
+    def holds(self, other: Box) -> bool:
+        """Whether another box lies in this one."""
+        return (
+            self.left <= other.left
+            and self.top <= other.top
+            and self.right >= other.right
+            and self.bottom >= other.bottom
+        )
+
+    def grown(self, margin: int, width: int, height: int) -> Box:
+        """Return the box with a margin around it, within an image."""
+        return Box(
+            max(self.left - margin, 0),
+            max(self.top - margin, 0),
+            min(self.right + margin, width - PATCH),
+            min(self.bottom + margin, height - PATCH),
+        )
+
 
 class ScoreMap(NamedTuple):
     """Normalised correlations, -1 to 1.
@@ -49,19 +68,23 @@ class ScoreMap(NamedTuple):
     top: float
 
 
-def box_around(
-    u: tuple[float, float], v: tuple[float, float], width: int, height: int, largest: int = LARGEST_BOX
-) -> Box:
-    """Return the places that particles between two columns and two rows look at, within the image.
+def boxes_around(
+    u: Float32Array, v: Float32Array, width: int, height: int, largest: int = LARGEST_BOX
+) -> list[Box]:
+    """Return the places that the particles look at for each point, within the image.
 
     Args:
-        u, v: smallest and largest pixel.
+        u, v: (K, N) pixels of K points.
         width, height: of the image.
         largest: side; what is larger is cut about its middle.
     """
-    left, right = _span(*u, width, largest)
-    top, bottom = _span(*v, height, largest)
-    return Box(left, top, right, bottom)
+    columns = zip(u.min(axis=1).tolist(), u.max(axis=1).tolist(), strict=True)
+    rows = zip(v.min(axis=1).tolist(), v.max(axis=1).tolist(), strict=True)
+    boxes = []
+    for (left, right), (top, bottom) in zip(columns, rows, strict=True):
+        first, last = _span(left, right, width, largest), _span(top, bottom, height, largest)
+        boxes.append(Box(first[0], last[0], first[1], last[1]))
+    return boxes
 
 
 def score_map(image: ImageArray, template: ImageArray, box: Box) -> ScoreMap:
@@ -77,17 +100,13 @@ def score_map(image: ImageArray, template: ImageArray, box: Box) -> ScoreMap:
     return ScoreMap(np.asarray(scores, np.float32), box.left + HALF, box.top + HALF)
 
 
-def extremes(values: Float32Array) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest and the largest of each row of (K, N), (K,) each."""
-    return values.min(axis=1).astype(np.float64), values.max(axis=1).astype(np.float64)
-
-
 def _span(low: float, high: float, size: int, largest: int) -> tuple[int, int]:
     """Return the first and the last corner for points between low and high on an axis of `size` pixels."""
-    last = float(size - PATCH)
-    low, high = min(max(low - HALF, 0.0), last + 1.0), max(min(high - HALF, last), -1.0)
-    first, final = int(np.floor(low)), int(np.ceil(high))
+    last = size - PATCH
+    first = math.floor(min(max(low - HALF, 0.0), last + 1.0))
+    final = math.ceil(max(min(high - HALF, last), -1.0))
     excess = final - first + 1 - largest
     if excess > 0:
-        first, final = first + excess // 2, first + excess // 2 + largest - 1
+        first += excess // 2
+        final = first + largest - 1
     return first, final
