@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
+
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
@@ -11,6 +15,7 @@ from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
+from posetrack_cli.results.annotations import image_annotations
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.track_channels import TrackChannels
 from posetrack_cli.results.tracks import (
@@ -22,34 +27,70 @@ from posetrack_cli.results.tracks import (
     topics_prefix,
 )
 
-CALIBRATION_TOPIC = "/camera/calibration"
+CAMERA_PREFIX = "/camera"
+CALIBRATION, ANNOTATIONS = "calibration", "annotations"
+CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
+"""Of the only camera; of several each has its own, ``/camera/<name>/calibration``."""
+
+
+def camera_topic(camera: Camera, what: str, cameras: int) -> str:
+    """Return the topic of what is written of one of so many cameras: ``calibration`` or ``annotations``."""
+    return f"{CAMERA_PREFIX}/{what}" if cameras == 1 else f"{CAMERA_PREFIX}/{camera.name.strip('/')}/{what}"
 
 
 class ResultChannels:
     """Writes estimates and truth to the topics of a sink.
 
-    Topics: ``/camera/calibration``, ``/tf`` and ``/<subject>/...`` (``TrackChannels``), registered in a fixed
-    order, so a channel's id is the same in every file of one kind of subject; then those of truth when they
-    come; in the end ``/smoothed/tf`` and ``/smoothed/<subject>/...``, if there is a smoothed track.
+    Topics: ``/camera/calibration`` (of several cameras one each), ``/tf``, ``/<subject>/...``
+    (``TrackChannels``) and, of a subject with lines, what is drawn on the images of each camera, registered
+    in a fixed order, so a channel's id is the same in every file of one kind of subject; then those of truth
+    when they come; in the end ``/smoothed/tf`` and ``/smoothed/<subject>/...``, if there is a smoothed track.
+
+    Args:
+        sink: the file.
+        subject: what is tracked.
+        cameras: the first is the one that estimates are relative to.
+
+    Raises:
+        ResultError: two cameras have one name.
     """
 
-    def __init__(self, sink: McapSink, subject: Subject, camera: Camera) -> None:
+    def __init__(self, sink: McapSink, subject: Subject, cameras: Sequence[Camera]) -> None:
         self._sink = sink
         self._subject = subject
-        self._camera = camera
-        self._calibration = sink.channel(CALIBRATION_TOPIC, messages.CameraCalibration)
+        self._cameras = tuple(cameras)
+        self._check_names()
+        self._calibrations = self._channels(CALIBRATION, messages.CameraCalibration)
         self._filtered = self._track(FILTERED, TRANSFORMS_TOPIC)
         self._smoothed: TrackChannels | None = None
-        self.own_ids = frozenset({self._calibration, *self._filtered.ids})
+        self._annotations = self._channels(ANNOTATIONS, ImageAnnotations) if subject.lines else {}
+        self.own_ids = frozenset({*self._calibrations, *self._filtered.ids, *self._annotations})
         self._truth: dict[tuple[object, ...], int] = {}
+
+    def _check_names(self) -> None:
+        names = [camera.name for camera in self._cameras]
+        if len(set(names)) < len(names):
+            raise ResultError("two cameras have one name", found=", ".join(names))
+
+    def _channels(self, what: str, message_class: Any) -> dict[int, Camera]:
+        """Register a topic for each camera."""
+        count = len(self._cameras)
+        return {
+            self._sink.channel(camera_topic(camera, what, count), message_class): camera
+            for camera in self._cameras
+        }
 
     def _track(self, track: str, transforms: str) -> TrackChannels:
         subject = replace(self._subject, name=body_frame(self._subject.name, track))
         return TrackChannels(self._sink, subject, transforms, topics_prefix(self._subject.name, track))
 
     def write_calibration(self, stamp_ns: int) -> None:
-        """Write the camera's calibration, in the frame that the estimates are given in."""
-        self._sink.write(self._calibration, stamp_ns, self._calibration_bytes(stamp_ns))
+        """Write every camera's calibration, and where the others stand in the axes of the first."""
+        for channel_id, camera in self._calibrations.items():
+            self._sink.write(channel_id, stamp_ns, self._calibration_bytes(camera, stamp_ns))
+        if len(self._cameras) > 1:
+            placed = messages.camera_transforms(self._cameras, self._subject.camera_frame, stamp_ns)
+            self._filtered.write_transforms(placed, stamp_ns)
 
     def write_estimate(self, estimate: Estimate, vertices: FloatArray | None) -> None:
         """Write one estimate on every topic that shows it.
@@ -58,6 +99,9 @@ class ResultChannels:
             ResultError: the arrays do not fit the subject or are not finite; nothing is written then.
         """
         self._filtered.write(estimate, vertices)
+        for channel_id, camera in self._annotations.items():
+            drawn = image_annotations(estimate, self._subject, camera)
+            self._sink.write(channel_id, estimate.stamp_ns, drawn.SerializeToString(deterministic=True))
 
     def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None) -> None:
         """Write one estimate of the smoothed track; its topics are registered with the first.
@@ -93,10 +137,12 @@ class ResultChannels:
         Raises:
             UsageError: it is the calibration of another camera.
         """
-        if channel_id == self._calibration and data != self._calibration_bytes(stamp_ns):
-            raise UsageError("the unfinished result is of another camera", where=self._camera.name)
+        camera = self._calibrations.get(channel_id)
+        if camera is not None and data != self._calibration_bytes(camera, stamp_ns):
+            raise UsageError("the unfinished result is of another camera", where=camera.name)
         self._sink.write(channel_id, stamp_ns, data)
 
-    def _calibration_bytes(self, stamp_ns: int) -> bytes:
-        message = calibration_message(self._camera, stamp_ns, self._subject.camera_frame)
+    def _calibration_bytes(self, camera: Camera, stamp_ns: int) -> bytes:
+        frame = self._subject.camera_frame if camera is self._cameras[0] else camera.name
+        message = calibration_message(camera, stamp_ns, frame)
         return bytes(message.SerializeToString(deterministic=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from operator import itemgetter
 from typing import Any, TypeAlias
@@ -14,6 +14,7 @@ import numpy as np
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results.estimate import (
     FIELD_NAMES,
+    NUMBERS,
     UNKNOWN_ARRAYS,
     UNKNOWN_NUMBERS,
     Status,
@@ -36,6 +37,8 @@ _TYPES: Mapping[str, Any] = {
 }
 _CODES = {"frame_index": "q", "stamp_ns": "q", "status": "b", "resampled": "b"}
 _XYZ = itemgetter("x", "y", "z")
+_APART = ("points", NUMBERS)
+"""Arrays that messages hold as objects."""
 
 
 def column_blocks(
@@ -43,6 +46,7 @@ def column_blocks(
     fields: Collection[str] = FIELD_NAMES,
     frames: int = BLOCK_FRAMES,
     where: object = "",
+    number_names: Sequence[str] = (),
 ) -> Iterator[Columns]:
     """Yield the columns of consecutive messages ``posetrack.Estimate``, at most ``frames`` rows at a time.
 
@@ -53,6 +57,7 @@ def column_blocks(
         fields: to decode.
         frames: per block; the last may have fewer.
         where: file and topic, for errors.
+        number_names: of the further numbers (M) that are wanted; NaN where a message has not got one.
 
     Raises:
         ResultError: a message is no estimate, or has other numbers of shape entries or points.
@@ -61,7 +66,7 @@ def column_blocks(
     for number, data in enumerate(messages):
         try:
             values = parse_fields(data)
-            rows = rows or _Rows(fields, len(values["shape"]), len(values["points"]))
+            rows = rows or _Rows(fields, len(values["shape"]), len(values["points"]), number_names)
             rows.add(values)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ResultError(
@@ -73,13 +78,13 @@ def column_blocks(
         yield rows.take()
 
 
-def empty_columns(fields: Collection[str], k: int, p: int) -> Columns:
-    """Return columns of no rows: what each field's array looks like for K shape entries and P points.
+def empty_columns(fields: Collection[str], k: int, p: int, m: int = 0) -> Columns:
+    """Return columns of no rows: each field's array for K shape entries, P points and M further numbers.
 
     Frame indices and stamps are integers, ``status`` is text, ``resampled`` boolean, everything else float64.
     What a message need not have (``UNKNOWN_ARRAYS``, ``UNKNOWN_NUMBERS``) and has not is NaN.
     """
-    shapes = array_shapes(k, p)
+    shapes = array_shapes(k, p, m)
     types = {name: _TYPES.get(name, np.float64) for name in fields}
     return {name: np.empty((0, *shapes.get(name, ())), dtype=kind) for name, kind in types.items()}
 
@@ -115,14 +120,16 @@ class _Rows:
     Args:
         fields: the fields to keep.
         k, p: numbers of shape entries and points.
+        number_names: of the further numbers.
     """
 
-    def __init__(self, fields: Collection[str], k: int, p: int) -> None:
+    def __init__(self, fields: Collection[str], k: int, p: int, number_names: Sequence[str] = ()) -> None:
         self.count = 0
-        self._empty = empty_columns(fields, k, p)
+        self._empty = empty_columns(fields, k, p, len(number_names))
+        self._number_names = number_names
         sizes = {name: math.prod(shape) for name, shape in array_shapes(k, p).items()}
         self._points = p
-        self._sizes = {name: sizes[name] for name in self._empty if name in sizes and name != "points"}
+        self._sizes = {name: sizes[name] for name in self._empty if name in sizes and name not in _APART}
         self._optional = [name for name in self._empty if name in UNKNOWN_NUMBERS]
         others = {*sizes, *self._optional, "status"}
         self._numbers = [name for name in self._empty if name not in others]
@@ -144,6 +151,9 @@ class _Rows:
         if "points" in buffers:
             points = _counted("points", values["points"], self._points)
             buffers["points"].extend(chain.from_iterable(map(_XYZ, points)))
+        if self._number_names and NUMBERS in buffers:
+            further = values.get(NUMBERS, {})
+            buffers[NUMBERS].extend(further.get(name, math.nan) for name in self._number_names)
         self.count += 1
 
     def take(self) -> Columns:

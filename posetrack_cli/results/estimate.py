@@ -51,6 +51,8 @@ class Estimate:
             times make two runs differ in their bytes.
         evaluations: number of poses whose fit to the image was evaluated for this estimate; None where the
             tracker does not count them.
+        numbers: (M,) further numbers, which ``Subject.number_names`` names; NaN where one is not known, None
+            where there are none.
     """
 
     frame_index: int
@@ -70,6 +72,7 @@ class Estimate:
     cost: float | None = None
     milliseconds: float | None = None
     evaluations: int | None = None
+    numbers: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +86,12 @@ class Subject:
         point_names: P names of the rows of ``Estimate.points``.
         point_parents: P indices of each point's parent, -1 for a root; a parent comes before its children.
         triangles: (T, 3) vertex indices of the mesh; None draws no mesh.
-        colour: of the mesh, (red, green, blue, alpha), each 0 to 1.
+        colour: of mesh and lines, (red, green, blue, alpha), each 0 to 1.
+        lines: pairs of points that are drawn as lines, in space and on the images; () draws neither.
+        number_names: M names of the entries of ``Estimate.numbers``, units included.
 
     Raises:
-        ResultError: names, parents or triangles do not fit together.
+        ResultError: names, parents, triangles or lines do not fit together.
     """
 
     name: str
@@ -96,6 +101,8 @@ class Subject:
     point_parents: tuple[int, ...]
     triangles: IntArray | None = None
     colour: tuple[float, float, float, float] = (0.85, 0.65, 0.52, 1.0)
+    lines: tuple[tuple[int, int], ...] = ()
+    number_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name or "/" in self.name:
@@ -120,10 +127,22 @@ class Subject:
             raise ResultError(
                 "triangles cannot be used", where=self.name, found=self.triangles.shape, expected="(T, 3)"
             )
+        self._check_lines()
+
+    def _check_lines(self) -> None:
+        count = len(self.point_names)
+        for line in self.lines:
+            if len(line) != 2 or not all(0 <= end < count for end in line):
+                expected = f"two of the points 0 to {count - 1}"
+                raise ResultError("line cannot be drawn", where=self.name, found=line, expected=expected)
 
 
-def array_shapes(k: int, p: int) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array field of an Estimate with K shape entries and P points."""
+NUMBERS = "numbers"
+"""The field of further numbers, which alone may be NaN."""
+
+
+def array_shapes(k: int, p: int, m: int = 0) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array field for K shape entries, P points and M further numbers."""
     return {
         "position": (3,),
         "quaternion": (4,),
@@ -133,11 +152,12 @@ def array_shapes(k: int, p: int) -> dict[str, tuple[int, ...]]:
         "pose_variance": (6 + k,),
         "twist_variance": (6 + k,),
         "points": (p, 3),
+        NUMBERS: (m,),
     }
 
 
-FIELD_NAMES = tuple(field.name for field in fields(Estimate))
-"""The fields of an Estimate in the order in which every format lists them."""
+FIELD_NAMES = tuple(field.name for field in fields(Estimate) if field.name != NUMBERS)
+"""The fields that every subject's estimates have, in the order in which every format lists them."""
 
 VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
 """The fields that are None, all of them, where no velocity is known."""
@@ -160,6 +180,7 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
     if unknown and len(unknown) < len(VELOCITY_FIELDS):
         raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
     shapes = array_shapes(len(subject.shape_names), len(subject.point_names))
+    del shapes[NUMBERS]
     for name, shape in shapes.items():
         if name not in UNKNOWN_ARRAYS or getattr(estimate, name) is not None:
             check_array(getattr(estimate, name), shape, name, where)
@@ -173,6 +194,9 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
         )
     if estimate.effective_sample_size is not None and not np.isfinite(estimate.effective_sample_size):
         raise ResultError("effective sample size is not finite", where=where)
+    if estimate.numbers is not None and estimate.numbers.shape != (len(subject.number_names),):
+        found, expected = estimate.numbers.shape, (len(subject.number_names),)
+        raise ResultError("numbers has the wrong shape", where=where, found=found, expected=expected)
 
 
 def check_array(array: FloatArray, shape: tuple[int, ...], name: str, where: str) -> None:

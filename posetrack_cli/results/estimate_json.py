@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from pydantic_core import from_json
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import UNKNOWN_ARRAYS, UNKNOWN_NUMBERS, Estimate, Status
+from posetrack_cli.results.estimate import NUMBERS, UNKNOWN_ARRAYS, UNKNOWN_NUMBERS, Estimate, Status
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
@@ -80,21 +80,38 @@ _PROPERTIES: dict[str, Any] = {
     ),
 }
 
-ESTIMATE_SCHEMA: Mapping[str, Any] = {
-    "title": ESTIMATE_SCHEMA_NAME,
-    "description": "Everything that a tracker says about one frame.",
-    "type": "object",
-    "properties": _PROPERTIES,
-    "required": [name for name in _PROPERTIES if name not in _OPTIONAL],
-    "additionalProperties": False,
-}
+
+def estimate_schema(number_names: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the JSON schema of a subject's estimates; further numbers are a table with a key for each."""
+    numbers = _field(
+        "object",
+        "Further numbers of this tracker, by name; one that is not known is left out.",
+        properties={name: {"type": "number"} for name in number_names},
+        additionalProperties=False,
+    )
+    return {
+        "title": ESTIMATE_SCHEMA_NAME,
+        "description": "Everything that a tracker says about one frame.",
+        "type": "object",
+        "properties": _PROPERTIES | ({NUMBERS: numbers} if number_names else {}),
+        "required": [name for name in _PROPERTIES if name not in _OPTIONAL],
+        "additionalProperties": False,
+    }
 
 
-def estimate_to_json(estimate: Estimate) -> bytes:
+ESTIMATE_SCHEMA: Mapping[str, Any] = estimate_schema()
+"""Of a subject without further numbers."""
+
+
+def estimate_to_json(estimate: Estimate, number_names: Sequence[str] = ()) -> bytes:
     """Encode an estimate as one line of JSON, fields in the order of the schema.
 
     A velocity or variance that is None is left out; so is a number that may be None, if it is None, NaN or
     infinite.
+
+    Args:
+        estimate: of one frame.
+        number_names: of its further numbers.
 
     Raises:
         ResultError: another field holds NaN or infinity.
@@ -114,18 +131,22 @@ def estimate_to_json(estimate: Estimate) -> bytes:
         if value is not None and math.isfinite(value):
             fields[name] = int(value) if name == "evaluations" else float(value)
     in_order = {name: fields[name] for name in _PROPERTIES if name in fields}
+    if estimate.numbers is not None:
+        further = zip(number_names, estimate.numbers.tolist(), strict=True)
+        in_order[NUMBERS] = {name: value for name, value in further if math.isfinite(value)}
     try:
         return json.dumps(in_order, separators=(",", ":"), allow_nan=False).encode()
     except ValueError as error:
         raise ResultError("estimate is not finite", where=f"frame {estimate.frame_index}") from error
 
 
-def estimate_from_json(data: bytes, where: object = "") -> Estimate:
+def estimate_from_json(data: bytes, where: object = "", number_names: Sequence[str] = ()) -> Estimate:
     """Decode what ``estimate_to_json`` wrote.
 
     Args:
         data: the message.
         where: it lies, for errors.
+        number_names: of the further numbers that are wanted.
 
     Raises:
         ResultError: the bytes are not a ``posetrack.Estimate``.
@@ -145,6 +166,7 @@ def estimate_from_json(data: bytes, where: object = "") -> Estimate:
             points=np.array(points, dtype=np.float64).reshape(-1, 3),
             resampled=fields["resampled"],
             **numbers,
+            numbers=_further(fields.get(NUMBERS), number_names),
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error
@@ -160,6 +182,13 @@ def parse_fields(data: bytes) -> dict[str, Any]:
     if not isinstance(fields, dict):
         raise ValueError("no JSON object")
     return fields
+
+
+def _further(values: Mapping[str, float] | None, names: Sequence[str]) -> FloatArray | None:
+    """Further numbers in the order of their names, NaN for one that is left out."""
+    if values is None or not names:
+        return None
+    return np.array([values.get(name, math.nan) for name in names])
 
 
 def _array(values: Any) -> FloatArray | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from posetrack_cli.errors import ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
@@ -27,9 +27,10 @@ from posetrack_cli.recording.mcap_stream import (
     read_summary,
 )
 from posetrack_cli.recording.output import part_path
+from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
-from posetrack_cli.results.estimate import FIELD_NAMES, Estimate, Subject
+from posetrack_cli.results.estimate import FIELD_NAMES, NUMBERS, Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
 from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.opening import opened
@@ -57,6 +58,7 @@ class Result:
         summary: written at the end; empty for a run that did not finish.
         truncated: whether the file ends without a footer, as a killed writer leaves it. Every flushed
             estimate can be read all the same.
+        several_cameras: all of them, the reference first; () for a result from one camera.
     """
 
     path: Path
@@ -64,12 +66,18 @@ class Result:
     run: Mapping[str, str]
     summary: Mapping[str, str]
     truncated: bool
+    several_cameras: tuple[Camera, ...] = ()
     _losses: LossLog = field(default_factory=LossLog, repr=False, compare=False)
 
     @property
     def finished(self) -> bool:
         """Whether the run came to its end."""
         return bool(self.summary)
+
+    @property
+    def field_names(self) -> tuple[str, ...]:
+        """The fields of this subject's estimates: those of all, and its further numbers if it has some."""
+        return (*FIELD_NAMES, NUMBERS) if self.subject.number_names else FIELD_NAMES
 
     @property
     def estimate_topic(self) -> str:
@@ -147,15 +155,18 @@ class Result:
         """
         topic = self.topic_of_estimates(topic)
         for _, _, message in self._messages([topic]):
-            yield estimate_from_json(message.data, where=f"{self.path}, {topic} at {message.log_time} ns")
+            where = f"{self.path}, {topic} at {message.log_time} ns"
+            yield estimate_from_json(message.data, where, self.subject.number_names)
 
     def column_blocks(
-        self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES
+        self, topic: str | None = None, fields: Collection[str] | None = None
     ) -> Iterator[Columns]:
         """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
-        topic = self.topic_of_estimates(topic)
+        topic, fields = self.topic_of_estimates(topic), fields or self.field_names
         messages = (message.data for _, _, message in self._messages([topic]))
-        blocks = column_blocks(messages, fields, where=f"{self.path}, {topic}")
+        blocks = column_blocks(
+            messages, fields, where=f"{self.path}, {topic}", number_names=self.subject.number_names
+        )
         own = not topic.startswith(TRUTH_PREFIX)
         # map, as a loop's variable would keep each block while the next one grows
         yield from map(partial(self._checked, topic), blocks) if own else blocks
@@ -174,12 +185,12 @@ class Result:
                 )
         return block
 
-    def columns(self, topic: str | None = None, fields: Collection[str] = FIELD_NAMES) -> Columns:
+    def columns(self, topic: str | None = None, fields: Collection[str] | None = None) -> Columns:
         """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.
 
         Args:
             topic: as of ``estimates``.
-            fields: of ``Estimate``, those that are wanted.
+            fields: of ``Estimate``, those that are wanted; by default ``field_names``.
 
         Returns:
             One array per field, under its name, with the frames (N) along the first axis; ``status`` as text;
@@ -189,7 +200,8 @@ class Result:
             ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points,
                 on the topics of tracks from those of the subject, too.
         """
-        names = self.subject.shape_names, self.subject.point_names
+        names = self.subject.shape_names, self.subject.point_names, self.subject.number_names
+        fields = fields or self.field_names
         return joined(self.column_blocks(topic, fields)) or empty_columns(fields, *map(len, names))
 
     def truth(self) -> Iterator[TruthMessage]:
@@ -213,10 +225,35 @@ class Result:
         Raises:
             ResultError: the file ends before its first flush.
         """
+        if self.several_cameras:
+            return self.several_cameras[0]
         for _, _, message in self._messages([CALIBRATION_TOPIC]):
             calibration = CameraCalibration.FromString(message.data)
             return camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
         raise ResultError("holds no camera calibration", where=self.path)
+
+    def cameras(self) -> tuple[Camera, ...]:
+        """Return all cameras, that of the estimates first, the others placed relative to it.
+
+        Raises:
+            ResultError: the file ends before its first flush.
+        """
+        return self.several_cameras or (self.camera(),)
+
+    def attachment(self, name: str) -> bytes:
+        """Return the bytes of an attached file, such as a model.
+
+        Raises:
+            ResultError: there is none of this name.
+        """
+        with self._reading() as losses:
+            extras = read_extras(self.path, losses)
+            found = {record.name: record.data for record in extras if isinstance(record, Attachment)}
+        if name not in found:
+            raise ResultError(
+                f"holds no attachment '{name}'", where=self.path, found=", ".join(found) or "none"
+            )
+        return found[name]
 
     def _messages(self, topics: Topics) -> Iterator[McapItem]:
         """Yield the messages on some topics in file order, those of a smoothed track by their log times."""
@@ -256,7 +293,9 @@ def read_result(path: Path | str) -> Result:
         )
     subject = subject_from_record(metadata[SUBJECT_RECORD])
     truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
-    return Result(path, subject, metadata[RUN_RECORD], metadata.get(SUMMARY_RECORD, {}), truncated, losses)
+    cameras = cameras_from_record(metadata[CAMERAS_RECORD]) if CAMERAS_RECORD in metadata else ()
+    summary = metadata.get(SUMMARY_RECORD, {})
+    return Result(path, subject, metadata[RUN_RECORD], summary, truncated, cameras, losses)
 
 
 def is_result(path: Path) -> bool:

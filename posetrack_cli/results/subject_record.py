@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,9 @@ SUBJECT_RECORD = "posetrack.subject"
 
 
 def subject_to_record(subject: Subject) -> dict[str, str]:
-    """Return the subject as metadata: every value a string of JSON."""
+    """Return the subject as metadata: every value a string of JSON; lines and numbers where it has some."""
     triangles = None if subject.triangles is None else subject.triangles.tolist()
-    values = {
+    values: dict[str, Any] = {
         "camera_frame": subject.camera_frame,
         "colour": list(subject.colour),
         "name": subject.name,
@@ -25,6 +26,10 @@ def subject_to_record(subject: Subject) -> dict[str, str]:
         "shape_names": list(subject.shape_names),
         "triangles": triangles,
     }
+    if subject.lines:
+        values["lines"] = [list(line) for line in subject.lines]
+    if subject.number_names:
+        values["number_names"] = list(subject.number_names)
     return {key: json.dumps(value, separators=(",", ":")) for key, value in values.items()}
 
 
@@ -46,6 +51,8 @@ def subject_from_record(record: Mapping[str, str]) -> Subject:
             point_parents=tuple(values["point_parents"]),
             triangles=None if triangles is None else np.array(triangles, dtype=np.int64).reshape(-1, 3),
             colour=(red, green, blue, alpha),
+            lines=tuple((int(a), int(b)) for a, b in values.get("lines", ())),
+            number_names=tuple(values.get("number_names", ())),
         )
     except (KeyError, ValueError, TypeError) as error:
         raise ResultError(f"metadata {SUBJECT_RECORD} cannot be read", found=error) from error

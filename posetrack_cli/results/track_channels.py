@@ -6,7 +6,9 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject, check_estimate
-from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA, ESTIMATE_SCHEMA_NAME, estimate_to_json
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json
+from posetrack_cli.results.export.column_names import shape_unit
+from posetrack_cli.results.line_scene import line_scene
 from posetrack_cli.results.scene import SceneEncoder
 
 
@@ -14,7 +16,7 @@ class TrackChannels:
     """Writes the estimates of one track, each on every topic that shows it.
 
     Topics, registered in this order: ``transforms``, and below ``prefix``: ``odometry``, ``estimate``,
-    ``joint_states`` (when the subject has shape entries) and ``scene`` (when it has a mesh).
+    ``joint_states`` (when the shape entries are angles) and ``scene`` (when it has a mesh or lines).
 
     Args:
         sink: the file.
@@ -28,13 +30,14 @@ class TrackChannels:
         self._subject = subject
         self._transforms = sink.channel(transforms, messages.FrameTransforms)
         self._odometry = sink.channel(f"{prefix}/odometry", messages.Odometry)
-        self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, ESTIMATE_SCHEMA)
-        self._joints = (
-            sink.channel(f"{prefix}/joint_states", messages.JointStates) if subject.shape_names else None
-        )
+        schema = estimate_schema(subject.number_names)
+        self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, schema)
+        angles = subject.shape_names and shape_unit(subject)
+        self._joints = sink.channel(f"{prefix}/joint_states", messages.JointStates) if angles else None
         self._scene, self._encoder = None, None
-        if subject.triangles is not None:
+        if subject.triangles is not None or subject.lines:
             self._scene = sink.channel(f"{prefix}/scene", messages.SceneUpdate)
+        if subject.triangles is not None:
             self._encoder = SceneEncoder(subject)
         ids = (self._transforms, self._odometry, self._estimate, self._joints, self._scene)
         self.ids = frozenset(channel_id for channel_id in ids if channel_id is not None)
@@ -47,16 +50,26 @@ class TrackChannels:
         """
         check_estimate(estimate, self._subject)
         stamp = estimate.stamp_ns
-        scene = None
-        if self._encoder is not None and vertices is not None:
-            scene = self._encoder.encode(stamp, estimate.status, vertices)
+        scene = self._drawn(estimate, vertices)
         self._write(self._transforms, stamp, messages.frame_transforms(estimate, self._subject))
         self._write(self._odometry, stamp, messages.odometry(estimate, self._subject))
         if self._joints is not None:
             self._write(self._joints, stamp, messages.joint_states(estimate, self._subject))
         if self._scene is not None and scene is not None:
             self._sink.write(self._scene, stamp, scene)
-        self._sink.write(self._estimate, stamp, estimate_to_json(estimate))
+        self._sink.write(self._estimate, stamp, estimate_to_json(estimate, self._subject.number_names))
+
+    def write_transforms(self, transforms: messages.FrameTransforms, stamp_ns: int) -> None:
+        """Write frames other than those of an estimate."""
+        self._write(self._transforms, stamp_ns, transforms)
+
+    def _drawn(self, estimate: Estimate, vertices: FloatArray | None) -> bytes | None:
+        """The scene of an estimate: its mesh, or its lines."""
+        if self._encoder is not None and vertices is not None:
+            return self._encoder.encode(estimate.stamp_ns, estimate.status, vertices)
+        if self._encoder is None and self._subject.lines:
+            return bytes(line_scene(estimate, self._subject).SerializeToString(deterministic=True))
+        return None
 
     def _write(self, channel_id: int, stamp_ns: int, message: messages.Message) -> None:
         self._sink.write(channel_id, stamp_ns, message.SerializeToString(deterministic=True))

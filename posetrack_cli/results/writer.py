@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.output import check_folder, check_free, check_not_written, part_path, state_path
 from posetrack_cli.results import checkpoint as checkpoints
+from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_to_record
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
 from posetrack_cli.results.estimate import Estimate, Status, Subject
@@ -48,6 +49,7 @@ class ResultWriter:
         path: of the finished result.
         subject: what is tracked.
         camera: that the estimates are relative to.
+        others: further cameras, placed relative to it.
         run: the run record: input, configuration, seed, version; nothing that changes from run to run.
         flush_frames: estimates per flush.
         overwrite: whether an existing result or an interrupted run may be replaced.
@@ -82,6 +84,7 @@ class ResultWriter:
         camera: Camera,
         run: Mapping[str, str],
         *,
+        others: Sequence[Camera] = (),
         flush_frames: int = 10,
         overwrite: bool = False,
     ) -> None:
@@ -90,7 +93,7 @@ class ResultWriter:
         check_not_written(part_path(path))
         with _reported(path):
             state_path(path).unlink(missing_ok=True)  # it belongs to the file that is replaced now
-        self._begin(path, part_path(path), subject, camera, run, flush_frames)
+        self._begin(path, part_path(path), subject, (camera, *others), run, flush_frames)
 
     @classmethod
     def resume(
@@ -100,6 +103,7 @@ class ResultWriter:
         camera: Camera,
         run: Mapping[str, str],
         *,
+        others: Sequence[Camera] = (),
         flush_frames: int = 10,
     ) -> tuple[ResultWriter, Checkpoint]:
         """Go on with an interrupted run, such that the finished file equals an uninterrupted run's.
@@ -115,14 +119,14 @@ class ResultWriter:
             UsageError: the run record, subject, camera or ``flush_frames`` differ from the interrupted run's.
             ResultError: there is no unfinished result or checkpoint, or they are damaged or do not match.
         """
-        records = _first_records(run, subject)
+        records = _first_records(run, subject, (camera, *others))
         check_not_written(part_path(path))
         check_same_run(part_path(path), records)
         checkpoint, progress = checkpoints.load(state_path(path))
         _check_checkpoint(path, checkpoint, progress, run, flush_frames)
         writer = cls.__new__(cls)
         copy = path.with_name(path.name + ".part.copy")
-        writer._begin(path, copy, subject, camera, run, flush_frames)
+        writer._begin(path, copy, subject, (camera, *others), run, flush_frames)
         try:
             writer._restore(checkpoint, progress)
         except BaseException:
@@ -277,7 +281,7 @@ class ResultWriter:
         path: Path,
         written: Path,
         subject: Subject,
-        camera: Camera,
+        cameras: Sequence[Camera],
         run: Mapping[str, str],
         flush_frames: int,
     ) -> None:
@@ -297,9 +301,9 @@ class ResultWriter:
         check_folder(path)
         self._sink = McapSink(written)
         with self._guarded():
-            for name, record in _first_records(run, subject).items():
+            for name, record in _first_records(run, subject, cameras).items():
                 self._sink.metadata(name, record)
-            self._channels = ResultChannels(self._sink, subject, camera)
+            self._channels = ResultChannels(self._sink, subject, cameras)
         self._flush()
 
     def _restore(self, checkpoint: Checkpoint, progress: Progress) -> None:
@@ -353,9 +357,15 @@ class ResultWriter:
                 os.truncate(self._part, self._progress.file_bytes)
 
 
-def _first_records(run: Mapping[str, str], subject: Subject) -> dict[str, Mapping[str, str]]:
+def _first_records(
+    run: Mapping[str, str], subject: Subject, cameras: Sequence[Camera]
+) -> dict[str, Mapping[str, str]]:
     """Return the metadata that a result begins with; sorted, since the order is part of the bytes."""
-    return {RUN_RECORD: dict(sorted(run.items())), SUBJECT_RECORD: subject_to_record(subject)}
+    about: dict[str, Mapping[str, str]] = {
+        RUN_RECORD: dict(sorted(run.items())),
+        SUBJECT_RECORD: subject_to_record(subject),
+    }
+    return about if len(cameras) == 1 else {**about, CAMERAS_RECORD: cameras_to_record(cameras)}
 
 
 def _check_checkpoint(

@@ -165,10 +165,12 @@ class Run(ABC):
     def _open(self) -> tuple[ResultWriter, Checkpoint]:
         """The writer, and the checkpoint to begin at."""
         options, flush = self._options, self._flush_frames
-        about = self._subject(), self._cameras()[0], self._record
+        camera, *others = self._cameras()
+        about = self._subject(), camera, self._record
         if options.resume:
-            return ResultWriter.resume(options.output, *about, flush_frames=flush)
-        writer = ResultWriter(options.output, *about, flush_frames=flush, overwrite=options.overwrite)
+            return ResultWriter.resume(options.output, *about, others=others, flush_frames=flush)
+        overwrite = options.overwrite
+        writer = ResultWriter(options.output, *about, others=others, flush_frames=flush, overwrite=overwrite)
         checkpoint = checkpoint_of(self.tracker, Reached(None, self._rng()), 0)
         writer.save_checkpoint(checkpoint)
         return writer, checkpoint

@@ -8,7 +8,7 @@ from itertools import chain, islice
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results.columns import Columns, empty_columns, joined
-from posetrack_cli.results.estimate import FIELD_NAMES, Status
+from posetrack_cli.results.estimate import Status
 from posetrack_cli.results.reader import Result
 
 
@@ -26,13 +26,15 @@ class ExportSource:
     topic: str
     lost: bool = True
 
-    def blocks(self, fields: Collection[str] = FIELD_NAMES) -> Iterator[Columns]:
+    def blocks(self, fields: Collection[str] | None = None) -> Iterator[Columns]:
         """Yield columns as ``Result.column_blocks`` does.
 
         Raises:
             ResultError: as there, or shape entries or points are not those of the result's subject.
         """
-        for block in self.result.column_blocks(self.topic, {"status", "shape", "points", *fields}):
+        for block in self.result.column_blocks(
+            self.topic, {"status", "shape", "points", *(fields or self.result.field_names)}
+        ):
             self._check(block)
             if self.lost:
                 yield block
@@ -42,9 +44,11 @@ class ExportSource:
 
     def columns(self) -> Columns:
         """Return all columns at once."""
-        return joined(self.blocks()) or empty_columns(FIELD_NAMES, *self._counts)
+        return joined(self.blocks()) or empty_columns(
+            self.result.field_names, *self._counts, len(self.result.subject.number_names)
+        )
 
-    def begun_blocks(self, fields: Collection[str] = FIELD_NAMES) -> Iterator[Columns]:
+    def begun_blocks(self, fields: Collection[str] | None = None) -> Iterator[Columns]:
         """Return ``blocks``, the first of them read: nothing is written yet if that fails."""
         blocks = self.blocks(fields)
         return chain(list(islice(blocks, 1)), blocks)

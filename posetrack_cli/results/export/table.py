@@ -12,7 +12,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
 from posetrack_cli.geometry.poses import in_object
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.estimate import NUMBERS, Subject
 from posetrack_cli.results.export.column_names import (
     ANGULAR_VELOCITY,
     HEAD,
@@ -59,6 +59,7 @@ def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
         *_deviation_groups(subject),
         _point_group(subject),
         *_filter_groups(),
+        _further_group(subject),
     )
     return tuple(group for group in groups if group.names)
 
@@ -155,6 +156,12 @@ def _filter_groups() -> Iterable[ColumnGroup]:
     )
     yield _field("milliseconds", "ms", "time that the frame took, empty if the run recorded none")
     yield _field("evaluations", "poses", "whose fit to the image was evaluated, empty where not counted")
+
+
+def _further_group(subject: Subject) -> ColumnGroup:
+    """What a tracker states beyond that; the names hold the units."""
+    meaning = "further numbers of this tracker, empty where not known"
+    return ColumnGroup(subject.number_names, "", meaning, lambda block: block[NUMBERS])
 
 
 def _field(name: str, unit: str, meaning: str) -> ColumnGroup:

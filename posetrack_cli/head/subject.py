@@ -1,0 +1,73 @@
+"""What a head's result holds beside its pose: names of points, deformation coefficients and further numbers.
+
+``Estimate.points`` are the recalculated points M', in camera axes; in the head's own axes they are the 3K
+numbers of its shape, which is how they are exported. ``Estimate.shape`` holds the B deformation coefficients a
+of the model, mm along orthonormal directions (3.1). Further numbers tell how far the model has been learnt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.face import LINES, POINT_COUNT, POINT_NAMES
+from posetrack_cli.results.estimate import Subject
+
+HEAD = "head"
+COLOUR = (0.3, 0.85, 0.95, 1.0)
+WEIGHT = "weight_"
+
+
+def head_subject(camera_frame: str, components: int) -> Subject:
+    """Return the subject of a head whose face deforms in so many components (B; 0 of a rigid one)."""
+    return Subject(
+        HEAD,
+        camera_frame,
+        shape_names=tuple(f"deformation_{b + 1}" for b in range(components)),
+        point_names=POINT_NAMES,
+        point_parents=(-1,) * POINT_COUNT,
+        colour=COLOUR,
+        lines=LINES,
+        number_names=number_names(components),
+    )
+
+
+def number_names(components: int) -> tuple[str, ...]:
+    """Return the names of the M = B + 3 + K further numbers, in the order of ``HeadNumbers.array``."""
+    return (
+        *(f"eigenvalue_{b + 1}_mm2" for b in range(components)),
+        "contribution_ratio",
+        "learnt_frames",
+        "score",
+        *(f"{WEIGHT}{name}" for name in POINT_NAMES),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class HeadNumbers:
+    """The further numbers of one frame; what is not known is NaN.
+
+    Attributes:
+        eigenvalues: (up to B,) of the model learnt so far, mm^2, descending.
+        contribution_ratio: share of the variance of the samples that the B components hold, 0 to 1 (figure
+            3.10).
+        learnt_frames: how many frames the model was learnt from.
+        score: mean correlation of the visible points, -1 to 1.
+        weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
+    """
+
+    eigenvalues: FloatArray
+    contribution_ratio: float = np.nan
+    learnt_frames: int = 0
+    score: float = np.nan
+    weights: FloatArray | None = None
+
+    def array(self, components: int) -> FloatArray:
+        """Return the (M,) numbers for B components, in the order of ``number_names``."""
+        known = np.asarray(self.eigenvalues, dtype=float)[:components]
+        eigenvalues = np.pad(known, (0, components - len(known)), constant_values=np.nan)
+        weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
+        single = (self.contribution_ratio, float(self.learnt_frames), self.score)
+        return np.concatenate([eigenvalues, single, weights])
