@@ -12,7 +12,7 @@ from posetrack_cli.recording.ordering import LATEST_NS, NOT_LATER, OUT_OF_RANGE
 
 NS_PER_MS = 1_000_000
 ALONE_LIMIT = 600
-"""So many frames from the beginning without one that all cameras saw: the stamps do not match."""
+"""So many frames from the beginning without one that two cameras saw: the stamps do not match."""
 
 
 @dataclass(frozen=True)
@@ -98,18 +98,18 @@ def match_images(
         losses: gets images whose stamps go back.
 
     Raises:
-        RecordingError: no frame has the images of all cameras, at the end or after ``ALONE_LIMIT`` frames.
+        RecordingError: no frame has images of two cameras, at the end or after ``ALONE_LIMIT`` frames.
     """
     waiting = [_Stream(name, iter(stream), losses) for name, stream in zip(names, streams, strict=True)]
-    is_complete, frames, nearest = False, 0, LATEST_NS
+    is_shared, frames, nearest = False, 0, LATEST_NS
     while any(stream.head for stream in waiting):
         nearest = min(nearest, _spread(waiting))
         frame = _next_frame(waiting, tolerance_ns)
-        is_complete, frames = is_complete or None not in frame.images, frames + 1
-        if frames >= ALONE_LIMIT and not is_complete:
+        is_shared, frames = is_shared or _is_shared(frame), frames + 1
+        if frames >= ALONE_LIMIT and not is_shared:
             break
         yield frame
-    if frames and not is_complete:
+    if frames and not is_shared:
         raise _never_together(names, nearest, tolerance_ns)
 
 
@@ -125,6 +125,11 @@ def _next_frame(waiting: Sequence[_Stream], tolerance_ns: int) -> StoredImages:
         images.append(stream.take() if belongs else None)
     present = [image for image in images if image is not None]
     return StoredImages((images[0] or present[0]).stamp_ns, present[0].where, tuple(images))
+
+
+def _is_shared(frame: StoredImages) -> bool:
+    """Whether two cameras have an image, or the only one."""
+    return sum(image is not None for image in frame.images) >= min(2, len(frame.images))
 
 
 def _head_stamp(stream: _Stream) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.recording.mcap_sink import McapSink
+
+sys.path.insert(0, str(Path(__file__).parent))  # images_support is shared by the tests of this folder
 
 WIDTH, HEIGHT = 24, 16
 CAMERA_TOML = "fx = 30.0\nfy = 31.0\ncx = 11.0\ncy = 7.5\n"
