@@ -73,6 +73,8 @@ class RefinementSettings(Settings):
     epsilon: NotNegative = 2000.0
     rigid_motion_mm: NotNegative = 3.0
     keyframe_deg: Positive = 15.0
+    keyframe_neutral_mm: Positive = 3.0
+    keyframe_correlation: Fraction = 0.7
 
 
 class ParticleSettings(Settings):
@@ -84,8 +86,9 @@ class ParticleSettings(Settings):
     the same for the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27); the thesis's 3.0
     hardly tells a pixel from none **[ours]**. ``local_radius`` is d of (3.29), in units of these standard
     deviations. ``sampling`` is halfway partitioned sampling with the weights that it needs to keep its target
-    **[ours]**, or as printed. ``gap_max_s`` is the longest time without a frame that is predicted, and counts for all longer ones;
-    ``speed_mm_s`` and ``speed_rad_s`` are the same for velocities, so that one wild frame is not followed.
+    **[ours]**, or as printed. ``gap_max_s`` is the longest time without a frame that is predicted, and counts
+    for all longer ones; ``speed_mm_s`` and ``speed_rad_s`` are the same for velocities, so that one wild
+    frame is not followed.
     """
 
     count: Count = 1000

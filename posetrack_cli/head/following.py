@@ -58,7 +58,11 @@ class Followed:
     Attributes:
         following: to go on with.
         coefficients: (B,) deformation, mm.
+        coefficient_rate: (B,) its change since the frame before, mm/s.
+        variance: (6 + B,) of pose (tangent vector) and coefficients.
+        dt: s since the frame before.
         correlations: (K,) the best camera's of each point, NaN where no camera sees it.
+        weights: (K,) visibility of each point times its correlation, 0 to 1.
         score: mean correlation of the points, weighted by their visibility; 0 if none is visible.
         pixels: (C, K, 2) where the points are on the images.
         effective_sample_size: of the particles.
@@ -66,7 +70,11 @@ class Followed:
 
     following: Following
     coefficients: FloatArray
+    coefficient_rate: FloatArray
+    variance: FloatArray
+    dt: float
     correlations: FloatArray
+    weights: FloatArray
     score: float
     pixels: FloatArray
     effective_sample_size: float
@@ -120,7 +128,8 @@ class Follower:
         """
         dt = (stamp_ns - before.stamp_ns) * 1e-9
         predicted = predicted_pose(before.pose, before.velocity, dt, self._motion)
-        shape = model.shapes(before.particles.with_model(model).coefficients)
+        coefficients = before.particles.with_model(model).coefficients
+        shape = model.shapes(coefficients)
         patches, seen = self._expected(images, sets, predicted, shape)
         filtered = self._filter.step(
             before.particles, predicted, before.velocity, dt, images, patches, seen, model, rng
@@ -140,7 +149,11 @@ class Follower:
         return Followed(
             following,
             refined.coefficients,
+            (refined.coefficients - coefficients) / dt,
+            following.particles.variance(),
+            dt,
             correlations,
+            refined.visibility.max(axis=0) * np.clip(np.nan_to_num(correlations), 0.0, 1.0),
             score,
             own.pixels,
             filtered.effective_sample_size,

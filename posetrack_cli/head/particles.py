@@ -46,6 +46,12 @@ class HeadParticles:
     weights: FloatArray
     model: ShapeModel
 
+    def variance(self) -> FloatArray:
+        """Return the variances (6 + B,) of the weighted particles: of tangent vectors and coefficients."""
+        away = self.deviations - self.weights @ self.deviations
+        spread: FloatArray = self.weights @ np.square(away)
+        return spread
+
     def moved_to(self, pose: HeadPose, coefficients: FloatArray) -> HeadParticles:
         """Return the particles shifted as a whole: the reference goes to this pose and deformation."""
         return replace(self, pose=pose, coefficients=coefficients)

@@ -1,0 +1,209 @@
+"""The head tracker for calibrated cameras: found by itself, followed, its face learnt meanwhile (chapter 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rotations import quaternions_from_matrices
+from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.estimates import followed_estimate, searched_estimate
+from posetrack_cli.head.following import Followed, Follower, Following, Images
+from posetrack_cli.head.keyframes import is_new
+from posetrack_cli.head.learning import FaceLearning, new_face
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.refinement.refine import point_values
+from posetrack_cli.head.start.start import NoStart, Start
+from posetrack_cli.head.stereo_state import StereoState, parts_of, state_of
+from posetrack_cli.head.templates import TemplateSet, take_templates
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.estimate import Estimate, Status
+
+USUAL_STEP_S = 1.0 / 30.0
+"""Between two frames, where there is only one."""
+
+
+class FindStart(Protocol):
+    """How a face is found in one frame."""
+
+    def __call__(self, images: Images) -> Start | NoStart:
+        """Return where the face is, or why none was found."""
+
+
+class StereoTracker:
+    """Follows one head in the images of calibrated cameras; a ``HeadTracker``.
+
+    Args:
+        config: parameters.
+        cameras: of the recording, the reference first.
+        find_start: finds a face in one frame.
+        known: what another tracker has ``learned``: model and templates to begin with.
+    """
+
+    def __init__(
+        self,
+        config: HeadStereoConfig,
+        cameras: Sequence[Camera],
+        find_start: FindStart,
+        known: Mapping[str, np.ndarray[Any, Any]] | None = None,
+    ) -> None:
+        self._config, self._cameras, self._find_start = config, tuple(cameras), find_start
+        self._follower = Follower(config, self._cameras)
+        self._steadiness = point_values(config.refinement.residual_mm) ** -2
+        self._known = state_of(known, {}, config.model) if known else StereoState()
+
+    def start(self, frame: Frame, rng: np.random.Generator) -> StereoState:
+        """Return the state before a first frame, in which the head has yet to be found."""
+        return self._known
+
+    def step(
+        self, state: StereoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[StereoState, Estimate]:
+        """Advance by one frame; the state given is left as it is."""
+        if state.face is None:
+            return self._first_search(state, frame, rng)
+        if state.following is not None:
+            followed = self._followed(state, state.following, frame, rng)
+            if self._is_tracked(followed):
+                return self._tracked(state, frame, followed, Status.TRACKING)
+            if state.lost + 1 < self._config.status.lost_after_frames:
+                return self._lost(state, frame)
+        return self._search(state, frame, rng)
+
+    def learned(self, state: StereoState) -> dict[str, np.ndarray[Any, Any]]:
+        """Return what was learned of the face, shape model and templates, as arrays by name."""
+        return parts_of(replace(state, following=None))[0] if state.face is not None else {}
+
+    def not_found(self, state: StereoState) -> str:
+        """Say how a head was looked for that was found in no frame yet; empty once it was found."""
+        if state.following is not None:
+            return ""
+        return f"{state.searched} frames searched, best score {state.best:.2f}"
+
+    def state_parts(
+        self, state: StereoState
+    ) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
+        """Take a state apart into arrays and whole numbers, for a checkpoint."""
+        return parts_of(state)
+
+    def state_from_parts(
+        self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
+    ) -> StereoState:
+        """Put a state together from what ``state_parts`` made of it."""
+        return state_of(arrays, numbers, self._config.model)
+
+    def _followed(
+        self, state: StereoState, following: Following, frame: Frame, rng: np.random.Generator
+    ) -> Followed:
+        face = _found(state.face)
+        return self._follower.step(following, frame.stamp_ns, frame.images, state.sets, face.model, rng)
+
+    def _is_tracked(self, followed: Followed) -> bool:
+        return followed.score >= self._config.status.tracking_above
+
+    def _tracked(
+        self, state: StereoState, frame: Frame, followed: Followed, status: Status
+    ) -> tuple[StereoState, Estimate]:
+        """Learn from a frame in which the head was found."""
+        now, settings = followed.following, self._config
+        face = _found(state.face).after(
+            now.shape, self._steadiness, now.pose, followed.correlations, settings.model
+        )
+        sets = state.sets
+        if self._is_keyframe(sets, followed):
+            sets = (*sets, now.previous)
+        after = StereoState(face, sets, now, 0, state.searched, state.best)
+        return after, followed_estimate(frame, followed, face, status, settings)
+
+    def _is_keyframe(self, sets: Sequence[TemplateSet], followed: Followed) -> bool:
+        """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
+        settings = self._config.refinement
+        neutral = float(np.linalg.norm(followed.coefficients)) < settings.keyframe_neutral_mm
+        clear = followed.score > settings.keyframe_correlation
+        return neutral and clear and is_new(sets, followed.following.pose.facing, settings.keyframe_deg)
+
+    def _lost(self, state: StereoState, frame: Frame) -> tuple[StereoState, Estimate]:
+        """The head is not where it was expected: nothing is learnt, and it is looked for where it was last."""
+        face, following = _found(state.face), state.following
+        if following is not None:
+            following = replace(following, velocity=np.zeros_like(following.velocity))
+        after = replace(state, following=following, lost=state.lost + 1)
+        return after, searched_estimate(frame, following, face, self._config)
+
+    def _search(
+        self, state: StereoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[StereoState, Estimate]:
+        """Look for a face that is known already; it must then look as it did."""
+        found = self._find_start(frame.images)
+        state = _after_search(state, found)
+        if not isinstance(found, Start):
+            return self._lost(state, frame)
+        face = _found(state.face)
+        pose = self._laid_on(face.model.mean, found)
+        stamp_ns = frame.stamp_ns - self._gap_ns(state, frame)
+        following = self._follower.begin(stamp_ns, frame.images, pose, face.model.mean, face.model, rng)
+        followed = self._followed(state, following, frame, rng)
+        if not self._is_tracked(followed):
+            return self._lost(state, frame)
+        status = Status.TRACKING if state.following is None else Status.REINITIALISED
+        rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
+        return self._tracked(state, frame, replace(followed, following=rested), status)
+
+    def _gap_ns(self, state: StereoState, frame: Frame) -> int:
+        return round(USUAL_STEP_S * 1e9) if state.following is None else frame.stamp_ns - state.following.stamp_ns
+
+    def _laid_on(self, mean: FloatArray, found: Start) -> HeadPose:
+        """The pose in which the known shape lies best on the points that were found."""
+        R, t = rigid_alignment(mean, found.pose.points(found.shape), self._steadiness)
+        return HeadPose(t, quaternions_from_matrices(R))
+
+    def _first_search(
+        self, state: StereoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[StereoState, Estimate]:
+        found = self._find_start(frame.images)
+        state = _after_search(state, found)
+        if not isinstance(found, Start):
+            return state, searched_estimate(frame, None, None, self._config)
+        face = new_face(found.shape, self._config.model)
+        following = self._follower.begin(
+            frame.stamp_ns, frame.images, found.pose, found.shape, face.model, rng, found.pixels
+        )
+        reference = take_templates(frame.images, self._cameras, found.pose, found.shape, found.pixels)
+        state = replace(state, face=face, sets=(reference,), following=following)
+        followed = started(following, found, face)
+        return state, followed_estimate(frame, followed, face, Status.TRACKING, self._config)
+
+
+def started(following: Following, found: Start, face: FaceLearning) -> Followed:
+    """What the frame says in which a head was first found."""
+    nothing, particles = np.zeros(face.model.size), following.particles
+    return Followed(
+        following,
+        coefficients=nothing,
+        coefficient_rate=nothing,
+        variance=particles.variance(),
+        dt=USUAL_STEP_S,
+        correlations=np.full(len(found.shape), found.score),
+        weights=np.full(len(found.shape), found.score),
+        score=found.score,
+        pixels=found.pixels,
+        effective_sample_size=float(len(particles.weights)),
+    )
+
+
+def _after_search(state: StereoState, found: Start | NoStart) -> StereoState:
+    if state.following is not None:
+        return state
+    return replace(state, searched=state.searched + 1, best=max(state.best, found.score))
+
+
+def _found(face: FaceLearning | None) -> FaceLearning:
+    if face is None:
+        raise RuntimeError("no face is known yet")  # a state that the methods above never make
+    return face
