@@ -1,0 +1,1 @@
+"""Faces and their ten points in one grey image."""

@@ -1,0 +1,60 @@
+"""Faces of an image with their points: what a tracker's start calls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.head.detection.guess import FaceFinder
+from posetrack_cli.head.detection.haar import HaarFaces
+from posetrack_cli.head.detection.points import FacePoints, find_points
+from posetrack_cli.head.detection.settings import DetectionSettings
+from posetrack_cli.head.detection.yunet import YunetFaces
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """What one image holds.
+
+    Attributes:
+        faces: with their points, the largest first; empty if there is none.
+        best_score: 0 to 1, the surest face's, also of those that were not sure enough.
+    """
+
+    faces: tuple[FacePoints, ...]
+    best_score: float
+
+
+class FaceDetector:
+    """Finds faces and their ten points in grey images.
+
+    Args:
+        settings: which finder, and what is sure enough.
+
+    Raises:
+        UsageError: ``yunet`` without its model file, or a file that is none.
+    """
+
+    def __init__(self, settings: DetectionSettings = DetectionSettings()) -> None:  # noqa: B008
+        self._settings = settings
+        self._finder = _finder(settings)
+
+    def detect(self, image: ImageArray) -> Detection:
+        """Return the faces in a (height, width) uint8 image."""
+        guesses = self._finder.find(image)
+        sure = [guess for guess in guesses if guess.score >= self._settings.least_face_score]
+        found = [find_points(image, guess) for guess in sure]
+        faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
+        return Detection(faces, max((guess.score for guess in guesses), default=0.0))
+
+
+def _finder(settings: DetectionSettings) -> FaceFinder:
+    if settings.detector == "haar":
+        return HaarFaces(settings.least_face_px)
+    if settings.model is None:
+        raise UsageError(
+            "the face detector yunet needs its model", hint="name the ONNX file with --detector-model"
+        )
+    return YunetFaces(Path(settings.model))

@@ -1,0 +1,73 @@
+"""The ten points of one face in one image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.head.detection.fit import fit_face, projected
+from posetrack_cli.head.detection.guess import NO_EYES, FaceGuess
+from posetrack_cli.head.detection.patch import FacePatch, cut_patch
+from posetrack_cli.head.detection.peaks import find_peak
+from posetrack_cli.head.detection.responses import response_maps
+
+# A point lies within these of where the fitted mean face has it, pixels of the patch.
+POINT_SD = (3.5, 3.0)
+EYE_DISTANCE_MM = 63.0
+
+
+@dataclass(frozen=True, eq=False)
+class FacePoints:
+    """The ten points of a face in one image.
+
+    Attributes:
+        pixels: (K, 2) in the order of ``face.POINT_NAMES``.
+        responses: (K,) 0 to 1, how much each place looks like its point.
+        pixels_per_mm: scale of the face in the image.
+        angles: (3,) roll, yaw, pitch, rad, rough: turns about the camera's z, y and x axis of a head that
+            looked at the camera, pitch first.
+        guess: what the face detector said.
+    """
+
+    pixels: FloatArray
+    responses: FloatArray
+    pixels_per_mm: float
+    angles: FloatArray
+    guess: FaceGuess
+
+    @property
+    def score(self) -> float:
+        """Mean response, 0 to 1."""
+        return float(self.responses.mean())
+
+
+def find_points(image: ImageArray, guess: FaceGuess) -> FacePoints:
+    """Find the ten points of a face in a (height, width) uint8 image.
+
+    A mean face is fitted to response maps of the face's surroundings, these are made upright by it, the face
+    is fitted again, and each point goes to the strongest place nearby.
+    """
+    first = cut_patch(image, guess.middle, guess.eye_distance / EYE_DISTANCE_MM, guess.roll)
+    eyes = (first.from_image(guess.eyes[0]), first.from_image(guess.eyes[1]))
+    rough = fit_face(response_maps(first.grey), eyes)
+    pixels_per_mm, roll = rough[2] / first.scale, first.roll + rough[3]
+    upright = cut_patch(image, first.to_image(rough[:2]), pixels_per_mm, roll)
+    maps = response_maps(upright.grey)
+    pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright))
+    pixels, responses = _strongest(maps, projected(pose[None])[0])
+    angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
+    return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
+
+
+def _carried_over(pose: FloatArray, before: FacePatch, after: FacePatch) -> FloatArray:
+    """Return a pose (6,) in one patch as the same pose in another."""
+    middle = after.from_image(before.to_image(pose[:2]))
+    scale, roll = pose[2] * after.scale / before.scale, pose[3] + before.roll - after.roll
+    return np.array([*middle, scale, roll, *pose[4:]])
+
+
+def _strongest(maps: Float32Array, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
+    peaks = [find_peak(one, place, POINT_SD) for one, place in zip(maps, expected, strict=True)]
+    return np.array([pixel for pixel, _ in peaks]), np.array([response for _, response in peaks])

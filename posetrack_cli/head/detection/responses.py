@@ -1,0 +1,126 @@
+"""Maps over a face's patch of how much each place looks like each of the ten points **[ours]**.
+
+Corners are found by the structure tensor's smaller eigenvalue (thesis, 3.2). On a face that alone is not
+enough - the iris is the strongest corner of all - so it is joined with drawn templates: a dark wedge that
+opens to one side (a lid's or the lips' corner), a dark bar that ends (a brow's inner end) and a dark disc
+(a nostril).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, ImageArray
+
+SMOOTHING = 0.7
+# How much a wedge's response loses where the opposite wedge fits too: inside a line both do.
+END_STOPPING = 0.6
+# The quantile of corner strength and contrast that counts as full.
+FULL = 0.995
+
+
+def response_maps(grey: ImageArray) -> Float32Array:
+    """Return (K, height, width) in 0..1: how well each pixel of an upright patch fits each point."""
+    smooth = _blurred(grey.astype(np.float32), SMOOTHING)
+    opening_right, opening_left = _end_stopped(_matched(smooth, wedge(1)), _matched(smooth, wedge(-1)))
+    corners = _corners(smooth)
+    outer_right, outer_left = np.sqrt(opening_right * corners), np.sqrt(opening_left * corners)
+    dark_corners = corners * _darkness(smooth)
+    inner_right = np.sqrt(dark_corners * (0.3 + 0.7 * opening_left))
+    inner_left = np.sqrt(dark_corners * (0.3 + 0.7 * opening_right))
+    eyes = [outer_right, inner_right, inner_left, outer_left]
+    maps = [*eyes, outer_right, outer_left, *_nostrils_and_brows(smooth)]
+    return np.stack(maps).astype(np.float32)
+
+
+@cache
+def wedge(side: int, half_width: int = 7, half_height: int = 5, slope: float = 0.2) -> Float32Array:
+    """Return a dark wedge on white, its tip in the middle, that opens to the right (side 1) or left (-1)."""
+    return _drawn(half_width, half_height, lambda x, y: (side * x > 0) & (abs(y) < slope * side * x + 1.0))
+
+
+@cache
+def bar(side: int, half_thickness: float) -> Float32Array:
+    """Return a dark bar on white that begins in the middle and extends to one side."""
+    return _drawn(13, 10, lambda x, y: (side * x > 0) & (abs(y) < half_thickness))
+
+
+@cache
+def disc(radius: float = 3.5) -> Float32Array:
+    """Return a dark disc on white, wider than high as a nostril is."""
+    return _drawn(8, 7, lambda x, y: (x / 1.4) ** 2 + y**2 < radius**2)
+
+
+def _drawn(half_width: int, half_height: int, dark: Callable[[Any, Any], Any]) -> Float32Array:
+    """Draw what is dark at pixel offsets (x, y) from the middle, antialiased and slightly blurred."""
+    samples = 8
+    rows, columns = (2 * half_height + 1) * samples, (2 * half_width + 1) * samples
+    y, x = np.mgrid[0:rows, 0:columns]
+    x, y = (x + 0.5) / samples - half_width - 0.5, (y + 0.5) / samples - half_height - 0.5
+    drawn = np.where(dark(x, y), 0.0, 1.0).astype(np.float32)
+    size = (2 * half_width + 1, 2 * half_height + 1)
+    small: ImageArray = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
+    template = _blurred(small, 0.9)
+    template.setflags(write=False)
+    return template
+
+
+def _nostrils_and_brows(smooth: Float32Array) -> list[Float32Array]:
+    contrast = _contrast(smooth)
+    round_ = np.sqrt(_matched(smooth, disc()) * contrast)
+    nostrils = [0.5 * (np.sqrt(_matched(smooth, bar(side, 5.0)) * contrast) + round_) for side in (-1, 1)]
+    brows = [np.sqrt(_matched(smooth, bar(side, 3.0)) * contrast) for side in (-1, 1)]
+    return nostrils + brows
+
+
+def _matched(smooth: Float32Array, template: Float32Array) -> Float32Array:
+    """Return the normalised correlation of a template with every place; 0 where it is negative."""
+    half_height, half_width = template.shape[0] // 2, template.shape[1] // 2
+    border = cv2.copyMakeBorder(
+        smooth, half_height, half_height, half_width, half_width, cv2.BORDER_REPLICATE
+    )
+    return np.maximum(cv2.matchTemplate(border, template, cv2.TM_CCOEFF_NORMED), 0.0)
+
+
+def _end_stopped(right: Float32Array, left: Float32Array) -> tuple[Float32Array, Float32Array]:
+    return np.maximum(right - END_STOPPING * left, 0.0), np.maximum(left - END_STOPPING * right, 0.0)
+
+
+def _corners(smooth: Float32Array) -> Float32Array:
+    """Return the square root of the structure tensor's smaller eigenvalue, full at 1."""
+    return _full_at_one(_root(cv2.cornerMinEigenVal(smooth, 5, ksize=3)))
+
+
+def _darkness(smooth: Float32Array) -> Float32Array:
+    """Return 0..1: darker than the surroundings, by a logistic function of the grey levels' difference."""
+    difference = smooth - _blurred(smooth, 10.0)
+    darkness: Float32Array = 1.0 / (1.0 + np.exp(difference / np.float32(6.0)))
+    return darkness
+
+
+def _contrast(smooth: Float32Array) -> Float32Array:
+    """Return 0..1: how much the grey levels differ around a place; correlation does not see that."""
+    detail = np.abs(smooth - _blurred(smooth, 8.0))
+    return _root(_full_at_one(_blurred(detail, 4.0)))
+
+
+def _full_at_one(values: Float32Array) -> Float32Array:
+    full = np.quantile(values, FULL)
+    relative: Float32Array = np.clip(values / np.float32(max(float(full), 1e-6)), 0.0, 1.0)
+    return relative
+
+
+def _root(values: ImageArray) -> Float32Array:
+    """Return the square root; rounding's negative values count as 0."""
+    root: Float32Array = np.sqrt(np.maximum(values, 0.0))
+    return root
+
+
+def _blurred(values: Float32Array, sigma: float) -> Float32Array:
+    blurred: ImageArray = cv2.GaussianBlur(values, (0, 0), sigma)
+    return blurred
