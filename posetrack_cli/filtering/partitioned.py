@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.model import LogLikelihood
 from posetrack_cli.filtering.resampling import resample
@@ -35,12 +35,12 @@ class Motion(NamedTuple):
     Attributes:
         drift: (D,).
         sd: (D,), >= 0.
-        first: (D,) whether a component belongs to the first group.
+        first: how many components, from the beginning, are in the first group.
     """
 
     drift: FloatArray
     sd: FloatArray
-    first: BoolArray
+    first: int
 
 
 class Particles(NamedTuple):
@@ -77,17 +77,20 @@ def partitioned_step(
         FilterError: shapes or weights cannot be used, or the likelihood is NaN or zero for all.
     """
     _check(points, motion)
-    start = points[resample(scheme, weights, rng)]
-    moves = _alternating(len(points), motion.first)
-    halfway = start + _half_moves(motion, moves, sampling, rng)
+    halfway = points[resample(scheme, weights, rng)]
+    _move_halves(halfway, motion, sampling, rng)
     scores = scored(halfway, log_likelihood)
     chosen = resample(scheme, normalise(scores)[0], rng)
-    noise = motion.sd * rng.standard_normal(points.shape)
-    if sampling == "weighted":
-        arrived = halfway[chosen] + np.where(moves[chosen], 0.0, noise)
-        return Particles(arrived, weigh_drawn(-scores[chosen], arrived, log_likelihood))
-    arrived = halfway[chosen] + noise
-    return Particles(arrived, weigh_drawn(np.zeros(len(points)), arrived, log_likelihood))
+    if sampling == "printed":
+        arrived = halfway[chosen] + motion.sd * rng.standard_normal(points.shape)
+        return Particles(arrived, weigh_drawn(np.zeros(len(points)), arrived, log_likelihood))
+    of_first = chosen % 2 == 0
+    chosen = np.concatenate([chosen[of_first], chosen[~of_first]])
+    arrived = halfway[chosen]
+    count = int(np.count_nonzero(of_first))
+    _scatter(arrived[:count, motion.first :], motion.sd[motion.first :], rng)
+    _scatter(arrived[count:, : motion.first], motion.sd[: motion.first], rng)
+    return Particles(arrived, weigh_drawn(-scores[chosen], arrived, log_likelihood))
 
 
 def local_mean(points: FloatArray, weights: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
@@ -103,33 +106,37 @@ def local_mean(points: FloatArray, weights: FloatArray, scale: FloatArray, radiu
         radius: d, in units of scale.
     """
     away = (points - points[np.argmax(weights)]) / scale
-    near = np.einsum("nd,nd->n", away, away) < radius * radius
-    mean: FloatArray = weights[near] @ points[near] / weights[near].sum()
+    near = np.where(np.einsum("nd,nd->n", away, away) < radius * radius, weights, 0.0)
+    mean: FloatArray = near @ points / near.sum()
     return mean
 
 
-def _alternating(count: int, first: BoolArray) -> BoolArray:
-    """Return (N, D) what moves first: the first group in every second particle, else the second.
+def _move_halves(points: FloatArray, motion: Motion, sampling: Sampling, rng: np.random.Generator) -> None:
+    """Move every second particle in the first group, the others in the second; as printed, drift and all.
 
-    Not in the first N/2: schemes leave children in their parents' order, and these would be other parents'.
+    Not the first N/2: schemes leave children in their parents' order, and those would be other parents'.
     """
-    even = np.arange(count) % 2 == 0
-    moves: BoolArray = even[:, None] == first
-    return moves
+    groups = slice(0, motion.first), slice(motion.first, None)
+    for parity, group in enumerate(groups):
+        _scatter(points[parity::2, group], motion.sd[group], rng)
+        if sampling == "printed":
+            points[parity::2, group] += motion.drift[group]
+    if sampling != "printed":
+        points += motion.drift
 
 
-def _half_moves(motion: Motion, moves: BoolArray, sampling: Sampling, rng: np.random.Generator) -> FloatArray:
-    """Return (N, D) increments before the first weighing; as printed, the drift too is a group's own."""
-    noise = motion.sd * rng.standard_normal(moves.shape)
-    if sampling == "printed":
-        return np.where(moves, motion.drift + noise, 0.0)
-    return motion.drift + np.where(moves, noise, 0.0)
+def _scatter(points: FloatArray, sd: FloatArray, rng: np.random.Generator) -> None:
+    """Add draws from N(0, diag sd^2), sd (G,), to points (M, G)."""
+    points += sd * rng.standard_normal(points.shape)
 
 
 def _check(points: FloatArray, motion: Motion) -> None:
     """Raise unless points (N, D) and the motion's (D,) match, with finite sd >= 0."""
-    shapes = {part.shape for part in motion}
-    if points.ndim != 2 or shapes != {points.shape[1:]}:
-        raise FilterError("particles do not match their motion", found=f"{points.shape} and {shapes}")
+    shapes = {motion.drift.shape, motion.sd.shape}
+    if points.ndim != 2 or shapes != {points.shape[1:]} or not 0 <= motion.first <= points.shape[1]:
+        raise FilterError(
+            "particles do not match their motion",
+            found=f"{points.shape}, {shapes}, {motion.first} of them first",
+        )
     if not np.all(np.isfinite(motion.sd)) or np.any(motion.sd < 0.0):
         raise FilterError("noise cannot be used", found=motion.sd, expected="finite, >= 0")

@@ -83,7 +83,7 @@ class ParticleScores:
         """Add what each particle's points score on one camera's image."""
         u, v = self._projection.pixels(c)
         boxes = boxes_around(u, v, image.shape[1], image.shape[0])
-        for k in np.flatnonzero(self._weights[c]):
+        for k in np.flatnonzero(self._weights[c]).tolist():
             if not boxes[k].is_empty:
                 scores, left, top = self._map(c, k, image, boxes[k])
                 weight = float(self._weights[c, k])

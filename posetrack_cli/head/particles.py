@@ -159,7 +159,7 @@ class HeadFilter:
         moved = partitioned_step(
             before.deviations,
             before.weights,
-            Motion(drift, sd, np.arange(sd.size) < POSE_SIZE),
+            Motion(drift, sd, POSE_SIZE),
             partial(self._log_weights, before),
             self._settings.sampling,
             self._settings.resampling,
