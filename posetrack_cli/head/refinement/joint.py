@@ -6,8 +6,7 @@
 
 E_k is the patches' (``evidence``). delta is Student-t: a point that lies elsewhere than the model says costs
 little more the farther it is. Every step reweights it, l_k = (nu + 3) / (nu s_k^2 + |delta_k|^2), and
-eliminates
-it (Schur complement), so that 6 + B unknowns are solved for, whatever K is.
+eliminates it (Schur complement), so that 6 + B unknowns are solved for, whatever K is.
 """
 
 from __future__ import annotations
@@ -92,7 +91,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Join
             gather(scene, k, arms[k] + state.position, room, evidence)
             hessians[k], gradients[k] = evidence.hessian, evidence.gradient
             eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
-        step = np.linalg.solve(matrix, -vector)
+        step: FloatArray = np.linalg.solve(matrix, -vector)
         farthest = 0.0
         for k in range(count):
             moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)
@@ -144,7 +143,8 @@ def start(face: Face, prior: Prior, state: Joint, matrix: FloatArray, vector: Fl
 @inlined
 def tail_precision(prior: Prior, k: int, squared: float) -> float:
     """The weight l_k of a Student-t residual of this squared length, 1 / mm^2."""
-    return (prior.freedom + 3.0) / (prior.freedom * prior.scales[k] ** 2 + squared)
+    scale: float = prior.scales[k]
+    return (prior.freedom + 3.0) / (prior.freedom * scale * scale + squared)
 
 
 @kernel
