@@ -1,8 +1,8 @@
 """What a head's result holds beside its pose: names of points, deformation coefficients and further numbers.
 
 ``Estimate.points`` are the recalculated points M', in camera axes; in the head's own axes they are the 3K
-numbers of its shape, which is how they are exported. ``Estimate.shape`` holds the B deformation coefficients a
-of the model, mm along orthonormal directions (3.1). Further numbers tell how far the model has been learnt.
+numbers of its shape, which is how they are exported. ``Estimate.shape`` holds the B deformation coefficients
+a of the model, mm along orthonormal directions (3.1). Further numbers tell how far the model has been learnt.
 """
 
 from __future__ import annotations

@@ -14,7 +14,14 @@ _PLACE = "camera_T_reference"
 
 
 def cameras_to_record(cameras: Sequence[Camera]) -> dict[str, str]:
-    """Return the cameras as metadata, the reference first; exact to the last bit."""
+    """Return the cameras as metadata, the reference first; exact to the last bit.
+
+    Raises:
+        ResultError: two have one name, which topics and frames are called by.
+    """
+    names = [camera.name for camera in cameras]
+    if len(set(names)) < len(names):
+        raise ResultError("two cameras have one name", found=", ".join(names))
     values = [camera.values() | {_PLACE: camera.camera_T_reference} for camera in cameras]
     return {"cameras": json.dumps(values, separators=(",", ":"))}
 

@@ -51,26 +51,18 @@ class ResultChannels:
         subject: what is tracked.
         cameras: the first is the one that estimates are relative to.
 
-    Raises:
-        ResultError: two cameras have one name.
     """
 
     def __init__(self, sink: McapSink, subject: Subject, cameras: Sequence[Camera]) -> None:
         self._sink = sink
         self._subject = subject
         self._cameras = tuple(cameras)
-        self._check_names()
         self._calibrations = self._channels(CALIBRATION, messages.CameraCalibration)
         self._filtered = self._track(FILTERED, TRANSFORMS_TOPIC)
         self._smoothed: TrackChannels | None = None
         self._annotations = self._channels(ANNOTATIONS, ImageAnnotations) if subject.lines else {}
         self.own_ids = frozenset({*self._calibrations, *self._filtered.ids, *self._annotations})
         self._truth: dict[tuple[object, ...], int] = {}
-
-    def _check_names(self) -> None:
-        names = [camera.name for camera in self._cameras]
-        if len(set(names)) < len(names):
-            raise ResultError("two cameras have one name", found=", ".join(names))
 
     def _channels(self, what: str, message_class: Any) -> dict[int, Camera]:
         """Register a topic for each camera."""

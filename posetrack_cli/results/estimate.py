@@ -195,8 +195,10 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
     if estimate.effective_sample_size is not None and not np.isfinite(estimate.effective_sample_size):
         raise ResultError("effective sample size is not finite", where=where)
     if estimate.numbers is not None and estimate.numbers.shape != (len(subject.number_names),):
-        found, expected = estimate.numbers.shape, (len(subject.number_names),)
-        raise ResultError("numbers has the wrong shape", where=where, found=found, expected=expected)
+        size = (len(subject.number_names),)
+        raise ResultError(
+            "numbers has the wrong shape", where=where, found=estimate.numbers.shape, expected=size
+        )
 
 
 def check_array(array: FloatArray, shape: tuple[int, ...], name: str, where: str) -> None:

@@ -57,8 +57,8 @@ class ResultWriter:
     Raises:
         UsageError: there is a result, or an interrupted run, that may not be replaced, or another process
             is writing it.
-        ResultError: here and in every method, when the file cannot be written. What was flushed before
-            stays readable.
+        ResultError: two cameras have one name; here and in every method, when the file cannot be written.
+            What was flushed before stays readable.
     """
 
     _path: Path  # of the finished result
@@ -299,9 +299,10 @@ class ResultWriter:
         self._closed = self._calibrated = False
         self._progress = Progress(0, flush_frames, 0, dict(self._statuses))
         check_folder(path)
+        records = _first_records(run, subject, cameras)
         self._sink = McapSink(written)
         with self._guarded():
-            for name, record in _first_records(run, subject, cameras).items():
+            for name, record in records.items():
                 self._sink.metadata(name, record)
             self._channels = ResultChannels(self._sink, subject, cameras)
         self._flush()

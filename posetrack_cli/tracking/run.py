@@ -59,6 +59,7 @@ class Run(ABC):
 
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
+        self._tracked = 0  # frames, by this run alone
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
 
@@ -125,12 +126,11 @@ class Run(ABC):
     # The loop
 
     def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
-        tracked = 0
         writer, checkpoint = self._open()
         with writer:
             reached = self._begun(writer, checkpoint, stopped)
             if reached is None:
-                return self._outcome(writer, tracked, began, stopped=True)
+                return self._outcome(writer, began, stopped=True)
             state, rng, last = reached
             with closing(self._truth(writer)) as truth, self._memory(writer) as memory:
                 for frame in frames:
@@ -143,13 +143,13 @@ class Run(ABC):
                     truth.send(frame.stamp_ns)
                     self._write(writer, memory, Reached(state, rng, frame.index), estimate)
                     report(estimate)
-                    tracked += 1
+                    self._tracked += 1
                     if stopped():
-                        return self._outcome(writer, tracked, began, stopped=True)
+                        return self._outcome(writer, began, stopped=True)
                 if memory is not None:
                     memory.finish(writer)
                 self._finish(writer, state)
-        return self._outcome(writer, tracked, began, stopped=False)
+        return self._outcome(writer, began, stopped=False)
 
     def _write(
         self, writer: ResultWriter, memory: FrameMemory | None, reached: Reached, estimate: Estimate
@@ -197,7 +197,7 @@ class Run(ABC):
         said, losses = self._ended(writer, state), self._losses()
         writer.finish(said | ({"losses": loss_line(losses)} if losses else {}))
 
-    def _outcome(self, writer: ResultWriter, tracked: int, began: float, *, stopped: bool) -> RunOutcome:
+    def _outcome(self, writer: ResultWriter, began: float, *, stopped: bool) -> RunOutcome:
         seconds = time.perf_counter() - began
         lost = writer.count(Status.LOST)
-        return RunOutcome(writer.frames_written, tracked, lost, seconds, self._losses(), stopped)
+        return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self._losses(), stopped)

@@ -1,0 +1,104 @@
+"""Files of what was learned of a face: shape model and templates, for a later run of the same person.
+
+An npz without pickle: the tracker's arrays, and a JSON text that says what they are. Results carry the same
+bytes as their attachment ``model.npz``, so a result serves as a model file, too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.recording.opening import is_mcap
+from posetrack_cli.recording.output import whole_or_nothing
+
+Learned: TypeAlias = dict[str, np.ndarray[Any, Any]]
+
+FORMAT, VERSION = "posetrack.head_model", 1
+ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"
+_HEADER, _PREFIX = "header", "array."
+
+
+def model_bytes(learned: Mapping[str, np.ndarray[Any, Any]], cameras: Sequence[Camera]) -> bytes:
+    """Return the file of what was learned with some cameras; the same bytes for the same arrays."""
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "points": list(POINT_NAMES),
+        "cameras": [camera.name for camera in cameras],
+    }
+    arrays = {f"{_PREFIX}{name}": values for name, values in sorted(learned.items())}
+    stream = BytesIO()
+    np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def save_model(path: Path, data: bytes) -> None:
+    """Write a model file, whole or not at all.
+
+    Raises:
+        ResultError: it cannot be written.
+    """
+    with whole_or_nothing(path) as part:
+        part.write_bytes(data)
+
+
+def load_model(path: Path, cameras: Sequence[Camera]) -> Learned:
+    """Read what was learned of a face from a model file, or from a result that carries one.
+
+    Args:
+        path: the file.
+        cameras: that the arrays are to be used with: as many as they were learned with.
+
+    Raises:
+        UsageError: it does not exist, or is of another number of cameras.
+        ResultError: it is neither, or damaged.
+    """
+    if not path.is_file():
+        raise UsageError("no such model file", where=path)
+    header, learned = _parsed(path)
+    count = len(header["cameras"])
+    if count != len(cameras):
+        raise UsageError(
+            "model was learned with another number of cameras",
+            where=path,
+            found=count,
+            expected=len(cameras),
+            hint="templates are kept for each camera",
+        )
+    return learned
+
+
+def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
+    try:
+        with np.load(BytesIO(_bytes(path)), allow_pickle=False) as contents:
+            header = json.loads(str(contents[_HEADER]))
+            _check(header)
+            names = [name for name in contents.files if name.startswith(_PREFIX)]
+            return header, {name.removeprefix(_PREFIX): contents[name] for name in names}
+    except PosetrackError:
+        raise
+    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
+        expected = "what --save-model wrote, or a result of posetrack head"
+        raise ResultError("is no model of a head", where=path, found=error, expected=expected) from error
+
+
+def _check(header: Mapping[str, Any]) -> None:
+    if (header["format"], header["version"]) != (FORMAT, VERSION):
+        raise ValueError(f"{header['format']} version {header['version']}")
+    if tuple(header["points"]) != POINT_NAMES:
+        raise ValueError("other feature points")
+
+
+def _bytes(path: Path) -> bytes:
+    from posetrack_cli.results.reader import read_result
+
+    return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else path.read_bytes()
