@@ -14,6 +14,7 @@ from posetrack_cli.cli.doctor import doctor
 from posetrack_cli.cli.eval import evaluate
 from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
+from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
 from posetrack_cli.cli.standard_output import discard_output
 from posetrack_cli.cli.view import view
@@ -30,7 +31,7 @@ def cli() -> None:
     """
 
 
-for command in (hand, evaluate, view, export, info, convert, doctor):
+for command in (hand, head, evaluate, view, export, info, convert, doctor):
     cli.add_command(command)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from typing import Any
 
 import moderngl
@@ -14,6 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.bounds import BoneSpheres
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import PixelMixture, outline_distances
+from posetrack_cli.rendering.shader_source import shader_source
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.window import Window
 
@@ -74,7 +74,8 @@ class TiledDepthRenderer:
         influences = _influences(mesh)
         names = {"BONES": self.bones, "INFLUENCES": influences.shape[1]}
         self._draw = self.context.program(
-            vertex_shader=_shader("skinned_depth.vert", names), fragment_shader=_shader("depth_only.frag", {})
+            vertex_shader=shader_source("skinned_depth.vert", names),
+            fragment_shader=shader_source("depth_only.frag", {}),
         )
         rest = self.context.buffer(mesh.vertices.astype("f4").tobytes())
         index = self.context.buffer(mesh.triangles.astype("i4").tobytes())
@@ -87,7 +88,7 @@ class TiledDepthRenderer:
     def _reducer(self, mixture: bool) -> Any:
         """The program that sums over tiles, with or without the misfits of a pixel's model."""
         names = {"LANES": LANES, "MIXTURE": int(mixture)}
-        program = self.context.compute_shader(_shader("tile_sums.comp", names))
+        program = self.context.computeshader_source(shader_source("tile_sums.comp", names))
         program["tile_size"], program["columns"], program["near_mm"] = self.tile, self.grid[0], NEAR_MM
         return program
 
@@ -223,12 +224,6 @@ def _grid(context: Any, tile: tuple[int, int], most: int) -> tuple[int, int]:
     square = np.log2(np.sqrt(count * height / width))
     columns = min(2 ** max(0, round(square + 0.49)), count, largest // width)
     return columns, min(-(-count // columns), largest // height)
-
-
-def _shader(name: str, defines: dict[str, int]) -> str:
-    source = resources.files(__package__).joinpath("shaders", name).read_text()
-    version, rest = source.split("\n", 1)
-    return "\n".join([version, *(f"#define {key} {value}" for key, value in defines.items()), rest])
 
 
 def _influences(mesh: SkinnedMesh) -> Float32Array:

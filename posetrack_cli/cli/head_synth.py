@@ -1,0 +1,118 @@
+"""``posetrack head synth``: make a recording of a moving, deforming head whose truth is known."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from posetrack_cli.errors import UsageError
+
+
+@click.command("synth", short_help="Make a recording of a head whose truth is known.")
+@click.option(
+    "-o",
+    "--output",
+    metavar="OUT.mcap|FOLDER",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="MCAP file, or a folder of images with camera.toml.",
+)
+@click.option("--cameras", default=2, show_default=True, help="1, or 2 that are toed in.")
+@click.option(
+    "--identity", default=1, show_default=True, metavar="SEED", help="Who is seen: seed of a person."
+)
+@click.option("--frames", default=600, show_default=True, help="Number of frames.")
+@click.option("--fps", default=30.0, show_default=True, help="Frame rate, Hz.")
+@click.option("--seed", default=0, show_default=True, help="Of everything random but the person.")
+@click.option(
+    "--expressions/--no-expressions",
+    default=True,
+    help="The face deforms in the first two thirds, then only the head moves; it blinks throughout.  "
+    "[default: expressions]",
+)
+@click.option(
+    "--motion",
+    type=click.Choice(["natural", "turn", "still"]),
+    default="natural",
+    show_default=True,
+    help="turn: also two sudden turns of 200 deg/s after three quarters.",
+)
+@click.option("--speed", default=1.0, show_default=True, help="Factor on the natural motion's rate of time.")
+@click.option(
+    "--light",
+    type=click.Choice(["slow", "sudden", "steady"]),
+    default="slow",
+    show_default=True,
+    help="Light that drifts, also changes at once in the middle, or stays.",
+)
+@click.option("--occlusion", is_flag=True, help="An object covers half the face for one second.")
+@click.option("--noise", default=1.0, show_default=True, help="Factor on the sensor's noise.")
+@click.option("--distortion", is_flag=True, help="The lenses distort.")
+@click.option(
+    "--image-size",
+    metavar="WIDTHxHEIGHT",
+    default="640x480",
+    show_default=True,
+    help="Of the images, pixels.",
+)
+@click.option("--distance", "distance_mm", default=700.0, show_default=True, help="Of the head, mm.")
+@click.option("--baseline", "baseline_mm", default=120.0, show_default=True, help="Between two cameras, mm.")
+@click.option(
+    "--image-format",
+    type=click.Choice(["jpeg", "png", "raw"]),
+    default="jpeg",
+    show_default=True,
+    help="How images are stored; raw only in an MCAP file.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) -> None:
+    """Make a recording of a head as one or two grey cameras see it, with truth on /truth/head.
+
+    The head is drawn by OpenGL and is nobody's. The same options give the same bytes on the same machine.
+    """
+    import time
+
+    from posetrack_cli.head.synthesis.writing import write_synthetic
+
+    options = head_synth_options(values)
+    began = time.perf_counter()
+    with _progress(options.frames) as report:
+        made = write_synthetic(options, output, image_format=image_format, overwrite=overwrite, report=report)
+    click.echo(
+        f"{output}: {made.frames} frames of {options.cameras} camera{'s'[: options.cameras - 1]}, "
+        f"{made.seconds:.3f} s long, made in {time.perf_counter() - began:.1f} s"
+    )
+
+
+def head_synth_options(values: dict[str, Any]) -> Any:
+    """Return the HeadSynthOptions of the command's values.
+
+    Raises:
+        UsageError: a value that cannot be meant.
+    """
+    from posetrack_cli.head.synthesis.options import HeadSynthOptions
+
+    values = dict(values)
+    width, height = _size(values.pop("image_size"))
+    return HeadSynthOptions(**values, width=width, height=height)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise UsageError("--image-size cannot be used", found=text, expected="WIDTHxHEIGHT, such as 640x480")
+    return int(width), int(height)
+
+
+@contextmanager
+def _progress(frames: int) -> Iterator[Callable[[Any], None]]:
+    """A bar on stderr if that is a terminal."""
+    from tqdm import tqdm
+
+    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
+        yield lambda frame: bar.update(1)

@@ -1,0 +1,88 @@
+"""What a synthetic recording of a head is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from posetrack_cli.errors import UsageError
+
+MOTIONS = ("natural", "turn", "still")
+LIGHTS = ("slow", "sudden", "steady")
+CAMERAS = (1, 2)
+MOST_FRAMES = 1_000_000
+SIZES_PX = (64, 4096)
+DISTANCES_MM = (350.0, 3000.0)
+BASELINES_MM = (20.0, 400.0)
+
+
+@dataclass(frozen=True)
+class HeadSynthOptions:
+    """A synthetic recording of a head: the same options give the same frames on the same machine.
+
+    Attributes:
+        cameras: 1, or 2 that are toed in to meet at the head's first place.
+        identity: seed of the person.
+        frames: number of frames.
+        fps: frame rate, Hz.
+        seed: of everything random but the person.
+        expressions: whether the face deforms, in the first two thirds; whether it blinks and looks around.
+        motion: ``natural`` wandering of the head; ``turn`` also two sudden turns; ``still`` none.
+        speed: factor on the rate of the natural motion's time.
+        light: ``slow`` drift, also a lamp switched in the middle (``sudden``), or ``steady``.
+        occlusion: whether an object covers half the face for one second.
+        noise: factor on the sensor's noise.
+        distortion: whether the lenses distort.
+        width, height: of the images, pixels; the horizontal field of view is always the same.
+        distance_mm: of the head from the reference camera in the beginning.
+        baseline_mm: between two cameras.
+
+    Raises:
+        UsageError: a value that cannot be meant.
+    """
+
+    cameras: int = 2
+    identity: int = 1
+    frames: int = 600
+    fps: float = 30.0
+    seed: int = 0
+    expressions: bool = True
+    motion: str = "natural"
+    speed: float = 1.0
+    light: str = "slow"
+    occlusion: bool = False
+    noise: float = 1.0
+    distortion: bool = False
+    width: int = 640
+    height: int = 480
+    distance_mm: float = 700.0
+    baseline_mm: float = 120.0
+
+    def __post_init__(self) -> None:
+        _check("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
+        _check("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
+        _check("cameras", self.cameras, self.cameras in CAMERAS, "1 or 2")
+        for name in ("identity", "seed"):
+            _check(name, getattr(self, name), getattr(self, name) >= 0, "0 or more")
+        ranges = {
+            "frames": (self.frames, 1, MOST_FRAMES),
+            "fps": (self.fps, 1.0, 1000.0),
+            "speed": (self.speed, 0.1, 10.0),
+            "noise": (self.noise, 0.0, 20.0),
+            "distance": (self.distance_mm, *DISTANCES_MM),
+            "baseline": (self.baseline_mm, *BASELINES_MM),
+        }
+        for name, (value, low, high) in ranges.items():
+            _check(name, value, low <= value <= high, f"{low:g} to {high:g}")
+        low, high = SIZES_PX
+        good = low <= min(self.width, self.height) and max(self.width, self.height) <= high
+        _check("image-size", f"{self.width}x{self.height}", good, f"sides of {low} to {high} pixels")
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last frame's stamp."""
+        return (self.frames - 1) / self.fps
+
+
+def _check(name: str, value: object, good: bool, expected: str) -> None:
+    if not good:
+        raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
