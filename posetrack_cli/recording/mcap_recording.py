@@ -26,6 +26,7 @@ from posetrack_cli.recording.mcap_decoding import (
 from posetrack_cli.recording.mcap_images import decode_depth, describe_image, millimetre_png
 from posetrack_cli.recording.mcap_stream import McapItem, check_mcap, read_messages
 from posetrack_cli.recording.mcap_topics import Topic, choose_depth_topic, frame_id_of_topic, scan_topics
+from posetrack_cli.recording.mcap_truth import read_truth
 from posetrack_cli.recording.single_camera import SingleCameraRecording
 from posetrack_cli.recording.stored import StoredFrame
 
@@ -93,19 +94,7 @@ class McapRecording(SingleCameraRecording):
 
         Nothing if the images are mirrored: the truth is not about the mirrored scene.
         """
-        if not self._truth or self._window.mirror:
-            return
-        for schema, channel, message in read_messages(self._path, LossLog(), self._truth):
-            yield TruthMessage(
-                topic=channel.topic,
-                schema_name=schema.name if schema else "",
-                schema_encoding=schema.encoding if schema else "",
-                schema_data=schema.data if schema else b"",
-                message_encoding=channel.message_encoding,
-                log_time_ns=message.log_time,
-                data=message.data,
-                channel_metadata=dict(channel.metadata),
-            )
+        return iter(()) if self._window.mirror else read_truth(self._path, self._truth)
 
     def _stored_camera(self, path: Path, settings: CameraFile | None, topics: Mapping[str, Topic]) -> Camera:
         """Return the camera of the images as they are stored, named by their frame id."""

@@ -94,16 +94,26 @@ def open_images(
         RecordingError: if it cannot be read, or its cameras are not calibrated.
         UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
     """
-    from posetrack_cli.recording.images_folder import ImagesFolderRecording
-
     if not path.exists():
         raise RecordingError("no such file or folder", where=path)
     tolerance = _tolerance(tolerance_ms)
     if path.is_dir():
+        from posetrack_cli.recording.images_folder import ImagesFolderRecording
+
         return ImagesFolderRecording(
             path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror, tolerance_ms=tolerance
         )
-    raise NotImplementedError
+    if is_mcap(path):
+        _refuse("an MCAP file", fps=fps)
+        from posetrack_cli.recording.images_mcap import ImagesMcapRecording
+
+        return ImagesMcapRecording(
+            path, cameras=cameras, camera_file=camera_file, mirror=mirror, tolerance_ms=tolerance
+        )
+    _refuse("a video", tolerance_ms=tolerance_ms)
+    from posetrack_cli.recording.images_video import ImagesVideoRecording
+
+    return ImagesVideoRecording(path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror)
 
 
 def _tolerance(given: float | None) -> float:

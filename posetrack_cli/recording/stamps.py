@@ -27,8 +27,12 @@ def stamps_at_rate(count: int, fps: float) -> list[int]:
     if not SLOWEST_HZ <= fps <= FASTEST_HZ:
         expected = f"a number above 0, from {SLOWEST_HZ:g} to {FASTEST_HZ:g}"
         raise UsageError("frame rate cannot be used", found=f"--fps {fps}", expected=expected)
-    period = NS_PER_S / Fraction(fps)
-    return [round(index * period) for index in range(count)]
+    return [stamp_at_rate(index, fps) for index in range(count)]
+
+
+def stamp_at_rate(index: int, fps: float) -> int:
+    """Return the stamp of one frame at a fixed rate, ns."""
+    return round(index * (NS_PER_S / Fraction(fps)))
 
 
 def load_stamps(path: Path, names: Sequence[str]) -> list[int]:

@@ -1,0 +1,164 @@
+"""Grey images of one camera from a video file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import cv2
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, no_intrinsics
+from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
+from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
+from posetrack_cli.recording.rig_file import Rig, load_rig
+from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
+from posetrack_cli.recording.stamps import NS_PER_S, stamp_at_rate, stamps_at_rate
+
+SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+QUIET = "-8"
+
+
+class ImagesVideoRecording(SeveralCamerasRecording):
+    """The frames of a video, made grey; a ``Recording`` of one camera.
+
+    Args:
+        path: a file that OpenCV can read.
+        cameras: the camera's name in a camera file of several.
+        camera_file: its calibration; None for NAME.toml or camera.toml beside the video.
+        fps: frame rate, Hz, in place of the video's own stamps.
+        mirror: flip left to right; replaces the camera file's value.
+
+    Raises:
+        RecordingError: if it cannot be read, has no frame, or is not calibrated.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        cameras: Sequence[str] | None = None,
+        camera_file: Path | None = None,
+        fps: float | None = None,
+        mirror: bool | None = None,
+    ) -> None:
+        rig = _one_camera(load_rig(camera_file or _beside(path)), cameras)
+        (self._name,) = rig.cameras
+        self._rig_path = rig.path
+        with _opened(path) as video:
+            self._count = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0) or None
+            self._rate = float(video.get(cv2.CAP_PROP_FPS))
+            is_read, image = video.read()
+        if not is_read:
+            raise RecordingError("video has no frame that can be decoded", where=path)
+        self._kind = kind_of_image(image, path)
+        self._fps = fps
+        if fps is not None:
+            stamps_at_rate(0, fps)  # refuses what is no rate
+        self._mirror = rig.mirror if mirror is None else mirror
+        self._window = rig.window(self._name, self._mirror)
+        (stored,) = rig.stored_cameras({self._name: (self._kind.width, self._kind.height)})
+        super().__init__(path, [self._window.camera(stored)], 0)
+
+    @property
+    def frame_count(self) -> int | None:
+        """The number of frames that the video tells, None if it does not."""
+        return self._count
+
+    def identity(self) -> Mapping[str, str]:
+        """Name, kind, size and SHA-256 of the file, and how it was read."""
+        size, digest = file_digest(self._path)
+        return {
+            "name": shown_name(self._path.resolve()),
+            "kind": "video",
+            "bytes": str(size),
+            "sha256": digest,
+            "frames": "" if self._count is None else str(self._count),
+            "cameras": self._cameras[0].name,
+            "stored": self._kind.words,
+            "mirror": str(self._mirror).lower(),
+            **({} if self._fps is None else {"fps": str(self._fps)}),
+        }
+
+    def _streams(self, losses: LossLog) -> Sequence[Iterator[StoredImage | None]]:
+        return [self._stream(losses)]
+
+    def _stream(self, losses: LossLog) -> Iterator[StoredImage | None]:
+        """Yield the frames, decoded: a video cannot go back to one that was passed."""
+        latest, index = -1, 0
+        with _opened(self._path) as video:
+            while True:
+                is_read, image = video.read()
+                if not is_read:
+                    break
+                latest = self._stamp(video, index, latest)
+                yield StoredImage(latest, f"video frame {index}", partial(self._grey, image, index))
+                index += 1
+        if self._count is not None and index < self._count:
+            losses.add("video ends early", f"frame {index} of {self._count}")
+
+    def _stamp(self, video: cv2.VideoCapture, index: int, latest: int) -> int:
+        """Return when a frame was taken, ns: by the rate given, or as the video says, or by its rate."""
+        if self._fps is not None:
+            return stamp_at_rate(index, self._fps)
+        own = round(video.get(cv2.CAP_PROP_POS_MSEC) * NS_PER_MS)
+        if own > latest:
+            return own
+        return latest + round(NS_PER_S / self._rate) if self._rate > 0 else latest + 1
+
+    def _grey(self, image: ImageArray, index: int) -> ImageArray:
+        check_size(image, self._kind, f"{self._path}, frame {index}")
+        return self._window.apply(grey_of(image, self._kind.bits))
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is named as a video or OpenCV can open it as one."""
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    video = _capture(path)
+    try:
+        return bool(video.isOpened())
+    finally:
+        video.release()
+
+
+def _capture(path: Path) -> cv2.VideoCapture:
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", QUIET)  # an error is told in one line, by us
+    return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
+    video = _capture(path)
+    try:
+        if not video.isOpened():
+            raise RecordingError("is no video that can be read", where=path)
+        yield video
+    finally:
+        video.release()
+
+
+def _beside(path: Path) -> Path:
+    """The camera file that lies beside a video: NAME.toml, or camera.toml."""
+    for file in (path.with_suffix(".toml"), path.parent / CAMERA_FILE_NAME):
+        if file.exists():
+            return file
+    raise no_intrinsics(path)
+
+
+def _one_camera(rig: Rig, cameras: Sequence[str] | None) -> Rig:
+    chosen = rig if cameras is None else rig.chosen(cameras)
+    if len(chosen.cameras) != 1:
+        raise UsageError(
+            "a video is of one camera",
+            where=rig.path,
+            found=", ".join(chosen.cameras),
+            hint="choose one with --cameras",
+        )
+    return chosen

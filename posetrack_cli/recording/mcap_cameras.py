@@ -1,0 +1,230 @@
+"""Which topics of an MCAP file are its cameras' grey images, and the cameras themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.extrinsics import placed, relative_to, rotation_from_rows
+from posetrack_cli.recording.base import TRUTH_PREFIX
+from posetrack_cli.recording.grey import StoredKind
+from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
+from posetrack_cli.recording.mcap_decoding import CALIBRATION, frame_id_of
+from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
+from posetrack_cli.recording.mcap_grey import holds_grey, kind_of_message
+from posetrack_cli.recording.mcap_topics import Topic, frame_id_of_topic
+from posetrack_cli.recording.rig_file import Rig, check_apart
+from posetrack_cli.recording.stored import UnreadableImageError
+
+COMPRESSED = "/compressed"
+RECTIFIED = "image_rect"
+SIDES = {"left": 0, "right": 1}
+
+
+@dataclass(frozen=True)
+class Source:
+    """One camera's topic.
+
+    Attributes:
+        topic: of the images.
+        name: the camera's.
+        kind: what the images are like.
+    """
+
+    topic: Topic
+    name: str
+    kind: StoredKind
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.kind.width, self.kind.height
+
+
+def find_sources(path: Path, topics: Mapping[str, Topic], wanted: Sequence[str] | None) -> list[Source]:
+    """Return the topics to use: those asked for, in that order, else all that are images of cameras.
+
+    Images of 8 bits come before those of 16, which may be depth; of a topic that is there raw and compressed
+    the raw one counts. Left comes before right.
+
+    Args:
+        path: the file, for errors.
+        topics: of the file.
+        wanted: names of topics, or of cameras.
+
+    Raises:
+        RecordingError: listing the candidates, if there is none or none of a name.
+    """
+    images = [topic for topic in topics.values() if topic.image is not None and topic.count]
+    images = [topic for topic in images if not topic.name.startswith(TRUTH_PREFIX)]
+    grey = [topic for topic in images if holds_grey(topic.first, topic.kind)]
+    if wanted is not None:
+        return [_asked_for(path, name, grey) for name in wanted]
+    sources = [_source(topic) for topic in sorted(grey, key=_order)]
+    eight = [source for source in sources if source.kind.bits == 8] or sources
+    names = {source.topic.name for source in eight}
+    kept = [s for s in eight if s.topic.name.removesuffix(COMPRESSED) not in names - {s.topic.name}]
+    if not kept:
+        found = ", ".join(topic.label for topic in images) or "no image topics"
+        raise RecordingError("no topic holds grey or colour images", where=path, found=found)
+    return distinct_names(kept)
+
+
+def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[Source]:
+    """Return the topic of each camera of a camera file, by topic, frame id or a part of the topic's name.
+
+    Raises:
+        RecordingError: if not exactly one fits a camera.
+    """
+    every = find_sources(path, topics, None)
+    if len(rig.cameras) == 1 and len(every) == 1:
+        return [replace(every[0], name=next(iter(rig.cameras)))]
+    found = []
+    for name in rig.cameras:
+        fitting = [source for source in every if _is_called(source.topic, name)]
+        if len(fitting) != 1:
+            raise RecordingError(
+                f"{'several topics fit' if fitting else 'no topic of'} camera '{name}' of {rig.path.name}",
+                where=path,
+                found=", ".join(source.topic.label for source in fitting or every),
+                hint="name cameras in it by topic, frame id or a part of the topic's name",
+            )
+        found.append(replace(fitting[0], name=name))
+    return found
+
+
+def cameras_of_messages(path: Path, topics: Mapping[str, Topic], sources: Sequence[Source]) -> list[Camera]:
+    """Return the cameras of stored images from the file's calibrations and transforms, relative to the first.
+
+    Raises:
+        RecordingError: if one is not calibrated, sizes differ, or nothing tells where the cameras are.
+    """
+    calibrations = _calibrations(path, topics, sources)
+    cameras = [_camera(path, topics, s, name) for s, name in zip(sources, calibrations, strict=True)]
+    if len(cameras) == 1:
+        return cameras
+    places = [_rectified(topics[name], source) for source, name in zip(sources, calibrations, strict=True)]
+    known: Sequence[FloatArray | None] = [place[1] if place is not None else None for place in places]
+    if not is_placed(known):
+        frames = [frame_id_of_topic(source.topic) for source in sources]
+        known = camera_places(path, topics, frames)
+    if not is_placed(known):
+        raise RecordingError(
+            f"places of cameras {', '.join(camera.name for camera in cameras)} are not known",
+            where=path,
+            found="no baseline in P of their calibrations and no transforms between their frames",
+            hint="pass --camera; posetrack calibrate stereo writes such a file",
+        )
+    rebased = relative_to(*_placed(cameras, known, path))
+    check_apart(rebased, path)
+    return list(rebased)
+
+
+def distinct_names(sources: Sequence[Source]) -> list[Source]:
+    """Return the sources named by frame id, or else by the part of the topic in which they differ."""
+    names = [frame_id_of_topic(source.topic) for source in sources]
+    if "" in names or len(set(names)) < len(names):
+        parts = [source.topic.name.strip("/").split("/") for source in sources]
+        columns = list(zip(*parts, strict=False))
+        distinct = [column for column in columns if len(set(column)) == len(column)]
+        names = list(distinct[0]) if distinct else [source.topic.name for source in sources]
+    if len(sources) == 1 and not frame_id_of_topic(sources[0].topic):
+        names = ["camera"]
+    return [replace(source, name=name) for source, name in zip(sources, names, strict=True)]
+
+
+def _placed(
+    cameras: Sequence[Camera], places: Sequence[FloatArray | None], path: Path
+) -> tuple[Camera, list[Camera]]:
+    moved = []
+    for camera, place in zip(cameras, places, strict=True):
+        matrix = np.eye(3, 4) if place is None else place
+        try:
+            rotation = rotation_from_rows(matrix[:, :3].ravel().tolist(), f"{path}, R of {camera.name}")
+        except PosetrackError as error:
+            raise RecordingError(str(error)) from error
+        moved.append(placed(camera, np.column_stack([rotation, matrix[:, 3]])))
+    return moved[0], moved
+
+
+def _calibrations(path: Path, topics: Mapping[str, Topic], sources: Sequence[Source]) -> list[str]:
+    """Return the topic of each camera's calibration; no two cameras share one."""
+    known = {
+        name: frame_id_of(topic.first)
+        for name, topic in topics.items()
+        if topic.kind == CALIBRATION and topic.first is not None
+    }
+    chosen = [choose_calibration(s.topic.name, frame_id_of_topic(s.topic), known) for s in sources]
+    for name in set(chosen):
+        sharing = [s.topic.name for s, c in zip(sources, chosen, strict=True) if c == name]
+        if len(sharing) > 1:
+            raise RecordingError(
+                f"{', '.join(sharing)} have one calibration",
+                where=path,
+                found=name,
+                hint="choose the cameras with --cameras TOPIC,TOPIC, or pass --camera",
+            )
+    return chosen
+
+
+def _camera(path: Path, topics: Mapping[str, Topic], source: Source, calibration: str) -> Camera:
+    camera = camera_from_message(topics[calibration].first, source.name, calibration)
+    if (camera.width, camera.height) != source.size:
+        raise RecordingError(
+            "calibration and images differ in size",
+            where=f"{path}, {calibration}",
+            found=f"{camera.width}x{camera.height}",
+            expected=f"{source.size[0]}x{source.size[1]} as on {source.topic.name}",
+            hint="pass --camera",
+        )
+    matrix = _rectified(topics[calibration], source)
+    if matrix is None or not _is_rectified(source.topic):
+        return camera
+    k = matrix[0]
+    return replace(camera, fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2], distortion=())
+
+
+def _rectified(calibration: Topic, source: Source) -> tuple[FloatArray, FloatArray] | None:
+    return rectification(calibration.first, rectified=_is_rectified(source.topic))
+
+
+def _is_rectified(topic: Topic) -> bool:
+    """ROS names images so that distortion was taken out of."""
+    return any(part.startswith(RECTIFIED) for part in topic.name.split("/"))
+
+
+def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> Source:
+    exact = [topic for topic in grey if topic.name == name]
+    fitting = exact or [topic for topic in grey if _is_called(topic, name)]
+    if len(fitting) == 1:
+        return replace(_source(fitting[0]), name=frame_id_of_topic(fitting[0]) if exact else name)
+    raise RecordingError(
+        f"{'several topics' if fitting else 'no topic'} of camera '{name}'",
+        where=path,
+        found=", ".join(topic.label for topic in fitting or grey) or "no topic with grey or colour images",
+        hint="name topics with --cameras TOPIC,TOPIC",
+    )
+
+
+def _is_called(topic: Topic, name: str) -> bool:
+    return name in (topic.name, frame_id_of_topic(topic), *topic.name.split("/"))
+
+
+def _source(topic: Topic, bits: int | None = None) -> Source:
+    try:
+        kind = kind_of_message(topic.first, str(topic.kind), topic.name, bits)
+    except UnreadableImageError as error:
+        raise RecordingError(f"first image cannot be used, {error}", where=topic.name) from error
+    return Source(topic, frame_id_of_topic(topic), kind)
+
+
+def _order(topic: Topic) -> tuple[int, str]:
+    """Left, right, then by name."""
+    sides = [SIDES[side] for side in SIDES if side in topic.name or side in frame_id_of_topic(topic)]
+    return (sides[0] if len(sides) == 1 else len(SIDES), topic.name)

@@ -1,0 +1,130 @@
+"""Where cameras of an MCAP file are: from their calibration messages, or from transforms between frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.extrinsics import composed, inverse
+from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
+from posetrack_cli.recording.depth import MM_PER_M
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError
+from posetrack_cli.recording.mcap_stream import read_messages
+from posetrack_cli.recording.mcap_topics import Topic
+
+TRANSFORM_TYPES = (
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+    "tf2_msgs/TFMessage",
+    "tf2_msgs/msg/TFMessage",
+    "tf/tfMessage",
+)
+MESSAGES = 1000
+"""How many messages of transforms are looked at; static ones come first or again and again."""
+Edges = dict[tuple[str, str], FloatArray]
+"""Transform (3, 4), mm, from the axes of the second frame to those of the first."""
+
+
+def rectification(decoded: Any, *, rectified: bool) -> tuple[FloatArray, FloatArray] | None:
+    """Return what P and R of a calibration say: K of the image (3, 3) and camera_T_common (3, 4), mm.
+
+    Common are the rectified axes of all cameras of a stereo set; P = K' [I | t], so that a point X there is
+    at R^T (X + t) in the camera's own axes, and at X + t in its rectified image. t is 0 for the first camera.
+
+    Args:
+        decoded: a foxglove.CameraCalibration or ROS CameraInfo.
+        rectified: whether the image was rectified.
+
+    Returns:
+        None if it has no P.
+    """
+    projection, turn = _matrix(decoded, "P", (3, 4)), _matrix(decoded, "R", (3, 3))
+    if projection is None or projection[0, 0] == 0.0 or projection[1, 1] == 0.0:
+        return None
+    intrinsics = projection[:, :3]
+    t = np.linalg.solve(intrinsics, projection[:, 3]) * MM_PER_M
+    rotation = np.eye(3) if rectified or turn is None else turn.T
+    if rectified:
+        return intrinsics, np.column_stack([rotation, t])
+    own = _matrix(decoded, "K", (3, 3))
+    return (intrinsics if own is None else own), np.column_stack([rotation, rotation @ t])
+
+
+def is_placed(places: Sequence[FloatArray | None]) -> bool:
+    """Whether calibrations tell where the cameras are: all have a place, and not all the same."""
+    known = [place for place in places if place is not None]
+    return len(known) == len(places) and any(not np.allclose(p[:, 3], known[0][:, 3]) for p in known)
+
+
+def camera_places(
+    path: Path, topics: Mapping[str, Topic], frames: Sequence[str]
+) -> Sequence[FloatArray | None]:
+    """Return camera_T_first (3, 4), mm, of each camera's frame from the file's transforms.
+
+    The first transform between two frames counts: cameras do not move against each other.
+
+    Returns:
+        None for a frame that no transforms connect with the first.
+    """
+    edges: Edges = {}
+    names = [name for name, topic in topics.items() if topic.type_name in TRANSFORM_TYPES]
+    decoder = MessageDecoder()
+    for item in islice(read_messages(path, LossLog(), names), MESSAGES if names else 0):
+        try:
+            _learn(edges, decoder.decode(*item))
+        except UndecodableMessageError:
+            continue
+    reached = _reached(edges, frames[0])
+    return [reached.get(frame.lstrip("/")) for frame in frames]
+
+
+def _learn(edges: Edges, decoded: Any) -> None:
+    """Keep the transforms of a message that are not known yet, both ways."""
+    for transform in getattr(decoded, "transforms", (decoded,)):
+        header = getattr(transform, "header", None)
+        parent = str(header.frame_id if header is not None else transform.parent_frame_id).lstrip("/")
+        child = str(transform.child_frame_id).lstrip("/")
+        body = getattr(transform, "transform", transform)
+        if (parent, child) not in edges and parent != child:
+            matrix = _rigid(body.translation, body.rotation)
+            if matrix is not None:
+                edges[parent, child], edges[child, parent] = matrix, inverse(matrix)
+
+
+def _rigid(translation: Any, rotation: Any) -> FloatArray | None:
+    quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
+    t = np.array([translation.x, translation.y, translation.z]) * MM_PER_M
+    if not (np.isfinite(t).all() and np.isfinite(quaternion).all() and np.any(quaternion)):
+        return None
+    return np.column_stack([matrices_from_quaternions(canonical(quaternion)), t])
+
+
+def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
+    """Return frame_T_start of every frame that transforms connect with one, breadth first."""
+    start = start.lstrip("/")
+    reached = {start: np.eye(3, 4)}
+    waiting = [start]
+    while waiting:
+        here = waiting.pop(0)
+        for (to, source), matrix in edges.items():
+            if source == here and to not in reached:
+                reached[to] = composed(matrix, reached[here])
+                waiting.append(to)
+    return reached
+
+
+def _matrix(decoded: Any, name: str, shape: tuple[int, int]) -> FloatArray | None:
+    """ROS 1 and Foxglove write K, R and P, ROS 2 k, r and p; nothing or zeros mean not known."""
+    values = getattr(decoded, name, None)
+    if values is None:
+        values = getattr(decoded, name.lower(), ())
+    matrix = np.array([float(value) for value in values])
+    if matrix.size != shape[0] * shape[1] or not matrix.any() or not np.isfinite(matrix).all():
+        return None
+    return matrix.reshape(shape)
