@@ -88,7 +88,7 @@ class TiledDepthRenderer:
     def _reducer(self, mixture: bool) -> Any:
         """The program that sums over tiles, with or without the misfits of a pixel's model."""
         names = {"LANES": LANES, "MIXTURE": int(mixture)}
-        program = self.context.computeshader_source(shader_source("tile_sums.comp", names))
+        program = self.context.compute_shader(shader_source("tile_sums.comp", names))
         program["tile_size"], program["columns"], program["near_mm"] = self.tile, self.grid[0], NEAR_MM
         return program
 
