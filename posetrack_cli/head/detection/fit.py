@@ -13,14 +13,8 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.detection.patch import MIDDLE, PIXELS_PER_MM
-from posetrack_cli.head.face import BROWS, MEAN_SHAPE, NOSTRILS
-
-FEATURES = MEAN_SHAPE.copy()
-"""(K, 3) mm: where image features lie on a mean face: a nostril above its sill, a brow below its edge."""
-FEATURES[NOSTRILS] = [[-8.5, -42.0, 26.0], [8.5, -42.0, 26.0]]
-FEATURES[BROWS] = [[-15.5, 19.0, 19.0], [15.5, 19.0, 19.0]]
-FEATURES.setflags(write=False)
 
 PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0])
 PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.15])
@@ -41,6 +35,17 @@ def projected(poses: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
     flipped = shape * np.array([1.0, -1.0, -1.0])
     pixels: FloatArray = np.einsum("nij,kj->nki", rows, flipped) + poses[:, None, :2]
     return pixels
+
+
+def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
+    """Return how much farther from the camera than the head's origin each point is, (K,) mm.
+
+    Args:
+        angles: (3,) roll, yaw, pitch, rad.
+        shape: (K, 3) mm in the head's frame.
+    """
+    relief: FloatArray = (shape * np.array([1.0, -1.0, -1.0])) @ _rotations(angles[None])[0, 2]
+    return relief
 
 
 def fit_face(

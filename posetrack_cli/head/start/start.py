@@ -1,0 +1,203 @@
+"""One attempt to find a head in the images of one instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.epipolar import better_order
+from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.fit import relief_of
+from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.start.completion import completed
+from posetrack_cli.head.start.head_frame import face_deviation, face_size, head_frame
+from posetrack_cli.head.start.matching import Matches, View, match_points
+from posetrack_cli.head.start.settings import StartSettings
+
+NO_FACE = "no face"
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A head that was found.
+
+    Attributes:
+        pose: ``camera_T_head`` in the reference camera.
+        shape: (K, 3) in the head's frame, mm.
+        pixels: (C, K, 2) of the points in every image; NaN for a camera without one.
+        matched: (K,) which points were found in more than one image; the others' depth is an average face's.
+        score: 0 to 1, mean correlation of the matched points.
+    """
+
+    pose: HeadPose
+    shape: FloatArray
+    pixels: FloatArray
+    matched: BoolArray
+    score: float
+
+
+@dataclass(frozen=True)
+class NoStart:
+    """Why no head was found.
+
+    Attributes:
+        reason: in a few words.
+        score: 0 to 1, the surest face's score; 0 where there is none.
+        order: the order of images that fits the calibration better than the recorded one, empty if none.
+    """
+
+    reason: str
+    score: float = 0.0
+    order: tuple[int, ...] = ()
+
+
+def find_start(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    detector: FaceDetector,
+    settings: StartSettings = StartSettings(),  # noqa: B008
+) -> Start | NoStart:
+    """Look for a head in the images of one instant.
+
+    The face is looked for in the reference camera's image first; where that fails, in the others'.
+
+    Args:
+        images: (height, width) uint8, one per camera, None where a camera has none.
+        cameras: C >= 2, calibrated.
+        detector: of faces and their points.
+        settings: what is good enough.
+    """
+    views = tuple(None if image is None else View(c, image) for c, image in zip(cameras, images, strict=True))
+    there = [c for c, view in enumerate(views) if view is not None]
+    if len(there) < 2:
+        return NoStart("images of fewer than two cameras")
+    failures, faces = [], np.full((len(cameras), POINT_COUNT, 2), np.nan)
+    for camera in sorted(there, key=lambda c: not is_reference(cameras[c])):
+        detection = detector.detect(_there(views[camera]).image)
+        failures.append(NoStart(NO_FACE, detection.best_score))
+        for face in reversed(detection.faces):
+            faces[camera] = face.pixels
+        for face in detection.faces:
+            outcome = start_from_points(views, camera, face.pixels, face.pixels_per_mm, face.angles, settings)
+            if isinstance(outcome, Start):
+                return outcome
+            failures.append(outcome)
+    failure = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
+    return _with_order(failure, cameras, faces)
+
+
+def start_from_points(
+    views: Sequence[View | None],
+    camera: int,
+    pixels: FloatArray,
+    pixels_per_mm: float,
+    angles: FloatArray,
+    settings: StartSettings,
+) -> Start | NoStart:
+    """Return the head whose ten points were found in one camera's image.
+
+    Args:
+        views: one per camera, None where a camera has no image.
+        camera: index of the one that the points were found in.
+        pixels: (K, 2) in its image.
+        pixels_per_mm: the face's scale there.
+        angles: (3,) roll, yaw, pitch, rad, as ``FacePoints.angles``.
+        settings: what is good enough.
+    """
+    first = _there(views[camera])
+    found = np.full((len(views), POINT_COUNT, 2), np.nan)
+    found[camera] = pixels
+    correlations = np.zeros((len(views), POINT_COUNT))
+    for other, second in enumerate(views):
+        if other != camera and second is not None:
+            matches = match_points(first, second, pixels, relief_of(angles), pixels_per_mm)
+            good = _are_good(matches, pixels_per_mm, settings)
+            found[other, good], correlations[other] = matches.pixels[good], matches.correlations
+    return start_from_pixels(views, camera, found, correlations.max(axis=0), settings)
+
+
+def start_from_pixels(
+    views: Sequence[View | None],
+    camera: int,
+    pixels: FloatArray,
+    correlations: FloatArray,
+    settings: StartSettings,
+) -> Start | NoStart:
+    """Return the head whose points have pixels (C, K, 2), NaN where not found, if they are a face's.
+
+    Args:
+        views: one per camera, None where a camera has no image.
+        camera: index of one that has all points.
+        pixels: (C, K, 2).
+        correlations: (K,) how well the points were matched, for the score.
+        settings: what is good enough.
+    """
+    used = [c for c, view in enumerate(views) if view is not None]
+    cameras = [_there(views[c]).camera for c in used]
+    points, known = triangulate(cameras, pixels[used])
+    errors = reprojection_errors(cameras, points, pixels[used])
+    known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= settings.reprojection_px
+    score = float(correlations.mean())
+    if known.sum() < settings.matched_points:
+        return NoStart(f"{known.sum()} of {POINT_COUNT} points matched between the images", score)
+    points = completed(points, known, _there(views[camera]), pixels[camera])
+    pose, shape = head_frame(points)
+    reason = _implausible(shape, settings)
+    if reason:
+        return NoStart(reason, score)
+    return Start(pose, shape, _everywhere(views, points, pixels), known, float(correlations[known].mean()))
+
+
+def is_reference(camera: Camera) -> bool:
+    """Whether a camera's axes are the recording's."""
+    return bool(np.array_equal(np.array(camera.camera_T_reference), np.eye(3, 4)))
+
+
+def _are_good(matches: Matches, pixels_per_mm: float, settings: StartSettings) -> BoolArray:
+    good: BoolArray = matches.correlations >= settings.correlation
+    return good & (matches.returns_px <= settings.return_mm * pixels_per_mm)
+
+
+def _implausible(shape: FloatArray, settings: StartSettings) -> str:
+    """Say what about a shape (K, 3) is not a face's; empty if nothing is."""
+    size, deviation = face_size(shape), face_deviation(shape)
+    if not settings.least_size <= size <= settings.most_size:
+        return f"points {size:.2f} times as far apart as a face's"
+    if deviation > settings.deviation:
+        return f"points {deviation:.1f} standard deviations from a face's"
+    return ""
+
+
+def _everywhere(views: Sequence[View | None], points: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return pixels (C, K, 2) with the projections of points where an image exists and none was found."""
+    filled = pixels.copy()
+    for own, view in zip(filled, views, strict=True):
+        if view is not None:
+            projected, _ = view.pixels_of(points)
+            own[:] = np.where(np.isnan(own), projected, own)
+    return filled
+
+
+def _with_order(failure: NoStart, cameras: Sequence[Camera], faces: FloatArray) -> NoStart:
+    """Say so if the faces found in each image (C, K, 2) fit the calibration in another order of images."""
+    if np.isnan(faces[..., 0]).all(axis=1).any():
+        return failure
+    better = better_order(cameras, faces)
+    if better is None:
+        return failure
+    names = ", ".join(cameras[c].name for c in better.order)
+    return NoStart(
+        f"images look exchanged: they fit the calibration in the order {names}", failure.score, better.order
+    )
+
+
+def _there(view: View | None) -> View:
+    if view is None:
+        raise ValueError("a camera without an image")
+    return view
