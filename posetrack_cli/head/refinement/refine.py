@@ -35,6 +35,7 @@ class Refined:
         correlations: (C, K) the best with a template of ``sets``; NaN where there is none.
         visibility: (C, K) cosine of normal and ray at the predicted pose; 0 from behind and without an image.
         pixels: (C, K, 2) of the points with their residuals; NaN behind a camera.
+        scene: the frame as it was looked at, for ``recalculate``.
     """
 
     pose: HeadPose
@@ -43,6 +44,7 @@ class Refined:
     correlations: FloatArray
     visibility: FloatArray
     pixels: FloatArray
+    scene: Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,44 +91,28 @@ def refine(
         scene, seen = make_scene(images, cameras, sets, previous, pose, shape, settings)
         state = _descended(scene, model, pose, coefficients, start, settings)
         pose, coefficients, start = _pose(state), state.coefficients, state.residuals
-    return Refined(pose, coefficients, start, state.correlations, seen, state.pixels)
+    return Refined(pose, coefficients, start, state.correlations, seen, state.pixels, scene)
 
 
 def recalculate(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    sets: Sequence[TemplateSet],
-    previous: TemplateSet | None,
-    pose: HeadPose,
-    shape: FloatArray,
-    start: FloatArray,
-    settings: RefinementSettings,
+    scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, settings: RefinementSettings
 ) -> Recalculated:
     """Find the points' own places with the pose held (``recalculation``).
 
     Args:
-        images, cameras, sets, previous: as of ``refine``.
+        scene: of the frame, about nearly this pose and shape: ``Refined.scene``.
         pose: of the head.
         shape: (K, 3) M, what the model says, in the head's frame, mm.
         start: (K, 3) M' of the frame before.
         settings: weights, priors, steps.
     """
-    count = (len(cameras), len(shape))
+    count = (len(scene.images.sizes), len(shape))
     points, correlations, pixels = start.copy(), np.empty(count), np.empty((*count, 2))
     prior = _prior(settings.recalculation_mm, settings)
-    for _ in range(_looks(cameras)):
-        scene, _seen = make_scene(images, cameras, sets, previous, pose, points, settings)
-        recalculate_points(
-            scene,
-            pose.rotation,
-            pose.position,
-            shape,
-            prior,
-            settings.recalculation_iterations,
-            points,
-            correlations,
-            pixels,
-        )
+    most = settings.recalculation_iterations
+    recalculate_points(
+        scene, pose.rotation, pose.position, shape, prior, most, points, correlations, pixels
+    )
     return Recalculated(points, correlations, pixels)
 
 
