@@ -16,6 +16,12 @@ FEATURES[NOSTRILS] = [[-8.5, -42.0, 26.0], [8.5, -42.0, 26.0]]
 FEATURES[BROWS] = [[-15.5, 19.0, 19.0], [15.5, 19.0, 19.0]]
 FEATURES.setflags(write=False)
 
+NOSE_BASE = np.array([0.0, -37.0, 26.0])
+"""mm: middle of the arc that the nose's wings and base form. It guides the fit, and is no point of a shape."""
+FITTED = np.vstack([FEATURES, NOSE_BASE])
+"""(K + 1, 3) mm: what a mean face is fitted by."""
+FITTED.setflags(write=False)
+
 FEATURE_SD = np.array([3.5, 3.0, 3.0, 3.5, 6.0, 6.0, 5.0, 5.0, 6.0, 6.0])
 """(K,) mm: identity, expression and the detector's error of one coordinate together **[ours]**."""
 FEATURE_SD.setflags(write=False)

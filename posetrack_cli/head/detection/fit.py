@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.head.detection.features import FEATURES
+from posetrack_cli.head.detection.features import FEATURES, FITTED
 from posetrack_cli.head.detection.patch import MIDDLE, PIXELS_PER_MM
 
 PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0])
 PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.15])
-WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 1.0, 1.0, 0.6, 0.6])
+WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 0.7, 0.7, 0.6, 0.6, 2.0])
 # What a point contributes where its map is 0: no point may veto a pose.
 LEAST_RESPONSE = 0.1
 # Detectors' eyes lie within these of the truth, pixels of the patch; now and then they are something else.
@@ -29,8 +29,8 @@ KEPT, CHILDREN = 20, 30
 NARROWING = (0.4, 0.2, 0.1)
 
 
-def projected(poses: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
-    """Return the patch pixels (N, K, 2) of a shape (K, 3), mm, under weak-perspective poses (N, 6)."""
+def projected(poses: FloatArray, shape: FloatArray = FITTED) -> FloatArray:
+    """Return the patch pixels (N, L, 2) of points (L, 3), mm, under weak-perspective poses (N, 6)."""
     rows = poses[:, 2, None, None] * _rotations(poses[:, 3:])[:, :2]
     flipped = shape * np.array([1.0, -1.0, -1.0])
     pixels: FloatArray = np.einsum("nij,kj->nki", rows, flipped) + poses[:, None, :2]
@@ -51,10 +51,10 @@ def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
 def fit_face(
     maps: Float32Array, eyes: tuple[FloatArray, FloatArray], start: FloatArray | None = None
 ) -> FloatArray:
-    """Return the pose (6,) that explains response maps (K, height, width) best.
+    """Return the pose (6,) that explains response maps (K + 1, height, width) best.
 
     Args:
-        maps: one map per point.
+        maps: one map per feature of ``FITTED``.
         eyes: (n, 2) patch pixels of possible eye centres, right and left; empty where nothing is known.
         start: (6,) a pose near which to search; without it the whole prior is searched.
     """

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.detection.fit import fit_face, projected
 from posetrack_cli.head.detection.guess import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.patch import FacePatch, cut_patch
 from posetrack_cli.head.detection.peaks import find_peak
 from posetrack_cli.head.detection.responses import response_maps
+from posetrack_cli.head.face import POINT_COUNT
 
 # A point lies within these of where the fitted mean face has it, pixels of the patch.
 POINT_SD = (3.5, 3.0)
@@ -56,7 +58,7 @@ def find_points(image: ImageArray, guess: FaceGuess) -> FacePoints:
     upright = cut_patch(image, first.to_image(rough[:2]), pixels_per_mm, roll)
     maps = response_maps(upright.grey)
     pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright))
-    pixels, responses = _strongest(maps, projected(pose[None])[0])
+    pixels, responses = _strongest(maps[:POINT_COUNT], projected(pose[None], FEATURES)[0])
     angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
     return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
 

@@ -2,8 +2,8 @@
 
 Corners are found by the structure tensor's smaller eigenvalue (thesis, 3.2). On a face that alone is not
 enough - the iris is the strongest corner of all - so it is joined with drawn templates: a dark wedge that
-opens to one side (a lid's or the lips' corner), a dark bar that ends (a brow's inner end) and a dark disc
-(a nostril).
+opens to one side (a lid's or the lips' corner), a dark bar that ends (a brow's inner end), a dark disc
+(a nostril) and an arc (the nose's wings and base).
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ FULL = 0.995
 
 
 def response_maps(grey: ImageArray) -> Float32Array:
-    """Return (K, height, width) in 0..1: how well each pixel of an upright patch fits each point."""
+    """Return (K + 1, height, width) in 0..1: how well each pixel of an upright patch fits each feature.
+
+    The features are the ten points and the nose's base, as in ``features.FITTED``.
+    """
     smooth = _blurred(grey.astype(np.float32), SMOOTHING)
     opening_right, opening_left = _end_stopped(_matched(smooth, wedge(1)), _matched(smooth, wedge(-1)))
     corners = _corners(smooth)
@@ -34,7 +37,7 @@ def response_maps(grey: ImageArray) -> Float32Array:
     inner_right = np.sqrt(dark_corners * (0.3 + 0.7 * opening_left))
     inner_left = np.sqrt(dark_corners * (0.3 + 0.7 * opening_right))
     eyes = [outer_right, inner_right, inner_left, outer_left]
-    maps = [*eyes, outer_right, outer_left, *_nostrils_and_brows(smooth)]
+    maps = [*eyes, outer_right, outer_left, *_nose_and_brows(smooth)]
     return np.stack(maps).astype(np.float32)
 
 
@@ -56,6 +59,17 @@ def disc(radius: float = 3.5) -> Float32Array:
     return _drawn(8, 7, lambda x, y: (x / 1.4) ** 2 + y**2 < radius**2)
 
 
+@cache
+def arc(half_width: float = 19.0, half_thickness: float = 3.5) -> Float32Array:
+    """Return a dark arc on white, open at the top and half as high as wide: a nose's wings and base."""
+
+    def on_arc(x: Any, y: Any) -> Any:
+        radius = np.hypot(x / half_width, (y + 3.0) / (0.5 * half_width))
+        return (abs(radius - 1.0) < half_thickness / half_width) & (y > -6.0)
+
+    return _drawn(26, 11, on_arc)
+
+
 def _drawn(half_width: int, half_height: int, dark: Callable[[Any, Any], Any]) -> Float32Array:
     """Draw what is dark at pixel offsets (x, y) from the middle, antialiased and slightly blurred."""
     samples = 8
@@ -70,12 +84,12 @@ def _drawn(half_width: int, half_height: int, dark: Callable[[Any, Any], Any]) -
     return template
 
 
-def _nostrils_and_brows(smooth: Float32Array) -> list[Float32Array]:
+def _nose_and_brows(smooth: Float32Array) -> list[Float32Array]:
     contrast = _contrast(smooth)
     round_ = np.sqrt(_matched(smooth, disc()) * contrast)
     nostrils = [0.5 * (np.sqrt(_matched(smooth, bar(side, 5.0)) * contrast) + round_) for side in (-1, 1)]
     brows = [np.sqrt(_matched(smooth, bar(side, 3.0)) * contrast) for side in (-1, 1)]
-    return nostrils + brows
+    return [*nostrils, *brows, _matched(smooth, arc()) * contrast]
 
 
 def _matched(smooth: Float32Array, template: Float32Array) -> Float32Array:
