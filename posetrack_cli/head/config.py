@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from posetrack_cli.configuration import Settings
+from posetrack_cli.head.start.settings import StartSettings
 
 # Wider than any head, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -51,7 +52,7 @@ class RefinementSettings(Settings):
     ((ncc - ``correlation_floor``) / (1 - floor)) ^ ``correlation_power``. ``patch_sd`` is the standard
     deviation of one such vector's difference per unit of weight. A point's residual is Student-t of
     ``degrees_of_freedom`` with the sd of ``residual_mm``; in the recalculation of points, with the pose held,
-    of ``recalculation_mm``. ``recalculation = "printed"`` is the thesis's: raw intensities, ``rho`` and
+    of ``recalculation_mm``, and of a shape that was just found of ``settling_mm``. ``recalculation = "printed"`` is the thesis's: raw intensities, ``rho`` and
     ``epsilon`` of (3.3) and (3.5).
     """
 
@@ -68,6 +69,7 @@ class RefinementSettings(Settings):
     degrees_of_freedom: Positive = 4.0
     residual_mm: PointSettings = PointSettings(eyes=0.5, mouth=1.5, nostrils=0.8, brows=0.8)
     recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=5.0, nostrils=2.5, brows=2.0)
+    settling_mm: PointSettings = PointSettings(eyes=20.0, mouth=20.0, nostrils=20.0, brows=20.0)
     recalculation: Literal["joint", "printed"] = "joint"
     rho: NotNegative = 4.0
     epsilon: NotNegative = 2000.0
@@ -126,6 +128,9 @@ class HeadOutputSettings(Settings):
 class HeadStereoConfig(Settings):
     """Everything that a stereo run depends on besides its recording and its seed."""
 
+    file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model",)
+
+    start: StartSettings = StartSettings()
     model: ModelSettings = ModelSettings()
     particles: ParticleSettings = ParticleSettings()
     refinement: RefinementSettings = RefinementSettings()

@@ -10,13 +10,13 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.keyframes import chosen
 from posetrack_cli.head.motion import predicted_pose, velocity_between
+from posetrack_cli.head.particle_scores import Observation
 from posetrack_cli.head.particles import HeadFilter, HeadParticles
 from posetrack_cli.head.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.projection import project
-from posetrack_cli.head.refinement.refine import Recalculated, Refined, recalculate, refine
+from posetrack_cli.head.refinement.refine import recalculate, refine
 from posetrack_cli.head.shape_model import ShapeModel
 from posetrack_cli.head.templates import (
     TemplateSet,
@@ -40,7 +40,7 @@ class Following:
         velocity: (6,) tangent vector per second.
         particles: about that pose.
         shape: (K, 3) M', the points' own places in the head's frame, mm.
-        previous: templates of this frame.
+        previous: templates of this frame; None if the head was put here and not seen here.
     """
 
     stamp_ns: int
@@ -48,7 +48,7 @@ class Following:
     velocity: FloatArray
     particles: HeadParticles
     shape: FloatArray
-    previous: TemplateSet
+    previous: TemplateSet | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +130,21 @@ class Follower:
         predicted = predicted_pose(before.pose, before.velocity, dt, self._motion)
         coefficients = before.particles.with_model(model).coefficients
         shape = model.shapes(coefficients)
-        patches, seen = self._expected(images, sets, predicted, shape)
-        filtered = self._filter.step(
-            before.particles, predicted, before.velocity, dt, images, patches, seen, model, rng
-        )
+        expected = self._expected(images, sets, predicted, shape)
+        filtered = self._filter.step(before.particles, predicted, before.velocity, dt, expected, model, rng)
         stored = chosen(sets, filtered.pose.facing)
-        refined = self._refined(images, stored, before, model, filtered.pose, filtered.coefficients)
-        own = self._own_places(images, stored, before, model, refined)
+        refined = refine(
+            images,
+            self._cameras,
+            stored,
+            before.previous,
+            model,
+            filtered.pose,
+            filtered.coefficients,
+            self._settings,
+        )
+        places = model.shapes(refined.coefficients)
+        own = recalculate(refined.scene, refined.pose, places, before.shape, self._settings)
         following = Following(
             stamp_ns,
             refined.pose,
@@ -161,47 +169,11 @@ class Follower:
 
     def _expected(
         self, images: Images, sets: Sequence[TemplateSet], pose: HeadPose, shape: FloatArray
-    ) -> tuple[ImageArray, FloatArray]:
-        """What the points should look like at a predicted pose, and how far they are visible (C, K)."""
+    ) -> Observation:
+        """What the points should look like at a predicted pose, and how far they are visible."""
         projection = project(self._cameras, pose.points(shape))
         patches, known = warped(chosen(sets, pose.facing)[-1], tangents(projection, pose))
-        there = np.array([image is not None for image in images])
-        return template_images(patches), visibility(projection, pose) * known * there[:, None]
-
-    def _refined(
-        self,
-        images: Images,
-        sets: Sequence[TemplateSet],
-        before: Following,
-        model: ShapeModel,
-        pose: HeadPose,
-        coefficients: FloatArray,
-    ) -> Refined:
-        residuals = np.zeros((POINT_COUNT, 3))
-        return refine(
-            images,
-            self._cameras,
-            sets,
-            before.previous,
-            model,
-            pose,
-            coefficients,
-            self._settings,
-            residuals,
-        )
-
-    def _own_places(
-        self,
-        images: Images,
-        sets: Sequence[TemplateSet],
-        before: Following,
-        model: ShapeModel,
-        refined: Refined,
-    ) -> Recalculated:
-        shape = model.shapes(refined.coefficients)
-        return recalculate(
-            images, self._cameras, sets, before.previous, refined.pose, shape, before.shape, self._settings
-        )
+        return Observation(images, template_images(patches), visibility(projection, pose) * known)
 
 
 def agreement(correlations: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:

@@ -68,9 +68,7 @@ def state_of(
     sets = _templates_of(arrays, "sets") if face is not None else ()
     following = _following_of(arrays, numbers["stamp_ns"]) if "stamp_ns" in numbers else None
     best = float(arrays["best"]) if "best" in arrays else 0.0
-    return StereoState(
-        face, sets, following, numbers.get("lost", 0), numbers.get("searched", 0), best
-    )
+    return StereoState(face, sets, following, numbers.get("lost", 0), numbers.get("searched", 0), best)
 
 
 def _face_of(arrays: Mapping[str, np.ndarray[Any, Any]], settings: ModelSettings) -> FaceLearning:
@@ -105,7 +103,7 @@ def _following_parts(following: Following) -> Arrays:
         "particles.mean": model.mean,
         "particles.basis": model.basis,
         "particles.mu": model.deviations,
-    } | _template_parts("previous", [following.previous])
+    } | ({} if following.previous is None else _template_parts("previous", [following.previous]))
 
 
 def _following_of(arrays: Mapping[str, np.ndarray[Any, Any]], stamp_ns: int) -> Following:
@@ -118,6 +116,6 @@ def _following_of(arrays: Mapping[str, np.ndarray[Any, Any]], stamp_ns: int) -> 
         model,
     )
     pose = HeadPose(arrays["following.position"], arrays["following.quaternion"])
-    (previous,) = _templates_of(arrays, "previous")
+    previous = _templates_of(arrays, "previous")[0] if "previous.facing" in arrays else None
     velocity, shape = arrays["following.velocity"], arrays["following.shape"]
     return Following(stamp_ns, pose, velocity, particles, shape, previous)

@@ -1,4 +1,4 @@
-"""The head tracker for calibrated cameras: found by itself, followed, its face learnt meanwhile (chapter 3)."""
+"""The head tracker for calibrated cameras: finds a head, follows it, learns its face meanwhile (chapter 3)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.estimates import followed_estimate, searched_estimate
 from posetrack_cli.head.following import Followed, Follower, Following, Images
 from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.refinement.refine import point_values
-from posetrack_cli.head.start.start import NoStart, Start
+from posetrack_cli.head.start.start import NoStart, Start, find_start
 from posetrack_cli.head.stereo_state import StereoState, parts_of, state_of
 from posetrack_cli.head.templates import TemplateSet, take_templates
 from posetrack_cli.recording.base import Frame
@@ -86,9 +87,7 @@ class StereoTracker:
             return ""
         return f"{state.searched} frames searched, best score {state.best:.2f}"
 
-    def state_parts(
-        self, state: StereoState
-    ) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
+    def state_parts(self, state: StereoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         """Take a state apart into arrays and whole numbers, for a checkpoint."""
         return parts_of(state)
 
@@ -116,7 +115,7 @@ class StereoTracker:
             now.shape, self._steadiness, now.pose, followed.correlations, settings.model
         )
         sets = state.sets
-        if self._is_keyframe(sets, followed):
+        if now.previous is not None and self._is_keyframe(sets, followed):
             sets = (*sets, now.previous)
         after = StereoState(face, sets, now, 0, state.searched, state.best)
         return after, followed_estimate(frame, followed, face, status, settings)
@@ -129,7 +128,7 @@ class StereoTracker:
         return neutral and clear and is_new(sets, followed.following.pose.facing, settings.keyframe_deg)
 
     def _lost(self, state: StereoState, frame: Frame) -> tuple[StereoState, Estimate]:
-        """The head is not where it was expected: nothing is learnt, and it is looked for where it was last."""
+        """The head is not where it was expected: nothing is learnt; it is looked for where it was last."""
         face, following = _found(state.face), state.following
         if following is not None:
             following = replace(following, velocity=np.zeros_like(following.velocity))
@@ -148,7 +147,7 @@ class StereoTracker:
         pose = self._laid_on(face.model.mean, found)
         stamp_ns = frame.stamp_ns - self._gap_ns(state, frame)
         following = self._follower.begin(stamp_ns, frame.images, pose, face.model.mean, face.model, rng)
-        followed = self._followed(state, following, frame, rng)
+        followed = self._followed(state, replace(following, previous=None), frame, rng)
         if not self._is_tracked(followed):
             return self._lost(state, frame)
         status = Status.TRACKING if state.following is None else Status.REINITIALISED
@@ -156,7 +155,11 @@ class StereoTracker:
         return self._tracked(state, frame, replace(followed, following=rested), status)
 
     def _gap_ns(self, state: StereoState, frame: Frame) -> int:
-        return round(USUAL_STEP_S * 1e9) if state.following is None else frame.stamp_ns - state.following.stamp_ns
+        return (
+            round(USUAL_STEP_S * 1e9)
+            if state.following is None
+            else frame.stamp_ns - state.following.stamp_ns
+        )
 
     def _laid_on(self, mean: FloatArray, found: Start) -> HeadPose:
         """The pose in which the known shape lies best on the points that were found."""
@@ -178,6 +181,29 @@ class StereoTracker:
         state = replace(state, face=face, sets=(reference,), following=following)
         followed = started(following, found, face)
         return state, followed_estimate(frame, followed, face, Status.TRACKING, self._config)
+
+
+def make_stereo_tracker(
+    config: HeadStereoConfig,
+    cameras: Sequence[Camera],
+    known: Mapping[str, np.ndarray[Any, Any]] | None = None,
+) -> StereoTracker:
+    """Return the tracker that finds the head by itself.
+
+    Args:
+        config: parameters.
+        cameras: of the recording, the reference first.
+        known: what another tracker has ``learned``.
+
+    Raises:
+        UsageError: a face detector without its model.
+    """
+    detector = FaceDetector(config.start.detection)
+
+    def find(images: Images) -> Start | NoStart:
+        return find_start(images, cameras, detector, config.start)
+
+    return StereoTracker(config, cameras, find, known)
 
 
 def started(following: Following, found: Start, face: FaceLearning) -> Followed:
