@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +11,12 @@ from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.running import close, kept, progress
 from posetrack_cli.cli.signals import stop_signals
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.run import HandRun
-    from posetrack_cli.results.estimate import Estimate
-    from posetrack_cli.tracking.options import RunOutcome
 
 # option -> configuration key
 CONFIGURED = {
@@ -122,13 +117,13 @@ def hand_run(recording: Path, **options: Any) -> None:
         run, total, found = _prepare(recording, options)
         with (
             stop_signals() as stopped,
-            _progress(total, options["start"], options["stride"]) as report,
-            _kept(output),
+            progress(total, options["start"], options["stride"], "hand") as report,
+            kept(output),
         ):
             outcome = run.track(report, stopped)
     if found:
         click.echo(f"{recording}: {found}", err=True)
-    _close(recording, output, outcome)
+    close(recording, output, outcome)
 
 
 def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, str]:
@@ -165,60 +160,3 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
     if config.filter.kind != "pso" or options["particles"] is None:
         return config
     return load_settings(HandConfig, files, assigned | {"pso.particles": options["particles"]})  # a swarm's
-
-
-@contextmanager
-def _progress(total: int | None, start: int, stride: int) -> Iterator[Any]:
-    """Yield a function that shows an estimate on the progress bar; a bar only where a person looks.
-
-    The bar stands at the estimate's frame, so a resumed run begins where the interrupted one ended.
-    """
-    from tqdm import tqdm
-
-    with tqdm(
-        total=total, unit="frame", desc="hand", file=sys.stderr, disable=None, dynamic_ncols=True
-    ) as bar:
-
-        def report(estimate: Estimate) -> None:
-            done = len(range(start, estimate.frame_index + 1, stride))
-            if bar.n == 0:
-                bar.n = bar.initial = bar.last_print_n = done - 1  # frames before this run took it no time
-            size = estimate.effective_sample_size
-            weights = "" if size is None else f"ESS {size:.0f} "
-            bar.set_postfix_str(f"{weights}{estimate.status}", refresh=False)
-            bar.update(done - bar.n)
-
-        yield report
-
-
-@contextmanager
-def _kept(output: Path) -> Iterator[None]:
-    """When the run fails, its line also says what can still be read; what is refused has tracked nothing."""
-    from posetrack_cli.recording.output import part_path
-
-    try:
-        yield
-    except PosetrackError as error:
-        part = part_path(output)
-        if part.is_file() and not isinstance(error, UsageError):
-            error.args = (f"{error}; kept: {part} holds what was tracked before",)
-        raise
-
-
-def _close(recording: Path, output: Path, outcome: RunOutcome) -> None:
-    """The closing line, and the exit code."""
-    from posetrack_cli.recording.losses import loss_line
-    from posetrack_cli.recording.output import part_path
-
-    rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
-    what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"
-    if outcome.frames != outcome.tracked:
-        what += f", {outcome.frames} with those before"
-    what += f", {outcome.lost} lost"
-    if outcome.stopped:
-        click.echo(f"interrupted after {what}: {part_path(output)}; --resume goes on", err=True)
-        click.get_current_context().exit(EXIT_INTERRUPTED)
-    click.echo(f"{what}: {output}")
-    if outcome.losses:
-        click.echo(f"{recording}: {loss_line(outcome.losses)}", err=True)
-        click.get_current_context().exit(EXIT_DATA_LOST)

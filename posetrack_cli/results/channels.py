@@ -31,6 +31,8 @@ CAMERA_PREFIX = "/camera"
 CALIBRATION, ANNOTATIONS = "calibration", "annotations"
 CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
 """Of the only camera; of several each has its own, ``/camera/<name>/calibration``."""
+PLACES_TOPIC = "/tf_static"
+"""Where the other cameras stand."""
 
 
 def camera_topic(camera: Camera, what: str, cameras: int) -> str:
@@ -42,15 +44,15 @@ class ResultChannels:
     """Writes estimates and truth to the topics of a sink.
 
     Topics: ``/camera/calibration`` (of several cameras one each), ``/tf``, ``/<subject>/...``
-    (``TrackChannels``) and, of a subject with lines, what is drawn on the images of each camera, registered
-    in a fixed order, so a channel's id is the same in every file of one kind of subject; then those of truth
-    when they come; in the end ``/smoothed/tf`` and ``/smoothed/<subject>/...``, if there is a smoothed track.
+    (``TrackChannels``), of a subject with lines what is drawn on the images of each camera, and of several
+    cameras their places on ``/tf_static``, registered in a fixed order, so a channel's id is the same in
+    every file of one kind of subject; then those of truth when they come; in the end ``/smoothed/tf`` and
+    ``/smoothed/<subject>/...``, if there is a smoothed track.
 
     Args:
         sink: the file.
         subject: what is tracked.
         cameras: the first is the one that estimates are relative to.
-
     """
 
     def __init__(self, sink: McapSink, subject: Subject, cameras: Sequence[Camera]) -> None:
@@ -61,7 +63,10 @@ class ResultChannels:
         self._filtered = self._track(FILTERED, TRANSFORMS_TOPIC)
         self._smoothed: TrackChannels | None = None
         self._annotations = self._channels(ANNOTATIONS, ImageAnnotations) if subject.lines else {}
-        self.own_ids = frozenset({*self._calibrations, *self._filtered.ids, *self._annotations})
+        self.own_ids = {*self._calibrations, *self._filtered.ids, *self._annotations}
+        if len(self._cameras) > 1:
+            self._places = sink.channel(PLACES_TOPIC, messages.FrameTransforms)
+            self.own_ids.add(self._places)
         self._truth: dict[tuple[object, ...], int] = {}
 
     def _channels(self, what: str, message_class: Any) -> dict[int, Camera]:
@@ -82,7 +87,7 @@ class ResultChannels:
             self._sink.write(channel_id, stamp_ns, self._calibration_bytes(camera, stamp_ns))
         if len(self._cameras) > 1:
             placed = messages.camera_transforms(self._cameras, self._subject.camera_frame, stamp_ns)
-            self._filtered.write_transforms(placed, stamp_ns)
+            self._sink.write(self._places, stamp_ns, placed.SerializeToString(deterministic=True))
 
     def write_estimate(self, estimate: Estimate, vertices: FloatArray | None) -> None:
         """Write one estimate on every topic that shows it.

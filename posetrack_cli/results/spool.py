@@ -23,7 +23,7 @@ BLOCK_BYTES = 1 << 22
 
 Array: TypeAlias = np.ndarray[Any, Any]
 Record: TypeAlias = Mapping[str, Array]
-"""Arrays, or numbers, by name: whole numbers are kept as int64, all others as float64."""
+"""Arrays, or numbers, by name: each is kept in its own type, little-endian."""
 
 
 class RecordSpool:
@@ -171,5 +171,5 @@ class RecordSpool:
 
 
 def _kind(values: Any) -> str:
-    """Return how values are kept, little-endian."""
-    return "<i8" if np.issubdtype(np.asarray(values).dtype, np.integer) else "<f8"
+    """Return how values are kept: in their own type, little-endian."""
+    return np.asarray(values).dtype.newbyteorder("<").str

@@ -59,10 +59,6 @@ class TrackChannels:
             self._sink.write(self._scene, stamp, scene)
         self._sink.write(self._estimate, stamp, estimate_to_json(estimate, self._subject.number_names))
 
-    def write_transforms(self, transforms: messages.FrameTransforms, stamp_ns: int) -> None:
-        """Write frames other than those of an estimate."""
-        self._write(self._transforms, stamp_ns, transforms)
-
     def _drawn(self, estimate: Estimate, vertices: FloatArray | None) -> bytes | None:
         """The scene of an estimate: its mesh, or its lines."""
         if self._encoder is not None and vertices is not None:

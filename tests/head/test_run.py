@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from head_run_support import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
@@ -18,6 +19,8 @@ from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.model_file import load_model, model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions, NoFaceError
 from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.results.export.source import export_source
@@ -99,7 +102,7 @@ def test_topics_of_two_cameras_and_of_one(track: Track, tmp_path: Path) -> None:
     one = [channel.topic for _, channel in read_result(tmp_path / "one.mcap").channels]
     head = ["/head/estimate", "/head/odometry", "/head/scene", "/tf"]
     each = [f"/camera/{name}/{what}" for name in ("left", "right") for what in ("annotations", "calibration")]
-    assert two == [*each, *head]
+    assert two == [*each, *head, "/tf_static"]
     assert one == ["/camera/annotations", "/camera/calibration", *head]
     assert read_result(tmp_path / "one.mcap").cameras() == CAMERAS[:1]
 
@@ -129,6 +132,18 @@ def test_an_exported_table_has_the_numbers(track: Track, tmp_path: Path) -> None
     row = dict(zip(header.split(","), first.split(","), strict=True))
     assert (row["eigenvalue_1_mm2"], row["eigenvalue_2_mm2"], row["learnt_frames"]) == ("4.0", "", "0.0")
     assert row["deformation_1"] == "0.0"
+
+
+def test_the_other_camera_stands_where_its_transform_says(track: Track, tmp_path: Path) -> None:
+    track(Memory())
+    messages = read_messages(tmp_path / "r.mcap", LossLog(), ["/tf_static"])
+    ((_, _, message),) = messages
+    (placed,) = FrameTransforms.FromString(message.data).transforms
+    assert (placed.parent_frame_id, placed.child_frame_id) == ("left", "right")
+    # ASIDE turns nothing, so the camera's centre is minus its translation
+    centre = [placed.translation.x, placed.translation.y, placed.translation.z]
+    np.testing.assert_allclose(centre, [0.120, 0.0, -0.005], atol=1e-15)
+    assert placed.rotation.w == 1.0
 
 
 # Passes and models

@@ -11,7 +11,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.evaluation.track import Track
 
-NO_TIMINGS = "the run recorded no timings; posetrack hand run --timings does"
+NO_TIMINGS = "the run recorded no timings; its option --timings does"
 EMPTY = "the result holds no estimate"
 NOT_COUNTED = "the result does not say how many poses were evaluated"
 NO_WEIGHTS = "the tracker has no weighted particles"
@@ -72,6 +72,8 @@ def particle_count(run: Mapping[str, str]) -> int | None:
     """Return the size of the filter or the swarm in a run record's configuration; None where it has none."""
     try:
         configuration = json.loads(run["configuration"])
+        if "particles" in configuration:  # a head's
+            return int(configuration["particles"]["count"])
         swarm = configuration["filter"].get("kind") == "pso"
         return int(configuration["pso" if swarm else "filter"]["particles"])
     except (KeyError, ValueError, TypeError, AttributeError):

@@ -1,0 +1,75 @@
+"""What every command that tracks shows: its progress, what is kept after a failure, how it closed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.results.estimate import Estimate
+    from posetrack_cli.tracking.options import RunOutcome
+
+
+@contextmanager
+def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[Any]:
+    """Yield a function that shows an estimate on the progress bar; a bar only where a person looks.
+
+    The bar stands at the estimate's frame, so a resumed run begins where the interrupted one ended, and a
+    second pass begins anew.
+    """
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit="frame", desc=name, file=sys.stderr, disable=None, dynamic_ncols=True) as bar:
+
+        def report(estimate: Estimate) -> None:
+            done = len(range(start, estimate.frame_index + 1, stride))
+            if bar.n == 0:
+                bar.n = bar.initial = bar.last_print_n = done - 1  # frames before this run took it no time
+            size = estimate.effective_sample_size
+            weights = "" if size is None else f"ESS {size:.0f} "
+            bar.set_postfix_str(f"{weights}{estimate.status}", refresh=False)
+            bar.update(done - bar.n)
+
+        yield report
+
+
+@contextmanager
+def kept(output: Path) -> Iterator[None]:
+    """When the run fails, its line also says what can still be read; what is refused has tracked nothing."""
+    from posetrack_cli.recording.output import part_path
+
+    try:
+        yield
+    except PosetrackError as error:
+        part = part_path(output)
+        if part.is_file() and not isinstance(error, UsageError):
+            error.args = (f"{error}; kept: {part} holds what was tracked before",)
+        raise
+
+
+def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
+    """Print the closing line, and set the exit code."""
+    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.recording.output import part_path
+
+    rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
+    what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"
+    if passes > 1:
+        what += f" of {passes} passes, {outcome.frames} in the last"
+    elif outcome.frames != outcome.tracked:
+        what += f", {outcome.frames} with those before"
+    what += f", {outcome.lost} lost"
+    if outcome.stopped:
+        click.echo(f"interrupted after {what}: {part_path(output)}; --resume goes on", err=True)
+        click.get_current_context().exit(EXIT_INTERRUPTED)
+    click.echo(f"{what}: {output}")
+    if outcome.losses:
+        click.echo(f"{recording}: {loss_line(outcome.losses)}", err=True)
+        click.get_current_context().exit(EXIT_DATA_LOST)
