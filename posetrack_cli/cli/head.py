@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from posetrack_cli.cli.head_stereo import head_stereo
 from posetrack_cli.cli.head_synth import head_synth
 
 
@@ -12,4 +13,5 @@ def head() -> None:
     """Track a head, or make recordings of one."""
 
 
+head.add_command(head_stereo)
 head.add_command(head_synth)
