@@ -52,7 +52,8 @@ class RefinementSettings(Settings):
     ((ncc - ``correlation_floor``) / (1 - floor)) ^ ``correlation_power``. ``patch_sd`` is the standard
     deviation of one such vector's difference per unit of weight. A point's residual is Student-t of
     ``degrees_of_freedom`` with the sd of ``residual_mm``; in the recalculation of points, with the pose held,
-    of ``recalculation_mm``, and of a shape that was just found of ``settling_mm``. ``recalculation = "printed"`` is the thesis's: raw intensities, ``rho`` and
+    of ``recalculation_mm``, and of a shape that was just found of ``settling_mm``. Without ``joint`` the
+    filter's pose stays. ``recalculation = "printed"`` is the thesis's: raw intensities, ``rho`` and
     ``epsilon`` of (3.3) and (3.5).
     """
 
@@ -69,7 +70,7 @@ class RefinementSettings(Settings):
     degrees_of_freedom: Positive = 4.0
     residual_mm: PointSettings = PointSettings(eyes=0.5, mouth=1.5, nostrils=0.8, brows=0.8)
     recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=5.0, nostrils=2.5, brows=2.0)
-    settling_mm: PointSettings = PointSettings(eyes=20.0, mouth=20.0, nostrils=20.0, brows=20.0)
+    settling_mm: Positive = 20.0
     recalculation: Literal["joint", "printed"] = "joint"
     rho: NotNegative = 4.0
     epsilon: NotNegative = 2000.0

@@ -105,7 +105,7 @@ def differentiate(grid: FloatArray, patch: FloatArray, norm: float, gradient: Fl
 
 @inlined
 def product(a: FloatArray, b: FloatArray) -> float:
-    """The scalar product of two vectors (SIZE,), in four partial sums, which a processor adds side by side."""
+    """The scalar product of two vectors (SIZE,), in four partial sums: they are added side by side."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     for n in range(0, SIZE, 4):
         s0 += a[n] * b[n]

@@ -106,6 +106,15 @@ def warped(templates: TemplateSet, now: FloatArray) -> tuple[FloatArray, BoolArr
     return patches, known
 
 
+def unwarped(templates: TemplateSet) -> FloatArray:
+    """Return the intensities (C, K, GRID, GRID) about each point as they were; NaN where it was not seen."""
+    grids = np.full((*templates.seen.shape, GRID, GRID), np.nan)
+    for c, k in np.argwhere(templates.seen):
+        u, v = templates.centres[c, k]
+        sample_grid(templates.windows[c, k], WINDOW, WINDOW, u, v, np.eye(2), grids[c, k])
+    return grids
+
+
 def template_images(patches: FloatArray) -> ImageArray:
     """Return patches (..., SIZE) as float32 images (..., PATCH, PATCH) for cv2.matchTemplate."""
     return patches.reshape(*patches.shape[:-1], PATCH, PATCH).astype(np.float32)

@@ -81,7 +81,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Join
     count, size = len(face.mean), POSE + len(face.precisions)
     cameras = len(scene.images.sizes)
     evidence, room = make_evidence(cameras), make_room(cameras)
-    matrix, vector = np.empty((size, size)), np.empty(size)
+    matrix, vector, step = np.empty((size, size)), np.empty(size), np.empty(size)
     arms = np.empty((count, 3))
     hessians, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
     for _ in range(iterations):
@@ -91,7 +91,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Join
             gather(scene, k, arms[k] + state.position, room, evidence)
             hessians[k], gradients[k] = evidence.hessian, evidence.gradient
             eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
-        step: FloatArray = np.linalg.solve(matrix, -vector)
+        step[:] = np.linalg.solve(matrix, -vector)
         farthest = 0.0
         for k in range(count):
             moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)

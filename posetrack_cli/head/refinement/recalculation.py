@@ -46,11 +46,11 @@ def recalculate_points(
     small = CONVERGED_PX * position[2] / scene.optics.intrinsics[0, 0]
     for k in range(len(points)):
         for n in range(iterations + 1):
-            _transform(rotation, points[k], position, X)
+            transform(rotation, points[k], position, X)
             gather(scene, k, X, room, evidence)
             if n == iterations:
                 break
-            _transform(rotation, points[k] - shape[k], np.zeros(3), d)
+            transform(rotation, points[k] - shape[k], np.zeros(3), d)
             weight = tail_precision(prior, k, d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
             invert(evidence.hessian, weight, inverse)
             squared = 0.0
@@ -69,6 +69,7 @@ def recalculate_points(
 
 
 @kernel
-def _transform(R: FloatArray, v: FloatArray, t: FloatArray, out: FloatArray) -> None:
+def transform(R: FloatArray, v: FloatArray, t: FloatArray, out: FloatArray) -> None:
+    """Write R v + t (3,)."""
     for i in range(3):
         out[i] = t[i] + R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]

@@ -14,6 +14,7 @@ from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.refinement.joint import Face, Joint, Prior, descend
+from posetrack_cli.head.refinement.printed import Printed, recalculate_as_printed
 from posetrack_cli.head.refinement.recalculation import recalculate_points
 from posetrack_cli.head.refinement.scene import Scene, make_scene
 from posetrack_cli.head.shape_model import ShapeModel
@@ -75,6 +76,8 @@ def refine(
 ) -> Refined:
     """Refine pose and deformation together from where a filter puts them (``joint``).
 
+    Without ``settings.joint`` they stay, and only how they look is told.
+
     Args:
         images: grey, uint8, one a camera; None where a camera gave none.
         cameras: of the recording.
@@ -97,7 +100,7 @@ def refine(
 def recalculate(
     scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, settings: RefinementSettings
 ) -> Recalculated:
-    """Find the points' own places with the pose held (``recalculation``).
+    """Find the points' own places with the pose held (``recalculation``, or the thesis's, ``printed``).
 
     Args:
         scene: of the frame, about nearly this pose and shape: ``Refined.scene``.
@@ -108,11 +111,13 @@ def recalculate(
     """
     count = (len(scene.images.sizes), len(shape))
     points, correlations, pixels = start.copy(), np.empty(count), np.empty((*count, 2))
-    prior = _prior(settings.recalculation_mm, settings)
-    most = settings.recalculation_iterations
-    recalculate_points(
-        scene, pose.rotation, pose.position, shape, prior, most, points, correlations, pixels
-    )
+    R, t, most = pose.rotation, pose.position, settings.recalculation_iterations
+    if settings.recalculation == "printed":
+        printed = Printed(settings.rho, settings.epsilon)
+        recalculate_as_printed(scene, R, t, shape, printed, most, points, correlations, pixels)
+    else:
+        prior = make_prior(point_values(settings.recalculation_mm), settings)
+        recalculate_points(scene, R, t, shape, prior, most, points, correlations, pixels)
     return Recalculated(points, correlations, pixels)
 
 
@@ -141,7 +146,13 @@ def _descended(
     )
     precisions = np.maximum(model.deviations, LEAST_DEVIATION_MM) ** -2
     face = Face(np.array(model.mean), np.ascontiguousarray(model.basis), precisions)
-    descend(scene, face, _prior(settings.residual_mm, settings), settings.iterations, state)
+    descend(
+        scene,
+        face,
+        make_prior(point_values(settings.residual_mm), settings),
+        settings.iterations if settings.joint else 0,
+        state,
+    )
     return state
 
 
@@ -149,8 +160,9 @@ def _pose(state: Joint) -> HeadPose:
     return HeadPose(state.position, quaternions_from_matrices(state.rotation))
 
 
-def _prior(scales: PointSettings, settings: RefinementSettings) -> Prior:
-    return Prior(point_values(scales), settings.degrees_of_freedom, WIDE_PRIOR**-2)
+def make_prior(scales: FloatArray, settings: RefinementSettings) -> Prior:
+    """Return the prior of points that lie off their model by standard deviations (K,), mm."""
+    return Prior(scales, settings.degrees_of_freedom, WIDE_PRIOR**-2)
 
 
 def point_values(settings: PointSettings) -> FloatArray:

@@ -10,9 +10,10 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import RefinementSettings
+from posetrack_cli.head.patches import GRID
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.projection import Projection, project
-from posetrack_cli.head.templates import TemplateSet, tangents, visibility, warped, warps_between
+from posetrack_cli.head.templates import TemplateSet, tangents, unwarped, visibility, warped, warps_between
 
 MARGIN = 48
 """Pixels kept around the predicted points: half a patch and how far a point may be refined."""
@@ -75,12 +76,18 @@ class Robustness(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """All of it."""
+    """All of it.
+
+    Attributes:
+        raw: (2, C, K, GRID, GRID) intensities of the reference and of the frame before, not warped, NaN where
+            there are none; empty where only the thesis's recalculation would need them.
+    """
 
     images: Images
     optics: Optics
     targets: Targets
     robustness: Robustness
+    raw: FloatArray
 
 
 def make_scene(
@@ -111,6 +118,7 @@ def make_scene(
         _optics(cameras, projection),
         _targets(sets, previous, now, seen, settings),
         _robustness(settings),
+        _raw(sets[0], previous, settings),
     ), seen
 
 
@@ -171,3 +179,10 @@ def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, 
 
 def _robustness(settings: RefinementSettings) -> Robustness:
     return Robustness(settings.patch_sd**-2, settings.correlation_floor, settings.correlation_power)
+
+
+def _raw(reference: TemplateSet, previous: TemplateSet | None, settings: RefinementSettings) -> FloatArray:
+    if settings.recalculation != "printed":
+        return np.zeros((0, *reference.seen.shape, GRID, GRID))
+    nothing = np.full((*reference.seen.shape, GRID, GRID), np.nan)
+    return np.stack([unwarped(reference), nothing if previous is None else unwarped(previous)])
