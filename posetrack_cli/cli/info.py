@@ -18,7 +18,7 @@ Values = Mapping[str, Any]
 @click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the same as JSON.")
 def info(path: Path, as_json: bool) -> None:
-    """Tell what FILE holds: a folder of images, a recording or a result, also an unfinished one.
+    """Tell what FILE holds: folders of images, a video, a recording or a result, also an unfinished one.
 
     Exit code 3 means that the file is truncated or damaged; what can be read is listed all the same.
     """
@@ -36,7 +36,8 @@ def info(path: Path, as_json: bool) -> None:
 
 def report_lines(report: Values) -> Iterator[str]:
     """Yield the lines that tell a report of ``describe`` to people."""
-    yield from _folder_lines(report) if report["kind"] == "folder" else _mcap_lines(report)
+    lines = {"folder": _folder_lines, "images": _image_lines, "video": _video_lines, "mcap": _mcap_lines}
+    yield from lines[report["kind"]](report)
 
 
 def _folder_lines(report: Values) -> Iterator[str]:
@@ -57,6 +58,40 @@ def _folder_lines(report: Values) -> Iterator[str]:
         yield f"camera: {report['no_camera']}"
 
 
+def _image_lines(report: Values) -> Iterator[str]:
+    count = sum(folder["images"] for folder in report["folders"])
+    yield f"{report['name']}: {count} images of {len(report['folders'])} cameras, {_size(report['bytes'])}"
+    for folder in report["folders"]:
+        name = f" {folder['name']}" if folder["name"] else ""
+        yield (
+            f"images{name}: {folder['images']}, {folder['first']} to {folder['last']}, "
+            f"{folder['width']}x{folder['height']}, {folder['stored']}"
+        )
+    if report["frames"]:
+        yield f"frames: {report['frames']}, of which {report['incomplete_frames']} lack a camera"
+    if report["stamps"] or report["no_stamps"]:
+        yield f"stamps: {_timing(report['stamps']) if report['stamps'] else report['no_stamps']}"
+    yield from _camera_lines(report)
+
+
+def _video_lines(report: Values) -> Iterator[str]:
+    image = report["image"]
+    yield f"{report['name']}: video, {_size(report['bytes'])}"
+    yield (
+        f"images: {report['frames']}, {image['width']}x{image['height']}, {report['rate_hz']:.2f} Hz, "
+        "as far as the video tells"
+    )
+    yield from _camera_lines(report)
+
+
+def _camera_lines(report: Values) -> Iterator[str]:
+    for number, camera in enumerate(report["cameras"]):
+        place = f", {camera['distance_mm']:.1f} mm from the first" if number else ""
+        yield f"camera {camera['name']}: {_intrinsics(camera)}{place}"
+    if report["no_camera"]:
+        yield f"camera: {report['no_camera']}"
+
+
 def _mcap_lines(report: Values) -> Iterator[str]:
     state = "complete" if report["complete"] else "INCOMPLETE"
     yield f"{report['name']}: MCAP, {_size(report['bytes'])}, {state}"
@@ -67,12 +102,23 @@ def _mcap_lines(report: Values) -> Iterator[str]:
         yield f"    {_timing(topic)}"
     for camera in report["cameras"]:
         yield f"camera {camera['topic']}: {camera.get('problem') or _intrinsics(camera)}"
+    yield from _rig_lines(report)
     for record in report["metadata"]:
         yield f"metadata {record['name']}: {record['entries']} entries"
         for key, value in record.get("values", {}).items():
             yield f"    {key}: {value}"
     for attachment in report["attachments"]:
         yield f"attachment {attachment['name']}: {attachment['media_type']}, {_size(attachment['bytes'])}"
+
+
+def _rig_lines(report: Values) -> Iterator[str]:
+    """Tell how the cameras of an MCAP file stand to each other."""
+    if report["no_rig"]:
+        yield f"cameras together: {report['no_rig']}"
+    if report["rig"]:
+        first, *others = report["rig"]
+        places = ", ".join(f"{camera['name']} at {camera['distance_mm']:.1f} mm" for camera in others)
+        yield f"cameras together: {first['name']} is the reference, {places}"
 
 
 def _content(topic: Values) -> str:

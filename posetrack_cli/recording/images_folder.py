@@ -9,15 +9,15 @@ from pathlib import Path
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, no_intrinsics
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.grey import StoredKind, decode_as_stored, decode_grey, kind_of_image
 from posetrack_cli.recording.identity import files_digest, shown_name
 from posetrack_cli.recording.image_files import read_image
 from posetrack_cli.recording.image_folders import Stamped, find_folders, stamped_images, stamps_files
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.matching import NS_PER_MS, StoredImage, match_images
-from posetrack_cli.recording.rig_file import Rig, load_rig
+from posetrack_cli.recording.matching import NS_PER_MS, StoredImage, StoredImages, match_images
+from posetrack_cli.recording.rig_file import Rig, load_rig, not_calibrated
 from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
 from posetrack_cli.recording.stored import UnreadableImageError
 
@@ -59,7 +59,7 @@ class ImagesFolderRecording(SeveralCamerasRecording):
         self._mirror = self._rig.mirror if mirror is None else mirror
         self._windows = {name: self._rig.window(name, self._mirror) for name in self._folders}
         super().__init__(path, self._windowed_cameras(), round(tolerance_ms * NS_PER_MS))
-        self._frame_count = sum(1 for _ in self._matched())
+        self._frame_count = sum(1 for _ in self.matched())
 
     @property
     def frame_count(self) -> int | None:
@@ -92,7 +92,8 @@ class ImagesFolderRecording(SeveralCamerasRecording):
             self._windows[name].camera(camera) for name, camera in zip(self._folders, stored, strict=True)
         ]
 
-    def _matched(self) -> Iterator[object]:
+    def matched(self) -> Iterator[StoredImages]:
+        """Yield all frames undecoded."""
         names = [camera.name for camera in self._cameras]
         return match_images(names, self._streams(LossLog()), self._tolerance_ns, LossLog())
 
@@ -135,7 +136,7 @@ def _camera_file(path: Path, given: Path | None) -> Path:
         return given or own
     if above.exists() and path.resolve().name in load_rig(above).cameras:
         return above
-    raise no_intrinsics(path)
+    raise not_calibrated(path)
 
 
 def _folders_of(path: Path, rig: Rig, folders: Mapping[str, list[Path]]) -> dict[str, list[Path]]:

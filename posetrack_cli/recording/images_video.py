@@ -12,12 +12,12 @@ import cv2
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, no_intrinsics
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
-from posetrack_cli.recording.rig_file import Rig, load_rig
+from posetrack_cli.recording.rig_file import Rig, load_rig, not_calibrated
 from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
 from posetrack_cli.recording.stamps import NS_PER_S, stamp_at_rate, stamps_at_rate
 
@@ -51,7 +51,7 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         rig = _one_camera(load_rig(camera_file or _beside(path)), cameras)
         (self._name,) = rig.cameras
         self._rig_path = rig.path
-        with _opened(path) as video:
+        with opened(path) as video:
             self._count = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0) or None
             self._rate = float(video.get(cv2.CAP_PROP_FPS))
             is_read, image = video.read()
@@ -92,7 +92,7 @@ class ImagesVideoRecording(SeveralCamerasRecording):
     def _stream(self, losses: LossLog) -> Iterator[StoredImage | None]:
         """Yield the frames, decoded: a video cannot go back to one that was passed."""
         latest, index = -1, 0
-        with _opened(self._path) as video:
+        with opened(self._path) as video:
             while True:
                 is_read, image = video.read()
                 if not is_read:
@@ -130,11 +130,20 @@ def is_video(path: Path) -> bool:
 
 def _capture(path: Path) -> cv2.VideoCapture:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", QUIET)  # an error is told in one line, by us
-    return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    try:
+        return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
+def opened(path: Path) -> Iterator[cv2.VideoCapture]:
+    """Yield an open video.
+
+    Raises:
+        RecordingError: if OpenCV cannot open it.
+    """
     video = _capture(path)
     try:
         if not video.isOpened():
@@ -149,7 +158,7 @@ def _beside(path: Path) -> Path:
     for file in (path.with_suffix(".toml"), path.parent / CAMERA_FILE_NAME):
         if file.exists():
             return file
-    raise no_intrinsics(path)
+    raise not_calibrated(path)
 
 
 def _one_camera(rig: Rig, cameras: Sequence[str] | None) -> Rig:

@@ -6,13 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.camera_file import load_camera_file
 from posetrack_cli.recording.folder import camera_path
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.image_files import decode_any, list_images, read_image
+from posetrack_cli.recording.image_files import DEPTH_SUFFIXES, decode_any, list_images, read_image
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps
 from posetrack_cli.recording.stored import UnreadableImageError
@@ -20,10 +22,11 @@ from posetrack_cli.recording.timeline import Timeline
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Describe a folder of images or an MCAP file, recording or result, in plain values.
+    """Describe folders of images, a video or an MCAP file, recording or result, in plain values.
 
     Reads every message of an MCAP file, of a folder only the first image. Keys: ``name``, ``kind``
-    (``folder`` or ``mcap``), ``bytes``, ``losses`` (what could not be read) and what the kind has.
+    (``folder`` of depth, ``images`` of one or more cameras, ``video`` or ``mcap``), ``bytes``, ``losses``
+    (what could not be read) and what the kind has.
 
     Raises:
         RecordingError: if there is nothing that could be described.
@@ -31,18 +34,38 @@ def describe(path: Path) -> dict[str, Any]:
     if not path.exists():
         raise RecordingError("no such file or folder", where=path)
     if path.is_dir():
-        return describe_folder(path)
-    if not is_mcap(path):
-        raise RecordingError(
-            "is not a recording or result", where=path, expected="a folder of images or an MCAP file"
-        )
-    from posetrack_cli.recording.mcap_inspection import describe_mcap
+        return _describe_any_folder(path)
+    if is_mcap(path):
+        from posetrack_cli.recording.mcap_inspection import describe_mcap
 
-    return describe_mcap(path)
+        return describe_mcap(path)
+    from posetrack_cli.recording.images_video import is_video
+    from posetrack_cli.recording.inspection_images import describe_video
+
+    if not is_video(path):
+        raise RecordingError(
+            "is not a recording or result",
+            where=path,
+            expected="a folder of images, an MCAP file or a video",
+        )
+    return describe_video(path)
+
+
+def _describe_any_folder(path: Path) -> dict[str, Any]:
+    """Tell a folder of 16-bit depth from folders of images of cameras."""
+    from posetrack_cli.recording.image_folders import find_folders
+    from posetrack_cli.recording.inspection_images import describe_image_folders
+
+    folders = find_folders(path)
+    if "" in folders:
+        first = _first_image(folders[""])
+        if first.ndim == 2 and first.dtype == np.uint16 and folders[""][0].suffix.lower() in DEPTH_SUFFIXES:
+            return describe_folder(path)
+    return describe_image_folders(path, folders)
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
-    """Describe a folder of images: number, size, stamps, camera; what is missing has a reason."""
+    """Describe a folder of depth images: number, size, stamps, camera; what is missing has a reason."""
     images = list_images(path)
     first = _first_image(images)
     height, width = first.shape[:2]

@@ -86,7 +86,8 @@ def camera_places(
 
 def _learn(edges: Edges, decoded: Any) -> None:
     """Keep the transforms of a message that are not known yet, both ways."""
-    for transform in getattr(decoded, "transforms", (decoded,)):
+    transforms: Sequence[Any] = getattr(decoded, "transforms", (decoded,))
+    for transform in transforms:
         header = getattr(transform, "header", None)
         parent = str(header.frame_id if header is not None else transform.parent_frame_id).lstrip("/")
         child = str(transform.child_frame_id).lstrip("/")
@@ -121,9 +122,7 @@ def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
 
 def _matrix(decoded: Any, name: str, shape: tuple[int, int]) -> FloatArray | None:
     """ROS 1 and Foxglove write K, R and P, ROS 2 k, r and p; nothing or zeros mean not known."""
-    values = getattr(decoded, name, None)
-    if values is None:
-        values = getattr(decoded, name.lower(), ())
+    values: Any = getattr(decoded, name, getattr(decoded, name.lower(), ()))
     matrix = np.array([float(value) for value in values])
     if matrix.size != shape[0] * shape[1] or not matrix.any() or not np.isfinite(matrix).all():
         return None

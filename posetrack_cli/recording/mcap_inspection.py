@@ -12,6 +12,7 @@ from posetrack_cli.errors import PosetrackError
 from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.inspection import loss_values
+from posetrack_cli.recording.inspection_images import describe_rig
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.recording.mcap_decoding import (
@@ -21,6 +22,7 @@ from posetrack_cli.recording.mcap_decoding import (
     frame_id_of,
     stamp_of,
 )
+from posetrack_cli.recording.mcap_grey import holds_grey
 from posetrack_cli.recording.mcap_stream import McapItem, read_extras, read_messages, read_summary
 from posetrack_cli.recording.mcap_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
@@ -51,6 +53,11 @@ class McapSurvey:
         """Return the intrinsics of every calibration topic, or why they cannot be used."""
         topics = sorted(self._scan.topics.values(), key=lambda topic: topic.name)
         return [_camera(topic) for topic in topics if topic.kind == CALIBRATION and topic.first is not None]
+
+    def has_several_cameras(self) -> bool:
+        """Whether there are two topics of images that can be made grey, depth aside."""
+        images = [topic for topic in self._scan.topics.values() if topic.image is not None]
+        return sum(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images) > 1
 
     def _add_indexed(self, path: Path) -> None:
         """Take topics from the index, which lists those without any message, too."""
@@ -89,6 +96,8 @@ def describe_mcap(path: Path) -> dict[str, Any]:
     """Describe an MCAP file; what is cut off or damaged is in ``losses``."""
     survey = McapSurvey(path)
     extras = list(_extras(path))
+    several = survey.has_several_cameras() and not any(values["name"] == RUN_RECORD for _, values in extras)
+    rig, no_rig = describe_rig(path) if several else ([], None)
     return {
         "name": shown_name(path.resolve()),
         "kind": "mcap",
@@ -96,6 +105,8 @@ def describe_mcap(path: Path) -> dict[str, Any]:
         "complete": not survey.losses.losses,
         "topics": survey.topics(),
         "cameras": survey.cameras(),
+        "rig": rig,
+        "no_rig": no_rig,
         "metadata": [values for kind, values in extras if kind == "metadata"],
         "attachments": [values for kind, values in extras if kind == "attachment"],
         "losses": loss_values(survey.losses.losses),

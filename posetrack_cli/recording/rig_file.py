@@ -14,7 +14,13 @@ from pydantic import Field
 from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import inverse, placed, relative_to, rotation_from_rows
-from posetrack_cli.recording.camera_file import Finite, Intrinsics, checked_settings, read_toml
+from posetrack_cli.recording.camera_file import (
+    CAMERA_FILE_NAME,
+    Finite,
+    Intrinsics,
+    checked_settings,
+    read_toml,
+)
 from posetrack_cli.recording.depth import Window
 
 TABLE = "cameras"
@@ -140,6 +146,16 @@ def load_rig(path: Path) -> Rig:
         for name, table in tables.items()
     }
     return Rig(path, _reference_first(cameras, values, path), _mirror(values, path))
+
+
+def not_calibrated(where: object) -> RecordingError:
+    """Return the error for images without any camera file, with what to do."""
+    return RecordingError(
+        "cameras are not calibrated",
+        where=where,
+        expected=f"a {CAMERA_FILE_NAME} beside the images, or --camera",
+        hint="posetrack calibrate stereo measures cameras and writes it; for one fx, fy, cx, cy will do",
+    )
 
 
 def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) -> str:

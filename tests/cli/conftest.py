@@ -8,5 +8,6 @@ for folder in (
     HERE,
     HERE.parent / "evaluation",
     HERE.parent / "results",
+    HERE.parent / "recording",
 ):  # their support modules are shared by the tests of this folder
     sys.path.insert(0, str(folder))

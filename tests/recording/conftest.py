@@ -25,8 +25,14 @@ START_NS = 1_700_000_000_000_000_000
 HEADER_1 = "std_msgs/Header header\n"
 IMAGE = "uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n"
 COMPRESSED = "string format\nuint8[] data\n"
-INFO_1 = "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] D\nfloat64[9] K\n"
-INFO_2 = "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
+INFO_1 = (
+    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] D\nfloat64[9] K\n"
+    "float64[9] R\nfloat64[12] P\n"
+)
+INFO_2 = (
+    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
+    "float64[9] r\nfloat64[12] p\n"
+)
 RULE = "=" * 80 + "\n"
 HEADER_TEXT_1 = RULE + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
 HEADER_TEXT_2 = (
@@ -87,7 +93,7 @@ def write_folder(
 
 
 def calibration_fields(width: int = WIDTH, height: int = HEIGHT, upper: bool = True) -> dict[str, Any]:
-    names = ("K", "D") if upper else ("k", "d")
+    names = ("K", "D", "R", "P") if upper else ("k", "d", "r", "p")
     k = [30.0, 0.0, 11.0, 0.0, 31.0, 7.5, 0.0, 0.0, 1.0]
     return {
         "width": width,
@@ -95,6 +101,8 @@ def calibration_fields(width: int = WIDTH, height: int = HEIGHT, upper: bool = T
         "distortion_model": "plumb_bob",
         names[0]: k,
         names[1]: [0.0] * 5,
+        names[2]: [0.0] * 9,
+        names[3]: [0.0] * 12,
     }
 
 

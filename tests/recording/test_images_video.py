@@ -1,0 +1,122 @@
+"""Videos of one camera: pixels, stamps, camera file, what cannot be read."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.opening import open_images
+
+COUNT, RATE = 12, 25.0
+CAMERA = "fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n"
+CODEC_LEVELS = 6.0
+"""Mean error that motion JPEG makes of smooth frames."""
+
+
+def pictures() -> list[np.ndarray]:
+    """Smooth colour gradients that move."""
+    v, u = np.mgrid[0:48, 0:64]
+    return [
+        np.stack([3 * u % 250, 4 * v % 250, (2 * u + 10 * i) % 250], axis=-1).astype(np.uint8)
+        for i in range(COUNT)
+    ]
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> Path:
+    path = tmp_path / "face.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), RATE, (64, 48))
+    for picture in pictures():
+        writer.write(picture)
+    writer.release()
+    (tmp_path / "face.toml").write_text(CAMERA)
+    return path
+
+
+def test_frames_are_grey_with_the_video_s_stamps(video: Path) -> None:
+    recording = open_images(video)
+    assert isinstance(recording, Recording)
+    frames = list(recording.frames())
+    assert (len(frames), recording.frame_count, recording.losses) == (COUNT, COUNT, ())
+    assert [frame.stamp_ns for frame in frames] == [40_000_000 * i for i in range(COUNT)]
+    for frame, picture in zip(frames, pictures(), strict=True):
+        (image,) = frame.images
+        assert (image.dtype, image.shape) == (np.uint8, (48, 64))
+        grey = picture @ [0.114, 0.587, 0.299]
+        assert np.abs(image - grey).mean() < CODEC_LEVELS
+
+
+def test_range_rate_and_mirror(video: Path) -> None:
+    plain = list(open_images(video).frames())
+    frames = list(open_images(video, fps=10, mirror=True).frames(start=2, end=9, stride=3))
+    assert [frame.index for frame in frames] == [2, 5, 8]
+    assert [frame.stamp_ns for frame in frames] == [200_000_000, 500_000_000, 800_000_000]
+    np.testing.assert_array_equal(frames[1].images[0], plain[5].images[0][:, ::-1])
+
+
+def test_the_camera_is_beside_the_video_or_given(video: Path, tmp_path: Path) -> None:
+    assert open_images(video).cameras[0].fx == 70.0
+    (tmp_path / "face.toml").rename(tmp_path / "camera.toml")
+    assert open_images(video).cameras[0].cx == 31.0
+    (tmp_path / "camera.toml").rename(tmp_path / "other.toml")
+    assert open_images(video, camera_file=tmp_path / "other.toml").cameras[0].fy == 71.0
+    with pytest.raises(
+        RecordingError, match=r"face.avi: cameras are not calibrated.*posetrack calibrate stereo"
+    ):
+        open_images(video)
+
+
+def test_one_camera_of_a_file_of_several(video: Path, tmp_path: Path) -> None:
+    place = "rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1]\ntranslation_mm = [-100, 0, 0]\n"
+    (tmp_path / "face.toml").write_text(f"[cameras.left]\n{CAMERA}[cameras.right]\n{CAMERA}{place}")
+    with pytest.raises(
+        UsageError, match="a video is of one camera, found left, right; choose one with --cameras"
+    ):
+        open_images(video)
+    (camera,) = open_images(video, cameras=["right"]).cameras
+    assert camera.name == "right"
+    np.testing.assert_array_equal(camera.camera_T_reference, np.eye(3, 4))
+
+
+def test_a_video_that_is_cut_ends_with_a_loss(video: Path) -> None:
+    data = video.read_bytes()
+    video.write_bytes(data[: len(data) * 2 // 3])
+    recording = open_images(video)
+    frames = list(recording.frames())
+    assert 0 < len(frames) < COUNT
+    if recording.frame_count is not None and recording.frame_count > len(frames):
+        assert [loss.what for loss in recording.losses] == ["video ends early"]
+
+
+@pytest.mark.parametrize("content", [b"", b"no video at all" * 20])
+def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "face.mp4"
+    path.write_bytes(content)
+    (tmp_path / "face.toml").write_text(CAMERA)
+    with pytest.raises(RecordingError, match=r"face.mp4: is no video that can be read"):
+        open_images(path)
+    # a process of its own, where no video was written before: the libraries say nothing of their own
+    command = [sys.executable, "-m", "posetrack_cli.cli.main", "info", str(path)]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert process.returncode == 1
+    assert process.stderr == f"posetrack: {path}: is no video that can be read\n"
+
+
+def test_options_that_do_not_apply(video: Path) -> None:
+    with pytest.raises(UsageError, match="--tolerance-ms does not apply to a video"):
+        open_images(video, tolerance_ms=3)
+    with pytest.raises(UsageError, match="--fps 0"):
+        open_images(video, fps=0)
+
+
+def test_identity(video: Path) -> None:
+    identity = open_images(video, fps=20).identity()
+    assert (identity["kind"], identity["frames"], identity["fps"]) == ("video", str(COUNT), "20")
+    assert identity["stored"] == "8-bit colour"
