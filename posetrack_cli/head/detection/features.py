@@ -17,7 +17,7 @@ FEATURES[BROWS] = [[-15.5, 19.0, 19.0], [15.5, 19.0, 19.0]]
 FEATURES.setflags(write=False)
 
 NOSE_BASE = np.array([0.0, -37.0, 26.0])
-"""mm: middle of the arc that the nose's wings and base form. It guides the fit, and is no point of a shape."""
+"""mm: middle of the arc that the nose's wings and base form. It guides the fit; no shape has it."""
 FITTED = np.vstack([FEATURES, NOSE_BASE])
 """(K + 1, 3) mm: what a mean face is fitted by."""
 FITTED.setflags(write=False)

@@ -1,8 +1,9 @@
 """A mean face laid over response maps: which pose in the image explains them best **[ours]**.
 
-The projection is weak perspective: six numbers u, v (patch pixels of the head's origin), scale (pixels per
-mm), roll, yaw, pitch (rad, about the camera's z, y and x axes). Scores of a fixed cloud of poses are read off
-the maps; the best are the centres of smaller clouds.
+The projection is weak perspective. A pose has eight numbers: u, v (patch pixels of the head's origin), scale
+(pixels per mm), roll, yaw, pitch (rad, about the camera's z, y and x axes), and how much higher and wider
+than an average face's the mouth is, mm. Scores of a fixed cloud of poses are read off the maps; the best
+are the centres of smaller clouds.
 """
 
 from __future__ import annotations
@@ -15,10 +16,14 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.head.detection.features import FEATURES, FITTED
 from posetrack_cli.head.detection.patch import MIDDLE, PIXELS_PER_MM
+from posetrack_cli.head.face import MOUTH
 
-PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0])
-PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.15])
-WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 0.7, 0.7, 0.6, 0.6, 2.0])
+IN_CAMERA = np.array([1.0, -1.0, -1.0])
+"""The head's axes in the camera's, of a head that looks at the camera."""
+POSE_SIZE = 8
+PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0, 0.0, 0.0])
+PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.15, 5.0, 3.0])
+WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 0.7, 0.7, 0.6, 0.6, 3.0])
 # What a point contributes where its map is 0: no point may veto a pose.
 LEAST_RESPONSE = 0.1
 # Detectors' eyes lie within these of the truth, pixels of the patch; now and then they are something else.
@@ -30,10 +35,11 @@ NARROWING = (0.4, 0.2, 0.1)
 
 
 def projected(poses: FloatArray, shape: FloatArray = FITTED) -> FloatArray:
-    """Return the patch pixels (N, L, 2) of points (L, 3), mm, under weak-perspective poses (N, 6)."""
-    rows = poses[:, 2, None, None] * _rotations(poses[:, 3:])[:, :2]
-    flipped = shape * np.array([1.0, -1.0, -1.0])
-    pixels: FloatArray = np.einsum("nij,kj->nki", rows, flipped) + poses[:, None, :2]
+    """Return the patch pixels (N, L, 2) of points (L, 3), mm, under poses (N, 8)."""
+    rows = poses[:, 2, None, None] * (_rotations(poses[:, 3:6]) * IN_CAMERA)[:, :2]
+    pixels: FloatArray = np.einsum("nij,kj->nki", rows, shape) + poses[:, None, :2]
+    up, out = rows[:, :, 1] * poses[:, 6, None], rows[:, :, 0] * poses[:, 7, None]
+    pixels[:, MOUTH] += np.stack([up - out, up + out], axis=1)
     return pixels
 
 
@@ -44,19 +50,19 @@ def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
         angles: (3,) roll, yaw, pitch, rad.
         shape: (K, 3) mm in the head's frame.
     """
-    relief: FloatArray = (shape * np.array([1.0, -1.0, -1.0])) @ _rotations(angles[None])[0, 2]
+    relief: FloatArray = shape @ (_rotations(angles[None]) * IN_CAMERA)[0, 2]
     return relief
 
 
 def fit_face(
     maps: Float32Array, eyes: tuple[FloatArray, FloatArray], start: FloatArray | None = None
 ) -> FloatArray:
-    """Return the pose (6,) that explains response maps (K + 1, height, width) best.
+    """Return the pose (8,) that explains response maps (K + 1, height, width) best.
 
     Args:
         maps: one map per feature of ``FITTED``.
         eyes: (n, 2) patch pixels of possible eye centres, right and left; empty where nothing is known.
-        start: (6,) a pose near which to search; without it the whole prior is searched.
+        start: (8,) a pose near which to search; without it the whole prior is searched.
     """
     coarse, fine = _blurred(maps, 5, 2.0), _blurred(maps, 3, 1.0)
     if start is None:
@@ -104,8 +110,8 @@ def _blurred(maps: Float32Array, spread: int, sigma: float) -> Float32Array:
 
 @cache
 def _normal(count: int) -> FloatArray:
-    """Return (count, 6) standard normal numbers, always the same: a start must not depend on chance."""
-    numbers = np.random.default_rng(0).normal(size=(count, 6))
+    """Return (count, POSE_SIZE) standard normal numbers, always the same: no start depends on chance."""
+    numbers = np.random.default_rng(0).normal(size=(count, POSE_SIZE))
     numbers.setflags(write=False)
     return numbers
 

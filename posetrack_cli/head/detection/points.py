@@ -64,7 +64,7 @@ def find_points(image: ImageArray, guess: FaceGuess) -> FacePoints:
 
 
 def _carried_over(pose: FloatArray, before: FacePatch, after: FacePatch) -> FloatArray:
-    """Return a pose (6,) in one patch as the same pose in another."""
+    """Return a pose (8,) in one patch as the same pose in another."""
     middle = after.from_image(before.to_image(pose[:2]))
     scale, roll = pose[2] * after.scale / before.scale, pose[3] + before.roll - after.roll
     return np.array([*middle, scale, roll, *pose[4:]])

@@ -13,6 +13,7 @@ from posetrack_cli.geometry.epipolar import better_order
 from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.detection.fit import relief_of
+from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.start.completion import completed
@@ -73,7 +74,7 @@ def find_start(
         detector: of faces and their points.
         settings: what is good enough.
     """
-    views = tuple(None if image is None else View(c, image) for c, image in zip(cameras, images, strict=True))
+    views = views_of(images, cameras)
     there = [c for c, view in enumerate(views) if view is not None]
     if len(there) < 2:
         return NoStart("images of fewer than two cameras")
@@ -84,7 +85,7 @@ def find_start(
         for face in reversed(detection.faces):
             faces[camera] = face.pixels
         for face in detection.faces:
-            outcome = start_from_points(views, camera, face.pixels, face.pixels_per_mm, face.angles, settings)
+            outcome = _from_face(views, camera, face, settings)
             if isinstance(outcome, Start):
                 return outcome
             failures.append(outcome)
@@ -92,23 +93,32 @@ def find_start(
     return _with_order(failure, cameras, faces)
 
 
-def start_from_points(
+def views_of(images: Sequence[ImageArray | None], cameras: Sequence[Camera]) -> tuple[View | None, ...]:
+    """Return each camera with its image, None where it has none."""
+    pairs = zip(cameras, images, strict=True)
+    return tuple(None if image is None else View(camera, image) for camera, image in pairs)
+
+
+def match_everywhere(
     views: Sequence[View | None],
     camera: int,
     pixels: FloatArray,
     pixels_per_mm: float,
-    angles: FloatArray,
+    relief: FloatArray,
     settings: StartSettings,
-) -> Start | NoStart:
-    """Return the head whose ten points were found in one camera's image.
+) -> tuple[FloatArray, FloatArray]:
+    """Match the ten points of one camera's image in all others.
 
     Args:
         views: one per camera, None where a camera has no image.
         camera: index of the one that the points were found in.
         pixels: (K, 2) in its image.
         pixels_per_mm: the face's scale there.
-        angles: (3,) roll, yaw, pitch, rad, as ``FacePoints.angles``.
+        relief: (K,) mm, how much farther than the head's origin each point of an average face is.
         settings: what is good enough.
+
+    Returns:
+        (C, K, 2) pixels, NaN where a point was not matched, and (K,) each point's best correlation.
     """
     first = _there(views[camera])
     found = np.full((len(views), POINT_COUNT, 2), np.nan)
@@ -116,10 +126,10 @@ def start_from_points(
     correlations = np.zeros((len(views), POINT_COUNT))
     for other, second in enumerate(views):
         if other != camera and second is not None:
-            matches = match_points(first, second, pixels, relief_of(angles), pixels_per_mm)
+            matches = match_points(first, second, pixels, relief, pixels_per_mm)
             good = _are_good(matches, pixels_per_mm, settings)
             found[other, good], correlations[other] = matches.pixels[good], matches.correlations
-    return start_from_pixels(views, camera, found, correlations.max(axis=0), settings)
+    return found, correlations.max(axis=0)
 
 
 def start_from_pixels(
@@ -157,6 +167,14 @@ def start_from_pixels(
 def is_reference(camera: Camera) -> bool:
     """Whether a camera's axes are the recording's."""
     return bool(np.array_equal(np.array(camera.camera_T_reference), np.eye(3, 4)))
+
+
+def _from_face(
+    views: Sequence[View | None], camera: int, face: FacePoints, settings: StartSettings
+) -> Start | NoStart:
+    relief = relief_of(face.angles)
+    pixels, correlations = match_everywhere(views, camera, face.pixels, face.pixels_per_mm, relief, settings)
+    return start_from_pixels(views, camera, pixels, correlations, settings)
 
 
 def _are_good(matches: Matches, pixels_per_mm: float, settings: StartSettings) -> BoolArray:
