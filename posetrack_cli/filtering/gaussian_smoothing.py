@@ -77,6 +77,10 @@ class GaussianSmoother:
         self._later = smooth_gaussian(StateGaussian(**memory), self._later, dt, self._dynamics, self._space)
         return self._later.smoothed
 
+    def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
+        """Return what came of the later frame; see `Smoother`."""
+        return later
+
 
 def state_gaussian(state: MarginalState, weights: FloatArray, space: StateSpace) -> StateGaussian:
     """Return the moments of particles with weights (N,), the covariance shrunk as `shrunk` says."""

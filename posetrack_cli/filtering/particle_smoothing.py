@@ -100,6 +100,10 @@ class ParticleSmoother:
         self._later, smoothed = backward_step(state, self._later, dt, dynamics, self._space, self._rng)
         return smoothed
 
+    def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
+        """Return what came of the later frame; see `Smoother`."""
+        return later
+
 
 def begin_backward(
     last: MarginalState, count: int, space: StateSpace, rng: np.random.Generator

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, TypeAlias
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics
-from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import ParticleState
 
-Memory: TypeAlias = Mapping[str, FloatArray]
-"""What a smoother keeps of one frame: arrays of the same names and shapes at every frame."""
+Memory: TypeAlias = Mapping[str, Any]
+"""What a smoother keeps of one frame: arrays and numbers of the same names and shapes at every frame."""
+NOTHING: Memory = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +42,13 @@ class Step(NamedTuple):
     Attributes:
         dt: seconds that it advanced by; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
-        modes: local fits of the frame's likelihood; None where there are none.
+        frame: what is kept of the frame itself, for smoothers that look at it again; of the names of theirs
+            none may be used.
     """
 
     dt: float
     cut: bool
-    modes: LikelihoodModes | None = None
+    frame: Memory = NOTHING
 
 
 class Smoother(Protocol):
@@ -69,6 +71,15 @@ class Smoother(Protocol):
 
         Raises:
             FilterError: dt is not > 0.
+        """
+        ...
+
+    def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
+        """Go on to the frame before where the filter stood still: the two frames have one state.
+
+        Args:
+            memory: of the frame before.
+            later: what came of the one smoothed last.
         """
         ...
 

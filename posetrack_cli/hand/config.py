@@ -254,6 +254,11 @@ class SmoothingSettings(Settings):
     ``fits`` smooths the local fits of the frames, with ``pose`` and ``velocity`` as noise densities of their
     motion (as ``motion``'s); ``gaussian`` each frame's mean and covariance of the filter; ``particles`` is
     backward simulation among the filter's particles with so many trajectories.
+
+    Of ``fits`` alone: ``refit_iterations`` is how often each frame is fitted again from what all others
+    expect, 0 not at all; ``sharpening`` how much sharper the likelihood is than the residuals that a fit
+    leaves; ``height_share`` how much their heights count where one of several fits is chosen; ``freedom``
+    that of the Student-t density of a fit's error, the smaller the more outliers.
     """
 
     method: Literal["fits", "gaussian", "particles"] = "fits"
@@ -263,6 +268,10 @@ class SmoothingSettings(Settings):
     velocity: ComponentSettings = ComponentSettings(
         position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
     )
+    refit_iterations: Annotated[int, Field(ge=0, le=100)] = 4
+    sharpening: Positive = 3.5
+    height_share: Fraction = 0.3
+    freedom: Positive = 4.0
     trajectories: Annotated[int, Field(ge=1, le=10_000)] = 64
 
 

@@ -13,12 +13,14 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
+from posetrack_cli.filtering.smoothing import NOTHING
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
-from posetrack_cli.hand.smoothing import SmoothedTrack, make_smoother
+from posetrack_cli.hand.smoothing import SmoothedTrack, frame_fits, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.hand.trackers import HandTrackerProtocol, make_tracker
@@ -69,7 +71,7 @@ class HandRun(Run):
         self._config = config = with_method(config, options)
         check_run(recording, config, options)
         super().__init__(recording, options, config.output.flush_frames)
-        hand = hand_model(config.hand)
+        self._hand = hand = hand_model(config.hand)
         self._anatomy = hand.anatomy
         self._camera = recording.cameras[0]
         self.tracker = make_tracker(config, hand, self._camera, context)
@@ -106,10 +108,11 @@ class HandRun(Run):
             yield None
             return
         rng = np.random.default_rng([self._options.seed, _SMOOTHING_STREAM])
-        smoother = make_smoother(self._config, dynamics(self._config), rng)
+        fits = frame_fits(self._config, self._hand, self._camera)
+        smoother = make_smoother(self._config, dynamics(self._config), rng, fits)
         path = smoothing_path(self._options.output)
         with SmoothedTrack(path, smoother, self._anatomy, writer.frames_written) as track:
-            yield _Smoothing(self, track)
+            yield _Smoothing(self, track, fits)
 
     def _noted(self, frame: Frame) -> None:
         if not frame.depth.any():
@@ -126,11 +129,12 @@ class HandRun(Run):
 class _Smoothing:
     """The memory of a run that is smoothed (``tracking.run.FrameMemory``)."""
 
-    def __init__(self, run: HandRun, track: SmoothedTrack) -> None:
-        self._run, self._track = run, track
+    def __init__(self, run: HandRun, track: SmoothedTrack, fits: HandFits | None) -> None:
+        self._run, self._track, self._fits = run, track, fits
 
     def remember(self, state: Any, estimate: Estimate) -> None:
-        self._track.remember(state.particles, estimate, state.dt, state.cut, state.modes)
+        frame = NOTHING if self._fits is None else self._fits.keep(state.observation, state.modes)
+        self._track.remember(state.particles, estimate, state.dt, state.cut, frame)
 
     def flush(self) -> None:
         self._track.flush()

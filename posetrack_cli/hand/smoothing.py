@@ -11,14 +11,17 @@ from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
 from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics
-from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.particle import ParticleState
 from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
-from posetrack_cli.filtering.smoothing import Smoothed, Smoother, Step
+from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Smoother, Step
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.space import HandSpace, pose_rates, tangent_vector
+from posetrack_cli.hand.tracker import BLOCKS
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.spool import Array, RecordSpool
 
@@ -31,7 +34,7 @@ class SmoothedTrack:
     """Remembers every frame of a run and then smooths them, from the last to the first.
 
         with SmoothedTrack(path, smoother, anatomy, keep) as track:
-            track.remember(state.particles, estimate, dt, cut)      # each frame
+            track.remember(state.particles, estimate, dt, cut, frame)  # each frame
             track.flush()                                           # before a checkpoint
             for estimate in track.backward(): ...                   # at the end
             track.delete()
@@ -65,7 +68,7 @@ class SmoothedTrack:
         estimate: Estimate,
         dt: float,
         cut: bool,
-        modes: LikelihoodModes | None = None,
+        frame: Memory = NOTHING,
     ) -> None:
         """Keep what the filter knows after a frame.
 
@@ -74,7 +77,7 @@ class SmoothedTrack:
             estimate: what was written of it.
             dt: seconds that the filter advanced by to this frame; 0 if it stood still.
             cut: whether the state does not follow from the frame before: the first, or one found anew.
-            modes: local fits to the frame, if there are any.
+            frame: what the smoother's fits keep of it (`HandFits.keep`).
         """
         about = {
             "frame_index": estimate.frame_index,
@@ -84,7 +87,7 @@ class SmoothedTrack:
             "dt": dt,
             "confidence": float(estimate.confidence),
         }
-        memory = self._smoother.remember(particles, Step(dt, cut, modes))
+        memory = self._smoother.remember(particles, Step(dt, cut, frame))
         kept = {f"{KEPT}{name}": values for name, values in memory.items()}
         self._spool.append({name: np.asarray(value) for name, value in (about | kept).items()})
 
@@ -102,8 +105,8 @@ class SmoothedTrack:
             memory = _memory_of(record)
             if later is None or ends:
                 later = self._smoother.begin(memory)
-            elif dt > 0.0:  # else the filter stood still, and the two frames have one state
-                later = self._smoother.back(memory, dt)
+            else:
+                later = self._smoother.back(memory, dt) if dt > 0.0 else self._smoother.stay(memory, later)
             ends, dt = bool(record["cut"]), float(record["dt"])
             yield self._estimate(record, later)
 
@@ -143,19 +146,27 @@ def _memory_of(record: dict[str, Array]) -> dict[str, Array]:
     return {name.removeprefix(KEPT): values for name, values in record.items() if name.startswith(KEPT)}
 
 
-def make_smoother(config: HandConfig, dynamics: Dynamics, rng: np.random.Generator) -> Smoother:
+def frame_fits(config: HandConfig, hand: HandModel, camera: Camera) -> HandFits | None:
+    """Return what looks at frames again; None unless local fits are smoothed."""
+    wanted = config.smoothing.method == "fits" and config.filter.proposal == "guided"
+    return HandFits(config, hand, camera) if wanted else None
+
+
+def make_smoother(
+    config: HandConfig, dynamics: Dynamics, rng: np.random.Generator, fits: HandFits | None = None
+) -> Smoother:
     """Return the smoother of ``smoothing.method``; ``fits`` is ``gaussian`` where there are no fits.
 
     Args:
         config: parameters.
         dynamics: those of the filter.
         rng: of backward simulation alone, so that filtered estimates do not depend on it.
+        fits: of `frame_fits`.
     """
     moving, space, settings = config.filter.kind == "rbpf", HandSpace(), config.smoothing
-    fitted, annealed = (config.filter.proposal == name for name in ("guided", "annealed"))
     if settings.method == "particles":
         return ParticleSmoother(dynamics, space, settings.trajectories, rng, moving)
-    if settings.method == "fits" and fitted:
+    if fits is not None:
         pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
-        return FitSmoother(Dynamics(pose**2, velocity**2), space)
-    return GaussianSmoother(dynamics, space, moving, guided=fitted or annealed)
+        return FitSmoother(Dynamics(pose**2, velocity**2), space, fits, BLOCKS, settings.freedom)
+    return GaussianSmoother(dynamics, space, moving, guided=config.filter.proposal in ("guided", "annealed"))

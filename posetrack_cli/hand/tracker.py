@@ -56,6 +56,7 @@ class HandState:
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
         modes: local fits to the frame; None without any. No step needs them, and no checkpoint has them.
+        observation: what was seen of the frame; the same holds of it.
     """
 
     particles: FilterState
@@ -67,6 +68,7 @@ class HandState:
     dt: float = 0.0
     cut: bool = False
     modes: LikelihoodModes | None = None
+    observation: Observation | None = None
 
 
 class Look(NamedTuple):
@@ -172,7 +174,8 @@ class HandTracker:
         following = HandState(
             particles, frame.stamp_ns, pose, velocity, watch, unseen_ns, max(look.dt, 0.0), look.restarted
         )
-        following = replace(following, modes=None if look.fits is None else look.fits.modes)
+        modes = None if look.fits is None else look.fits.modes
+        following = replace(following, modes=modes, observation=look.observation)
         again = look.restarted and state.watch.found
         status = Status.LOST if watch.lost or cost is None else Status.TRACKING
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
