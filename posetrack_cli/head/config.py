@@ -68,7 +68,7 @@ class RefinementSettings(Settings):
     correlation_power: NotNegative = 6.0
     patch_sd: Positive = 0.3
     degrees_of_freedom: Positive = 4.0
-    residual_mm: PointSettings = PointSettings(eyes=0.5, mouth=1.5, nostrils=0.8, brows=0.8)
+    residual_mm: PointSettings = PointSettings(eyes=0.4, mouth=3.0, nostrils=3.0, brows=2.0)
     recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=5.0, nostrils=2.5, brows=2.0)
     settling_mm: Positive = 20.0
     recalculation: Literal["joint", "printed"] = "joint"

@@ -4,7 +4,8 @@
         + eps |M'_t - M_t|^2,                                     m = P(p_t, M')
 
 dM = -D^-1 d, repeated. **[fix]** (3.16) has the factor 2 of the derivative of eps |.|^2, (3.18) and (3.19)
-lost it: as E is defined, D = (rho + 1) sum K^T K + eps 1 and d = sum K^T (rho dI + dI_0) + eps (M'_t-1 - M_t).
+lost it: as E is defined, D = (rho + 1) sum K^T K + eps 1 and
+d = sum K^T (rho dI + dI_0) + eps (M'_t-1 - M_t).
 No point shares an entry of D with another, so it is solved in blocks of three.
 """
 
