@@ -75,7 +75,7 @@ class RefinementSettings(Settings):
     rho: NotNegative = 4.0
     epsilon: NotNegative = 2000.0
     rigid_motion_mm: NotNegative = 3.0
-    keyframe_deg: Positive = 15.0
+    keyframe_deg: Positive = 10.0
     keyframe_neutral_mm: Positive = 3.0
     keyframe_correlation: Fraction = 0.7
 

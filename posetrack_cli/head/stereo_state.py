@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from posetrack_cli.head.learning import FaceLearning, known_face
 from posetrack_cli.head.particles import HeadParticles
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.shape_model import ShapeModel
+from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.templates import TemplateSet
 
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -30,22 +32,20 @@ class StereoState:
         sets: templates, reference first; empty before.
         following: the head when it was last tracked; None before.
         lost: frames in a row, up to the last one, in which it was not.
-        searched: frames in which a face was searched for before it was first found.
-        best: score of the best of these searches.
+        search: what looking for the face came to before it was first found.
     """
 
     face: FaceLearning | None = None
     sets: tuple[TemplateSet, ...] = ()
     following: Following | None = None
     lost: int = 0
-    searched: int = 0
-    best: float = 0.0
+    search: Search = field(default_factory=Search)
 
 
 def parts_of(state: StereoState) -> tuple[Arrays, Numbers]:
     """Take a state apart."""
-    arrays: Arrays = {"best": np.array(state.best)}
-    numbers: Numbers = {"lost": state.lost, "searched": state.searched}
+    arrays: Arrays = _search_parts(state.search)
+    numbers: Numbers = {"lost": state.lost}
     if state.face is not None:
         statistics = state.face.statistics
         arrays |= {
@@ -67,8 +67,25 @@ def state_of(
     face = _face_of(arrays, settings) if "face.mean" in arrays else None
     sets = _templates_of(arrays, "sets") if face is not None else ()
     following = _following_of(arrays, numbers["stamp_ns"]) if "stamp_ns" in numbers else None
-    best = float(arrays["best"]) if "best" in arrays else 0.0
-    return StereoState(face, sets, following, numbers.get("lost", 0), numbers.get("searched", 0), best)
+    search = _search_of(arrays) if "search.best" in arrays else Search()
+    return StereoState(face, sets, following, numbers.get("lost", 0), search)
+
+
+def _search_parts(search: Search) -> Arrays:
+    return {
+        "search.best": np.array(search.best_score),
+        "search.counts": np.array([search.frames, search.exchanged]),
+        "search.order": np.array(search.order, dtype=np.int64),
+        "search.reasons": np.array(list(search.reasons.keys()), dtype=np.str_),
+        "search.times": np.array(list(search.reasons.values()), dtype=np.int64),
+    }
+
+
+def _search_of(arrays: Mapping[str, np.ndarray[Any, Any]]) -> Search:
+    frames, exchanged = (int(value) for value in arrays["search.counts"])
+    reasons = zip(arrays["search.reasons"].tolist(), arrays["search.times"].tolist(), strict=True)
+    order = tuple(int(value) for value in arrays["search.order"])
+    return Search(frames, float(arrays["search.best"]), Counter(dict(reasons)), order, exchanged)
 
 
 def _face_of(arrays: Mapping[str, np.ndarray[Any, Any]], settings: ModelSettings) -> FaceLearning:

@@ -1,4 +1,4 @@
-"""The head tracker for calibrated cameras: finds a head, follows it, learns its face meanwhile (chapter 3)."""
+"""The head tracker for calibrated cameras: it finds a head, follows it and learns its face (chapter 3)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
@@ -20,6 +21,7 @@ from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.refinement.refine import point_values
+from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.start.start import NoStart, Start, find_start
 from posetrack_cli.head.stereo_state import StereoState, parts_of, state_of
 from posetrack_cli.head.templates import TemplateSet, take_templates
@@ -85,7 +87,7 @@ class StereoTracker:
         """Say how a head was looked for that was found in no frame yet; empty once it was found."""
         if state.following is not None:
             return ""
-        return f"{state.searched} frames searched, best score {state.best:.2f}"
+        return str(state.search)
 
     def state_parts(self, state: StereoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         """Take a state apart into arrays and whole numbers, for a checkpoint."""
@@ -117,7 +119,7 @@ class StereoTracker:
         sets = state.sets
         if now.previous is not None and self._is_keyframe(sets, followed):
             sets = (*sets, now.previous)
-        after = StereoState(face, sets, now, 0, state.searched, state.best)
+        after = replace(state, face=face, sets=sets, following=now, lost=0)
         return after, followed_estimate(frame, followed, face, status, settings)
 
     def _is_keyframe(self, sets: Sequence[TemplateSet], followed: Followed) -> bool:
@@ -140,9 +142,8 @@ class StereoTracker:
     ) -> tuple[StereoState, Estimate]:
         """Look for a face that is known already; it must then look as it did."""
         found = self._find_start(frame.images)
-        state = _after_search(state, found)
         if not isinstance(found, Start):
-            return self._lost(state, frame)
+            return self._lost(self._after_search(state, found), frame)
         face = _found(state.face)
         pose = self._laid_on(face.model.mean, found)
         stamp_ns = frame.stamp_ns - self._gap_ns(state, frame)
@@ -153,6 +154,22 @@ class StereoTracker:
         status = Status.TRACKING if state.following is None else Status.REINITIALISED
         rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
         return self._tracked(state, frame, replace(followed, following=rested), status)
+
+    def _after_search(self, state: StereoState, failure: NoStart) -> StereoState:
+        """Count a search that failed; refuse images that belong to other cameras than they are said to."""
+        if state.following is not None:
+            return state
+        search = state.search.failed(failure)
+        if search.images_exchanged:
+            names = [camera.name for camera in self._cameras]
+            raise RecordingError(
+                "the cameras' images seem to be exchanged",
+                found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
+                + ", ".join(names[c] for c in search.order),
+                expected=", ".join(names),
+                hint="exchange the folders or topics, or calibrate again",
+            )
+        return replace(state, search=search)
 
     def _gap_ns(self, state: StereoState, frame: Frame) -> int:
         return (
@@ -170,14 +187,13 @@ class StereoTracker:
         self, state: StereoState, frame: Frame, rng: np.random.Generator
     ) -> tuple[StereoState, Estimate]:
         found = self._find_start(frame.images)
-        state = _after_search(state, found)
         if not isinstance(found, Start):
+            state = self._after_search(state, found)
             return state, searched_estimate(frame, None, None, self._config)
-        face = new_face(found.shape, self._config.model)
-        following = self._follower.begin(
-            frame.stamp_ns, frame.images, found.pose, found.shape, face.model, rng, found.pixels
-        )
-        reference = take_templates(frame.images, self._cameras, found.pose, found.shape, found.pixels)
+        shape = settle(frame.images, self._cameras, found.pose, found.shape, self._config.refinement)
+        face = new_face(shape, self._config.model)
+        following = self._follower.begin(frame.stamp_ns, frame.images, found.pose, shape, face.model, rng)
+        reference = take_templates(frame.images, self._cameras, found.pose, shape)
         state = replace(state, face=face, sets=(reference,), following=following)
         followed = started(following, found, face)
         return state, followed_estimate(frame, followed, face, Status.TRACKING, self._config)
@@ -221,12 +237,6 @@ def started(following: Following, found: Start, face: FaceLearning) -> Followed:
         pixels=found.pixels,
         effective_sample_size=float(len(particles.weights)),
     )
-
-
-def _after_search(state: StereoState, found: Start | NoStart) -> StereoState:
-    if state.following is not None:
-        return state
-    return replace(state, searched=state.searched + 1, best=max(state.best, found.score))
 
 
 def _found(face: FaceLearning | None) -> FaceLearning:
