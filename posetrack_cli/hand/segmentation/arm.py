@@ -10,7 +10,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.config import SegmentationSettings
 from posetrack_cli.hand.segmentation.prediction import PredictedHand
 from posetrack_cli.hand.segmentation.silhouette import Silhouette
-from posetrack_cli.hand.segmentation.slices import BIN_MM, best_shift, slice_areas
+from posetrack_cli.hand.segmentation.slices import BIN_MM, best_shift, extents, slice_areas
 from posetrack_cli.hand.segmentation.view import View
 
 # Lengths are of a hand of scale 1.
@@ -26,6 +26,8 @@ _PASSES = 2
 _MOST_BENT = float(np.cos(np.deg2rad(75.0)))
 _FINGERS_MM, _BEYOND_MM = 240.0, 80.0
 """Slices reach so far to the fingers and to the elbow from the wrist."""
+_COMPARED_MM = 8.0
+"""The drawn hand ends so far beyond its wrist joint; widths are compared up to there."""
 _MOST_SHIFT_MM = 40.0
 _AREA_PER_SD_MM2 = 1000.0
 """Area of disagreement that is worth one standard deviation of the wrist's place."""
@@ -68,18 +70,19 @@ def arm_of(
         hand: (h, w) what of them lies beside the prediction.
         silhouette: the predicted hand.
         predicted: the hand as expected.
-        settings: ``forearm_mm`` and ``wrist_sd_mm``.
+        settings: ``wrist_sd_mm``.
     """
     offset = view.points[limb].astype(np.float64) - predicted.wrist
-    area = view.apart[limb].astype(np.float64) ** 2
+    apart = view.apart[limb].astype(np.float64)
+    area = apart**2
     towards_elbow = _direction(offset, area, predicted)
     if towards_elbow is None:
         return Arm(predicted.wrist, predicted.towards_elbow, None)
     cut = predicted.towards_elbow + towards_elbow
     cut /= np.linalg.norm(cut)
     along = offset @ cut
-    counted = hand[limb] | (along > 0.0)
-    observed = _widths(along[counted], area[counted], predicted.scale)
+    counted = hand[limb] | ((along > 0.0) & _beside_axis(offset, towards_elbow, predicted.scale))
+    observed = _widths(along[counted], apart[counted], cut, predicted.scale)
     expected = _expected_widths(view, silhouette, cut, predicted)
     shift = _shift_mm(observed, expected, settings, predicted.scale)
     return Arm(predicted.wrist + shift * cut, cut, -towards_elbow)
@@ -110,11 +113,19 @@ def _direction(offset: FloatArray, area: FloatArray, predicted: PredictedHand) -
 def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[BoolArray, float]:
     """Which points (P, 3) may be the forearm's, and over what length they go along it, mm."""
     along = offset @ direction
+    first, last = _ARM_MM
+    in_length = (along > scale * first) & (along < scale * last)
+    chosen = in_length & _beside_axis(offset, direction, scale)
+    return chosen, float(np.ptp(along[chosen])) if chosen.any() else 0.0
+
+
+def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> BoolArray:
+    """Which points (P, 3) lie in the cone, and are not the body's that a hand lies before."""
+    along = offset @ direction
     squared_aside = np.einsum("ij,ij->i", offset, offset) - along**2
     most = scale * _HALF_WIDTH_MM + _OPENING * np.maximum(along, 0.0)
-    first, last = _ARM_MM
-    chosen: BoolArray = (along > scale * first) & (along < scale * last) & (squared_aside < most**2)
-    return chosen, float(np.ptp(along[chosen])) if chosen.any() else 0.0
+    within: BoolArray = squared_aside < most**2
+    return within
 
 
 def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
@@ -137,18 +148,18 @@ def _expected_widths(
     depth = np.where(silhouette.mask, silhouette.depth, np.float32(0.0))
     drawn = View.of(depth, view.window, view.camera)
     points, apart = (part[silhouette.mask].astype(np.float64) for part in (drawn.points, drawn.apart))
-    return _widths((points - predicted.wrist) @ cut, apart**2, predicted.scale)
+    return _widths((points - predicted.wrist) @ cut, apart, cut, predicted.scale)
 
 
-def _widths(along: FloatArray, areas: FloatArray, scale: float) -> FloatArray:
+def _widths(along: FloatArray, apart: FloatArray, cut: FloatArray, scale: float) -> FloatArray:
     before, beyond = _slices(_FINGERS_MM, scale), _slices(_BEYOND_MM, scale)
-    return slice_areas(along, areas, -before * BIN_MM, before + beyond)
+    return slice_areas(along, apart**2, extents(apart, cut), -before * BIN_MM, before + beyond)
 
 
 def _shift_mm(
     observed: FloatArray, expected: FloatArray, settings: SegmentationSettings, scale: float
 ) -> float:
-    last = _slices(_FINGERS_MM, scale) + _slices(settings.forearm_mm, scale)
+    last = _slices(_FINGERS_MM, scale) + _slices(_COMPARED_MM, scale)
     most = max(0, min(_slices(_MOST_SHIFT_MM, scale), last, len(observed) - last))
     sd = settings.wrist_sd_mm * scale / BIN_MM
     stiffness = scale**2 * _AREA_PER_SD_MM2 / BIN_MM / sd**2

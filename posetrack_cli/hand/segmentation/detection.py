@@ -13,7 +13,7 @@ from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.hand.segmentation.likeness import arm_exit, likeness
 from posetrack_cli.hand.segmentation.palms import Surfaces, palm_pixels, surfaces_of
 from posetrack_cli.hand.segmentation.region import Region, region_around
-from posetrack_cli.hand.segmentation.slices import BIN_MM, slice_areas
+from posetrack_cli.hand.segmentation.slices import BIN_MM, extents, slice_areas
 from posetrack_cli.rendering.window import Window
 
 _APART_MM, _MOST_ACROSS = 3.5, 240
@@ -198,9 +198,10 @@ def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[B
         The rest of the region's mask, and the wrist (3,), mm.
     """
     along = (region.palm - region.points) @ arm
-    areas = surfaces.pixel_mm[region.rows, region.columns][region.mask].astype(np.float64) ** 2
+    apart = surfaces.pixel_mm[region.rows, region.columns][region.mask].astype(np.float64)
     first, last = _WRIST_FROM_PALM_MM
-    widths = slice_areas(along[region.mask], areas, first, round((last - first) / BIN_MM))
+    count = round((last - first) / BIN_MM)
+    widths = slice_areas(along[region.mask], apart**2, extents(apart, arm), first, count)
     middles = first + BIN_MM * (np.arange(len(widths)) + 0.5)
     wrist = float(middles[int(np.argmin(widths + _OFF_USUAL * (middles - _USUAL_WRIST_MM) ** 2))])
     return region.mask & (along < wrist), region.palm - wrist * arm

@@ -7,8 +7,9 @@ import numpy as np
 from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.segmentation.region import Exit, Region
 
-FINGER_MM = 44.0
-"""What is narrower where it leads out of a hand's reach is a finger, not the arm."""
+_FINGER_MM, _OF_DISC = 36.0, 0.8
+"""What is narrower than two fingers side by side, where it leads out of a hand's reach, is no arm, unless it
+is about as wide as the disc: a thin arm goes on as wide as it is, a finger is narrower than its palm."""
 _AREAS_MM2 = (800.0, 2500.0, 42000.0, 65000.0)
 """Of a hand with the part of its arm within reach: as small and as large as can be, usual in between."""
 _NO_ARM, _MORE_ARMS, _LONG_FINGER = 0.75, 0.2, 0.9
@@ -22,8 +23,7 @@ _LARGER_FIRST = 0.1
 
 def arm_exit(region: Region) -> Exit | None:
     """Where the arm leads out of a region: the widest way, if it is no finger; None without one."""
-    widest = max(region.exits, key=lambda way: way.width_mm, default=None)
-    return widest if widest is not None and widest.width_mm >= FINGER_MM else None
+    return max(_arms(region), key=lambda way: way.width_mm, default=None)
 
 
 def likeness(region: Region, settings: DetectionSettings) -> float:
@@ -42,12 +42,17 @@ def likeness(region: Region, settings: DetectionSettings) -> float:
 
 
 def _of_exits(region: Region, settings: DetectionSettings) -> float:
-    arms = [way.width_mm for way in region.exits if way.width_mm >= FINGER_MM]
+    arms = [way.width_mm for way in _arms(region)]
     fingers = _LONG_FINGER ** (len(region.exits) - len(arms))
     if not arms:
         return fingers * _NO_ARM
     too_wide = float(np.interp(max(arms), [settings.arm_mm, 1.5 * settings.arm_mm], [1.0, 0.0]))
     return fingers * too_wide * _MORE_ARMS ** (len(arms) - 1)
+
+
+def _arms(region: Region) -> list[Exit]:
+    narrowest = min(_FINGER_MM, _OF_DISC * 2.0 * region.radius_mm)
+    return [way for way in region.exits if way.width_mm >= narrowest]
 
 
 def _plateau(value: float, low: float, first: float, last: float, high: float) -> float:

@@ -63,9 +63,10 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: f
         camera: its camera.
         steepest: neighbours so many pixel distances apart in depth, and a few mm, are of two surfaces.
     """
-    apart = pixel_mm(depth, window, camera).astype(np.float32)
+    unbridged = pixel_mm(depth, window, camera).astype(np.float32)
+    whole = without_pinholes(depth, jump_mm(unbridged, steepest))
+    apart = pixel_mm(whole, window, camera).astype(np.float32)
     jump = jump_mm(apart, steepest)
-    whole = without_pinholes(depth, jump)
     count, numbers = surface_labels(whole, jump)
     sizes = np.bincount(numbers.ravel(), minlength=count)
     inside = ((whole > 0) & ~rims(whole, jump)).astype(np.uint8)

@@ -131,10 +131,22 @@ def _exits(
         if at_border:
             leaving[edge] |= own[edge]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(leaving.astype(np.uint8), connectivity=8)
-    points = surfaces.points[rows, columns]
+    points, apart = surfaces.points[rows, columns], surfaces.pixel_mm[rows, columns]
     exits = []
     for number in range(1, count):
         if stats[number, cv2.CC_STAT_AREA] >= _LEAST_PIXELS:
-            part = points[labels == number].astype(np.float64)
-            exits.append(Exit(part.mean(axis=0), float(np.linalg.norm(np.ptp(part, axis=0)))))
+            part = labels == number
+            width = _width_mm(points[part].astype(np.float64), float(apart[part].mean()))
+            exits.append(Exit(points[part].mean(axis=0, dtype=np.float64), width))
     return tuple(exits)
+
+
+def _width_mm(points: FloatArray, pixel_mm: float) -> float:
+    """Largest extent of pixels' points (P, 3), along the axis of their largest variance.
+
+    It is the same whatever the direction in the image, and the size of the pixels, which reach half of
+    ``pixel_mm`` beyond their middles.
+    """
+    offset = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(offset.T @ offset)
+    return float(np.ptp(offset @ axes[:, -1])) + pixel_mm
