@@ -58,8 +58,8 @@ class RefinementSettings(Settings):
     """
 
     joint: bool = True
-    iterations: Count = 5
-    recalculation_iterations: Count = 5
+    iterations: Count = 3
+    recalculation_iterations: Count = 2
     reference: NotNegative = 1.0
     keyframe: NotNegative = 1.0
     previous: NotNegative = 1.0

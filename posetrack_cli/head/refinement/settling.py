@@ -16,7 +16,7 @@ from posetrack_cli.head.refinement.refine import make_prior
 from posetrack_cli.head.refinement.scene import make_scene
 from posetrack_cli.head.templates import take_templates
 
-ROUNDS = 3
+ROUNDS, STEPS = 3, 5
 """A point that came nearer or went away is looked at from there again."""
 
 
@@ -49,7 +49,7 @@ def settle(
         scene, _seen = make_scene(images, cameras, [held], None, pose, points, settings)
         correlations = np.empty(templates.seen.shape)
         pixels = np.empty((*templates.seen.shape, 2))
-        most = settings.recalculation_iterations
+        most = STEPS
         recalculate_points(
             scene, pose.rotation, pose.position, shape, prior, most, points, correlations, pixels
         )
