@@ -9,6 +9,7 @@ from contextlib import suppress
 import click
 
 from posetrack_cli import __version__
+from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
 from posetrack_cli.cli.eval import evaluate
@@ -31,7 +32,7 @@ def cli() -> None:
     """
 
 
-for command in (hand, head, evaluate, view, export, info, convert, doctor):
+for command in (hand, head, evaluate, view, export, info, convert, calibrate, doctor):
     cli.add_command(command)
 
 

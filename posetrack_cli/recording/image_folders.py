@@ -56,8 +56,8 @@ def stamped_images(path: Path, folders: Mapping[str, list[Path]], fps: float | N
         return {
             name: _zipped(load_stamps(own[name], _names(images)), images) for name, images in folders.items()
         }
-    instants = _instants(path, folders)
-    common = [next(iter(instant.values())) for instant in instants]
+    together = instants(path, folders)
+    common = [next(iter(instant.values())) for instant in together]
     if fps is not None:
         stamps = stamps_at_rate(len(common), fps)
     elif (path / STAMPS_FILE_NAME).exists():
@@ -67,7 +67,7 @@ def stamped_images(path: Path, folders: Mapping[str, list[Path]], fps: float | N
             "no stamps", where=path, hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column"
         )
     return {
-        name: [(stamp, i[name]) for stamp, i in zip(stamps, instants, strict=True) if name in i]
+        name: [(stamp, i[name]) for stamp, i in zip(stamps, together, strict=True) if name in i]
         for name in folders
     }
 
@@ -80,8 +80,12 @@ def stamps_files(path: Path, folders: Mapping[str, list[Path]], fps: float | Non
     return own if all(file.exists() for file in own) else [path / STAMPS_FILE_NAME]
 
 
-def _instants(path: Path, folders: Mapping[str, list[Path]]) -> list[dict[str, Path]]:
-    """Return the images of each instant by camera: those whose names tell the same, or else by position."""
+def instants(path: Path, folders: Mapping[str, list[Path]]) -> list[dict[str, Path]]:
+    """Return the images of each instant by camera: those whose names tell the same, or else by position.
+
+    Raises:
+        RecordingError: names have nothing in common, and there are not as many of every camera.
+    """
     for key in (_stem, _last_number):
         keyed = {name: {key(image): image for image in images} for name, images in folders.items()}
         is_unique = all(len(keyed[name]) == len(images) for name, images in folders.items())

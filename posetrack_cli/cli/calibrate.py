@@ -1,0 +1,108 @@
+"""``posetrack calibrate``: measure cameras."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+
+SQUARES = re.compile(r"(\d{1,4})[xX](\d{1,4})")
+
+
+@click.group()
+def calibrate() -> None:
+    """Measure cameras."""
+
+
+@calibrate.command("stereo", short_help="Measure two or more cameras from images of a board.")
+@click.argument("images", metavar="FOLDER", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    metavar="camera.toml",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Camera file to write.",
+)
+@click.option(
+    "--squares",
+    metavar="COLUMNSxROWS",
+    required=True,
+    help="Squares of the board across and down: 10x7 has 9x6 inner corners.",
+)
+@click.option("--square-mm", type=float, required=True, help="Side of a square, mm; measure it on the print.")
+@click.option(
+    "--marker-mm", type=float, help="Side of a marker, mm: a ChArUco board instead of a chessboard."
+)
+@click.option(
+    "--dictionary", default="4X4_50", show_default=True, help="Markers of the ChArUco board, OpenCV's name."
+)
+@click.option("--cameras", metavar="NAME,NAME", help="Folders to use, the reference first.  [default: all]")
+@click.option(
+    "--distortion",
+    type=click.Choice(["none", "four", "five", "eight"]),
+    default="four",
+    show_default=True,
+    help="Coefficients of the lens: k1 k2 p1 p2, and k3, and k4 k5 k6.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing camera file.")
+def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
+    """Measure intrinsics, distortion and places of the cameras whose images of a board lie in FOLDER.
+
+    FOLDER has one folder of images per camera (left/ right/ ...); images taken at the same instant have the
+    same name or number. Show the board some 20 times: near and far, tilted, in the middle and the corners of
+    every image. What is written is the camera.toml of recordings with these cameras, errors in comments.
+    """
+    from posetrack_cli.recording.calibration.boards import Board
+    from posetrack_cli.recording.calibration.stereo import calibrate_stereo as calibrated
+    from posetrack_cli.recording.losses import LossLog, loss_line
+    from posetrack_cli.recording.output import check_target, whole_or_nothing
+
+    check_target(output, overwrite=options["overwrite"], source=images)
+    board = Board(
+        *_squares(options["squares"]), options["square_mm"], options["marker_mm"], options["dictionary"]
+    )
+    names = options["cameras"].split(",") if options["cameras"] else None
+    losses = LossLog()
+    with _progress() as report:
+        found = calibrated(
+            images, board, names=names, distortion=options["distortion"], report=report, losses=losses
+        )
+    with whole_or_nothing(output) as part:
+        part.write_text(found.file_text(images), encoding="utf-8")
+    for line in found.lines():
+        click.echo(line)
+    for doubt in found.doubts():
+        click.echo(f"doubtful: {doubt}", err=True)
+    click.echo(f"{output}: cameras {', '.join(camera.name for camera in found.cameras)}")
+    if losses.losses:
+        click.echo(f"{images}: {loss_line(losses.losses)}", err=True)
+        click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _squares(text: str) -> tuple[int, int]:
+    match = SQUARES.fullmatch(text)
+    if match is None:
+        raise UsageError("--squares cannot be used", found=f"'{text}'", expected="COLUMNSxROWS such as 10x7")
+    return int(match[1]), int(match[2])
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that moves a progress bar; a bar only where a person looks."""
+    from tqdm import tqdm
+
+    with tqdm(unit="image", desc="board", file=sys.stderr, disable=None, dynamic_ncols=True) as bar:
+
+        def report(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield report

@@ -1,0 +1,1 @@
+"""Calibration of cameras from images of a board: detection, intrinsics, places, errors."""

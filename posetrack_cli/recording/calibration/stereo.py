@@ -1,0 +1,180 @@
+"""Calibration of several cameras from folders of board images, and how good it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.epipolar import epipolar_errors, relative_transform
+from posetrack_cli.geometry.triangulation import triangulate
+from posetrack_cli.recording.calibration.boards import Board
+from posetrack_cli.recording.calibration.solve import CameraFit, fit_camera, place_cameras, shared_views
+from posetrack_cli.recording.calibration.views import CameraViews, find_views
+from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.rig_file import camera_file_text
+
+DOUBTFUL_PX = 1.0
+"""Errors above are no calibration to rely on."""
+DOUBTFUL_FOCAL = 0.02
+"""Standard deviation of a focal length, as a fraction, that comes of views that are all alike."""
+
+
+@dataclass(frozen=True)
+class PairError:
+    """How well two cameras fit together.
+
+    Attributes:
+        first, second: names.
+        views: instants at which both saw the board.
+        epipolar_rms_px, epipolar_p95_px: Sampson distance of corners, root mean square and 95th percentile.
+        square_mm: mean side of a square, triangulated.
+        baseline_mm: distance of the cameras.
+    """
+
+    first: str
+    second: str
+    views: int
+    epipolar_rms_px: float
+    epipolar_p95_px: float
+    square_mm: float
+    baseline_mm: float
+
+
+@dataclass(frozen=True)
+class StereoCalibration:
+    """Cameras and their errors.
+
+    Attributes:
+        board: that was seen.
+        cameras: the reference first.
+        fits: of each camera.
+        pairs: of every two cameras that saw the board at once.
+    """
+
+    board: Board
+    cameras: tuple[Camera, ...]
+    fits: tuple[CameraFit, ...]
+    pairs: tuple[PairError, ...]
+
+    def lines(self) -> list[str]:
+        """Return what was measured and how well, for people and as comments of the camera file."""
+        return [*map(_camera_line, self.fits), *(_pair_line(pair, self.board) for pair in self.pairs)]
+
+    def doubts(self) -> list[str]:
+        """Return what speaks against using it; nothing if nothing does."""
+        found = []
+        for fit in self.fits:
+            if fit.rms_px > DOUBTFUL_PX:
+                found.append(
+                    f"camera '{fit.camera.name}': reprojection error of {fit.rms_px:.2f} px is large"
+                )
+            if fit.focal_sd_px > DOUBTFUL_FOCAL * fit.camera.fx:
+                found.append(
+                    f"camera '{fit.camera.name}': focal length is uncertain by {fit.focal_sd_px:.0f} px; "
+                    "show the board tilted, and in every part of the image"
+                )
+        for pair in self.pairs:
+            if pair.epipolar_rms_px > DOUBTFUL_PX:
+                found.append(
+                    f"'{pair.first}' and '{pair.second}': epipolar error of {pair.epipolar_rms_px:.2f} px is "
+                    "large; were the images taken at the same instants, and the board still?"
+                )
+        return found
+
+    def file_text(self, source: Path) -> str:
+        """Return the camera file, with the errors as comments."""
+        title = (
+            f"measured by posetrack calibrate stereo on {shown_name(source.resolve())}, {self.board.words}"
+        )
+        return camera_file_text(self.cameras, [title, *self.lines()])
+
+
+def calibrate_stereo(
+    path: Path,
+    board: Board,
+    *,
+    names: Sequence[str] | None = None,
+    distortion: str = "four",
+    report: Callable[[int, int], None] = lambda done, total: None,
+    losses: LossLog | None = None,
+) -> StereoCalibration:
+    """Calibrate the cameras whose images of a board lie in the folders of a folder.
+
+    Every camera's intrinsics come from all its views, the places then from the views that two cameras share.
+
+    Args:
+        path: has a folder of images per camera; images of one instant have the same name or number.
+        board: that they show.
+        names: of the cameras to use, the reference first; None for all.
+        distortion: ``none``, ``four`` (k1 k2 p1 p2), ``five`` (and k3) or ``eight`` (rational) coefficients.
+        report: told how many images of how many were looked at.
+        losses: gets images that cannot be decoded.
+
+    Raises:
+        RecordingError: images cannot be read, or there are too few views of the board.
+    """
+    views = find_views(path, board, names, report, losses)
+    fitted = [fit_camera(own, board, distortion) for own in views]
+    fits, used = [fit for fit, _ in fitted], [mask for _, mask in fitted]
+    cameras = place_cameras([fit.camera for fit in fits], views, used, board)
+    pairs = [
+        error
+        for i, j in combinations(range(len(cameras)), 2)
+        if (error := _pair_error(cameras[i], cameras[j], views[i], views[j], used[i] & used[j], board))
+    ]
+    return StereoCalibration(board, tuple(cameras), tuple(fits), tuple(pairs))
+
+
+def _pair_error(
+    first: Camera, second: Camera, views: CameraViews, others: CameraViews, used: BoolArray, board: Board
+) -> PairError | None:
+    shared = shared_views(views, others, used)
+    if not shared:
+        return None
+    errors = np.concatenate([epipolar_errors(first, second, one, two) for one, two, _ in shared])
+    sides = np.concatenate(
+        [
+            _sides(triangulate([first, second], np.stack([one, two]))[0], ids, board)
+            for one, two, ids in shared
+        ]
+    )
+    return PairError(
+        first.name,
+        second.name,
+        len(shared),
+        float(np.sqrt(np.mean(errors**2))),
+        float(np.percentile(errors, 95)),
+        float(np.mean(sides)),
+        float(np.linalg.norm(relative_transform(first, second)[1])),
+    )
+
+
+def _sides(points: FloatArray, ids: FloatArray, board: Board) -> FloatArray:
+    """Return the distances, mm, of corners that are neighbours in a row."""
+    neighbours = (np.diff(ids) == 1) & (ids[1:] % board.across != 0)
+    sides: FloatArray = np.linalg.norm(np.diff(points, axis=0), axis=-1)[neighbours]
+    return sides
+
+
+def _camera_line(fit: CameraFit) -> str:
+    camera = fit.camera
+    return (
+        f"camera {camera.name}: reprojection error {fit.rms_px:.3f} px (rms) in {fit.used} views; board "
+        f"found in {fit.found} of {fit.images} images; fx {camera.fx:.1f} fy {camera.fy:.1f} "
+        f"+- {fit.focal_sd_px:.1f} px"
+    )
+
+
+def _pair_line(pair: PairError, board: Board) -> str:
+    return (
+        f"{pair.first} - {pair.second}: epipolar error {pair.epipolar_rms_px:.3f} px (rms), "
+        f"{pair.epipolar_p95_px:.3f} px (95 %) in {pair.views} views; baseline {pair.baseline_mm:.2f} mm; "
+        f"a square of {board.square_mm:g} mm measures {pair.square_mm:.3f} mm"
+    )
