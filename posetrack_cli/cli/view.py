@@ -17,9 +17,9 @@ from posetrack_cli.cli.track_option import BOTH, FILTERED, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:
+    from posetrack_cli.evaluation.viewing.head_view import HeadView
     from posetrack_cli.evaluation.viewing.outputs import Output
     from posetrack_cli.evaluation.viewing.view import View
-    from posetrack_cli.recording.stored import StoredRecording
     from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
@@ -56,8 +56,8 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
 )
 @click.option(
     "--crop",
-    type=click.Choice(["full", "hand"]),
-    help="All of the image, or where the hand goes.  [default: full; of layout paper hand]",
+    type=click.Choice(["full", "hand", "head"]),
+    help="All of the image, or where hand or head go.  [default: full; of layout paper hand]",
 )
 @click.option("--scale", type=FiniteRange(0.05, 16.0), help="Picture pixels per image pixel.")
 @click.option(
@@ -86,6 +86,9 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
 
+    A head is drawn on the images of its cameras: ten points, lines between them, and the axes of the pose, x
+    to the subject's left red, y up green, z out of the face blue.
+
     Two results of one recording are drawn beside each other. Lost frames have a red border, those found anew
     an orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
     error of its points. Images of a camera with lens distortion are drawn without it.
@@ -105,22 +108,38 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     _close(output, count, drawn, results, interrupted=stopped())
 
 
-def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> View:
+def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> View | HeadView:
     """Everything that can be refused is refused here, before the first frame."""
+    from posetrack_cli.evaluation.images_of import required_images
+    from posetrack_cli.evaluation.recording_of import required_recording
+    from posetrack_cli.evaluation.viewing.head_view import HeadView
+    from posetrack_cli.evaluation.viewing.layering import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
-    from posetrack_cli.evaluation.viewing.view import View, ViewOptions
+    from posetrack_cli.evaluation.viewing.view import View
     from posetrack_cli.rendering.context import open_context
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[name] for name in DRAWN}
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
-    recording = _recording(results, options)
+    _check_one_recording(results, options)
+    chosen = {"any_recording": options["any_recording"], **opening_arguments(options)}
+    if _of_images(results):
+        return HeadView(results, required_images(results[0], options["recording"], **chosen), view_options)
+    recording = required_recording(results[0], options["recording"], **chosen)
     return View(results, recording, view_options, open_context(options["device"]))
 
 
-def _recording(results: Sequence[Result], options: dict[str, Any]) -> StoredRecording:
-    """The recording that all results were made from."""
-    from posetrack_cli.evaluation.recording_of import required_recording
+def _of_images(results: Sequence[Result]) -> bool:
+    """Whether results were made from grey images, as those of heads are, and not from depth."""
+    kinds = {result.run.get("tracker", "").startswith("head") for result in results}
+    if len(kinds) > 1:
+        found = ", ".join(f"a {result.subject.name} in {result.path}" for result in results)
+        raise UsageError("results are of different subjects", found=found)
+    return kinds.pop()
+
+
+def _check_one_recording(results: Sequence[Result], options: dict[str, Any]) -> None:
+    """Refuse results of several recordings, unless any will do."""
     from posetrack_cli.recording.base import RECORDING_KEY
 
     given, any_recording = options["recording"], options["any_recording"]
@@ -130,7 +149,6 @@ def _recording(results: Sequence[Result], options: dict[str, Any]) -> StoredReco
     if len(inputs) > 1 and not any_recording:
         found = ", ".join(str(result.path) for result in results)
         raise UsageError("results are of different recordings", found=found)
-    return required_recording(results[0], given, any_recording=any_recording, **opening_arguments(options))
 
 
 @contextmanager
@@ -144,7 +162,7 @@ def _finished(out: Output) -> Iterator[Output]:
         raise
 
 
-def _draw(drawn: View, out: Output, stopped: Any) -> int:
+def _draw(drawn: View | HeadView, out: Output, stopped: Any) -> int:
     """Draw the frames until it is stopped; return how many there are."""
     from contextlib import closing
 
@@ -164,7 +182,9 @@ def _draw(drawn: View, out: Output, stopped: Any) -> int:
     return count
 
 
-def _close(output: Path, count: int, drawn: View, results: Sequence[Result], *, interrupted: bool) -> None:
+def _close(
+    output: Path, count: int, drawn: View | HeadView, results: Sequence[Result], *, interrupted: bool
+) -> None:
     """The closing line, and the exit code."""
     from posetrack_cli.recording.losses import loss_line
 
@@ -184,7 +204,7 @@ def _close(output: Path, count: int, drawn: View, results: Sequence[Result], *, 
         context.exit(EXIT_DATA_LOST)
 
 
-def _nothing(drawn: View) -> Exception:
+def _nothing(drawn: View | HeadView) -> Exception:
     from posetrack_cli.errors import RecordingError
     from posetrack_cli.recording.losses import loss_line
 

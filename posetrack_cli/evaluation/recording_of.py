@@ -8,21 +8,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
+from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results.reader import Result
 
-SHOWN_DIGITS = 12
+Found = TypeVar("Found")
+
 MEANT = ("fps", "mirror")
 """Options that a folder of images is read with, and that frames and estimates depend on."""
-ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
 
 
 @dataclass(frozen=True)
@@ -59,18 +58,28 @@ def search_recording(
     if given is not None:
         recording = open_recording(given, **opening) if any_recording else _same(given, result, opening)
         return Search(recording)
+    return Search(*found_beside(result, lambda place: _same(place, result, opening)))
+
+
+def found_beside(result: Result, opened: Callable[[Path], Found]) -> tuple[Found | None, str]:
+    """Return the recording by the name that a result states, None and why where there is none.
+
+    Args:
+        result: beside which it is looked for, one folder up and in the working folder.
+        opened: opens what is there as the run did; RecordingError if it is another.
+    """
     name = Path(result.run.get("input.name", "")).name
     if not name:
-        return Search(None, f"{result.path} does not say which recording it was made from")
+        return None, f"{result.path} does not say which recording it was made from"
     reasons = []
     for place in _places(result, name):
         try:
-            return Search(_same(place, result, opening))
+            return opened(place), ""
         except RecordingError as error:
             reasons.append(str(error))
     looked = ", ".join(dict.fromkeys(str(folder) for folder in _folders(result)))
     nowhere = f"no recording '{name}' in {looked}; pass it with --recording"
-    return Search(None, "; ".join(reasons) or nowhere)
+    return None, "; ".join(reasons) or nowhere
 
 
 def required_recording(result: Result, given: Path | None = None, **options: Any) -> StoredRecording:
@@ -99,8 +108,8 @@ def _places(result: Result, name: str) -> Iterator[Path]:
 def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecording:
     """Open a recording as the run did; raise RecordingError if it is not the one of the run."""
     run = result.run
-    _check_kind(path, run)
-    _check_size(path, run)
+    check_kind(path, run)
+    check_size(path, run)
     given = {key: value for key, value in opening.items() if value is not None}
     options = _options_of(run)
     _check_given(options, given)
@@ -111,9 +120,9 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecor
         try:
             recording = open_recording(path, **options, **camera)
         except RecordingError:
-            _check_bytes(path, run)  # a file that was changed may lack what the run found in it
+            check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise
-    _check_identity(recording, run)
+    check_identity(recording, run)
     return recording
 
 
@@ -193,55 +202,3 @@ def check_same_size(camera: Camera, recording: StoredRecording) -> None:
             expected=f"{camera.width}x{camera.height}",
             hint="pass the --camera of the run, whose crop applies",
         )
-
-
-def _check_kind(path: Path, run: Mapping[str, str]) -> None:
-    """Tell a folder from a file, whose options are others."""
-    kinds = {True: "a folder", False: "a file"}
-    is_folder, was_folder = path.is_dir(), run.get("input.kind") == "folder"
-    if path.exists() and run.get("input.kind") and is_folder != was_folder:
-        raise _another(path, run, kinds[is_folder], kinds[was_folder])
-
-
-def _check_bytes(path: Path, run: Mapping[str, str]) -> None:
-    """Tell another file by its SHA-256, whether or not it can be opened."""
-    stated = run.get(RECORDING_KEY, "")
-    if not stated or not path.is_file():
-        return
-    _, digest = file_digest(path)
-    if digest != stated:
-        raise _another(path, run, f"SHA-256 {digest[:SHOWN_DIGITS]}", stated[:SHOWN_DIGITS])
-
-
-def _check_size(path: Path, run: Mapping[str, str]) -> None:
-    """Tell another file by its size, before all of it is read."""
-    stated = run.get("input.bytes", "")
-    if not stated or not path.is_file():
-        return
-    size = path.stat().st_size
-    if str(size) != stated:
-        raise _another(path, run, f"{size} bytes", f"{stated} bytes")
-
-
-def _check_identity(recording: StoredRecording, run: Mapping[str, str]) -> None:
-    stated = run.get(RECORDING_KEY, "")
-    if not stated:
-        return  # made from something that has no identity
-    found = recording.identity()
-    if found["sha256"] != stated:
-        size = f" ({found['bytes']} bytes)", f" ({run.get('input.bytes', 'unknown')} bytes)"
-        digests = f"{found['sha256'][:SHOWN_DIGITS]}{size[0]}", f"{stated[:SHOWN_DIGITS]}{size[1]}"
-        raise _another(recording.path, run, f"SHA-256 {digests[0]}", digests[1])
-    if found.get("topic") != run.get("input.topic"):
-        raise _another(recording.path, run, f"topic {found['topic']}", run.get("input.topic", ""))
-
-
-def _another(path: Path, run: Mapping[str, str], found: str, expected: str) -> RecordingError:
-    name = run.get("input.name", "the run's input")
-    return RecordingError(
-        "is not the recording that the result was made from",
-        where=path,
-        found=found,
-        expected=f"{expected} as of {name}",
-        hint=ANY_HINT,
-    )

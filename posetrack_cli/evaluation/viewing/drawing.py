@@ -67,15 +67,17 @@ class Drawer(Protocol):
 
 @dataclass(frozen=True)
 class SkeletonDrawer:
-    """Points, the bones between them and their parents, and the axes of the pose.
+    """Points, the bones between them and their parents, lines, and the axes of the pose.
 
     Attributes:
         parents: P indices, -1 for a root; empty draws no bones.
         axes: whether x, y, z of the pose are drawn, red, green and blue.
+        lines: further pairs of points with a line between them.
     """
 
     parents: tuple[int, ...] = ()
     axes: bool = True
+    lines: tuple[tuple[int, int], ...] = ()
 
     def draw(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
         """Paint bones, points and axes; see ``Drawer``."""
@@ -84,13 +86,15 @@ class SkeletonDrawer:
             _draw_axes(picture, camera, shown)
 
     def outline(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
-        """Paint bones and points."""
+        """Paint bones, lines and points."""
         if shown.points is None:
             return
         thickness = _thickness(picture)
         for child, parent in enumerate(self.parents):
             if parent >= 0:
                 _draw_line(picture, camera, shown.points[[parent, child]], colour, thickness)
+        for line in self.lines:
+            _draw_line(picture, camera, shown.points[list(line)], colour, thickness)
         for pixel in _pixels(camera, shown.points):
             _draw_dot(picture, pixel, colour, 2 * thickness)
 

@@ -91,7 +91,7 @@ class Panels:
         width, height = viewport.size
         picture = np.zeros((height, width, 3), dtype=np.uint8)
         self._draw(picture, stamp_ns, viewport, layer)
-        return _marked(picture, layer.mark(stamp_ns))
+        return marked(picture, layer.mark(stamp_ns))
 
     def segments(self, frame: Frame, viewport: Viewport, layer: Layer) -> ImageArray:
         """What segmentation around an estimate tells apart, over the observed depth, with the contour."""
@@ -102,7 +102,7 @@ class Panels:
             layer.segments.paint(ground, frame.depth, shown)
         picture = np.ascontiguousarray(viewport.cut(ground))
         layer.drawer.outline(picture, viewport.camera(self.camera), shown, _BONE)
-        return _marked(picture, layer.mark(frame.stamp_ns))
+        return marked(picture, layer.mark(frame.stamp_ns))
 
     def over(
         self, observed: ImageArray, stamp_ns: int, viewport: Viewport, layers: Sequence[Layer]
@@ -117,7 +117,7 @@ class Panels:
             camera, shown = viewport.camera(self.camera), self.truth.shown(stamp_ns)
             self.truth.drawer.outline(picture, camera, shown, TRUTH)
         marks = [mark for mark in (layer.mark(stamp_ns) for layer in layers) if mark is not None]
-        return _marked(picture, marks[0] if marks else None)
+        return marked(picture, marks[0] if marks else None)
 
     def _draw(self, picture: ImageArray, stamp_ns: int, viewport: Viewport, layer: Layer) -> None:
         camera, shown = viewport.camera(self.camera), layer.shown(stamp_ns)
@@ -141,7 +141,7 @@ class Panels:
         return layer.colour if len(self.layers) > 1 else TEXT
 
 
-def _marked(picture: ImageArray, mark: Colour | None) -> ImageArray:
+def marked(picture: ImageArray, mark: Colour | None) -> ImageArray:
     """The picture in a frame of this colour, for frames that are lost or found anew."""
     if mark is not None:
         height, width = picture.shape[:2]

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from posetrack_cli.arrays import ImageArray, IntArray
-from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recording_of import check_same_size
-from posetrack_cli.evaluation.result_names import unique_names
-from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth.loading import load_truth
-from posetrack_cli.evaluation.viewing.colours import TONES, TRUTH, DepthRange
+from posetrack_cli.evaluation.viewing.colours import TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
-from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, hand_of
-from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
+from posetrack_cli.evaluation.viewing.layering import (
+    MOST_RESULTS,
+    ViewOptions,
+    layers_of,
+    not_lost,
+    rate_of,
+    rows_to_draw,
+    truth_of,
+)
+from posetrack_cli.evaluation.viewing.layers import Layer
 from posetrack_cli.evaluation.viewing.panels import Panels
 from posetrack_cli.evaluation.viewing.segments import HandSegments, configuration_of
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, largest_viewport, moved_to
@@ -30,42 +35,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results.reader import Result
-from posetrack_cli.results.tracks import FILTERED
-
-MOST_RESULTS = len(TONES)
-MOST_IN_SHEET = 120
-SHEET_CHOICE = "spread:6"
-_USUAL_RATE_HZ = 30.0
-
-
-@dataclass(frozen=True)
-class ViewOptions:
-    """How results are drawn.
-
-    Attributes:
-        frames: see ``chosen_rows``; None for all, or for six of a sheet.
-        layout: one of ``LAYOUTS``; None for beside, or side-by-side for two results.
-        crop: ``full`` or ``hand``; None for full, or hand in the layout paper.
-        scale: picture pixels per image pixel; None enlarges small images.
-        range_mm: depths that are red and blue; None takes them from the hand's.
-        truth: whether the truth's contour is drawn.
-        skeleton: whether joints, bones and axes are drawn.
-        sheet: whether all pictures go onto one, each cut out around the hand by itself.
-        tracks: of each result; both tracks of one result are drawn beside each other.
-    """
-
-    frames: str | None = None
-    layout: str | None = None
-    crop: str | None = None
-    scale: float | None = None
-    range_mm: tuple[float, float] | None = None
-    truth: bool = False
-    skeleton: bool = False
-    sheet: bool = False
-    tracks: tuple[str, ...] = (FILTERED,)
 
 
 class View:
@@ -87,10 +58,10 @@ class View:
     ) -> None:
         self._recording, self._options, self._log = recording, options, LossLog()
         self.layout = _layout(options, len(results) * len(options.tracks))
-        truth = _truth(results[0], options)
-        layers = _layers(results, options.tracks, truth, context)
+        truth = truth_of(results[0], options)
+        layers = layers_of(results, options.tracks, truth, lambda result: drawer_of(result, context))
         self._track = layers[0].track
-        self.rows = _rows(options, layers[0])
+        self.rows = rows_to_draw(options, layers[0])
         self._camera = _common_camera(results, recording)
         if self.layout == "segments":
             layers = _with_segments(layers, results, options.tracks, self._camera)
@@ -107,8 +78,7 @@ class View:
     @property
     def rate_hz(self) -> float:
         """Pictures per second that show the chosen frames as fast as they were recorded."""
-        steps = np.diff(self._track.stamp_ns[self.rows])
-        return NS_PER_S / float(np.median(steps)) if steps.size else _USUAL_RATE_HZ
+        return rate_of(self._track, self.rows)
 
     @property
     def recording_path(self) -> Path:
@@ -146,7 +116,7 @@ class View:
         points, scale = self._track.points, self._options.scale
         if self._is_whole or points is None:
             return Viewport.enlarged(self._camera, scale)
-        shown = _not_lost(self._track, self.rows)
+        shown = not_lost(self._track, self.rows)
         if self._options.sheet:
             return largest_viewport(points[shown], self._camera, scale)
         return around_points(points[shown], self._camera, scale)
@@ -156,7 +126,7 @@ def drawer_of(result: Result, context: Any) -> Drawer:
     """What draws the subject of a result: a hand's skin; of any other its points, bones and axes."""
     if result.subject.name == "hand":
         return HandDrawer(context, hand_of(result.run))
-    return SkeletonDrawer(result.subject.point_parents)
+    return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
 
 
 def _common_camera(results: Sequence[Result], recording: StoredRecording) -> Camera:
@@ -178,36 +148,6 @@ def _layout(options: ViewOptions, results: int) -> str:
     return options.layout or ("beside" if results == 1 else "side-by-side")
 
 
-def _truth(result: Result, options: ViewOptions) -> Track | None:
-    """The truth that a result carries; one that cannot be used is an error only where it is to be drawn."""
-    try:
-        truth = load_truth(result, None)
-    except PosetrackError:
-        if options.truth:
-            raise
-        return None
-    if truth is None and options.truth:
-        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --truth")
-    return truth
-
-
-def _layers(
-    results: Sequence[Result], tracks: Sequence[str], truth: Track | None, context: Any
-) -> tuple[Layer, ...]:
-    names = unique_names([result.path for result in results])
-    shown = [
-        (result, which, name if len(tracks) == 1 else f"{name} {which}")
-        for result, name in zip(results, names, strict=True)
-        for which in tracks
-    ]
-    layers = []
-    for (result, which, name), tone in zip(shown, TONES, strict=False):
-        track = track_of_result(result, name, which)
-        shown_name = name if len(shown) > 1 else ""
-        layers.append(Layer(track, drawer_of(result, context), tone, shown_name, point_errors(track, truth)))
-    return tuple(layers)
-
-
 def _with_segments(
     layers: Sequence[Layer], results: Sequence[Result], tracks: Sequence[str], camera: Camera
 ) -> tuple[Layer, ...]:
@@ -225,23 +165,6 @@ def _with_segments(
     )
 
 
-def _rows(options: ViewOptions, layer: Layer) -> IntArray:
-    """The rows to draw, of the first result."""
-    choice = options.frames or (SHEET_CHOICE if options.sheet else "all")
-    rows = chosen_rows(choice, layer.track, layer.error_mm)
-    if options.sheet and len(rows) > MOST_IN_SHEET:
-        expected = f"at most {MOST_IN_SHEET} in one picture"
-        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --frames")
-    return rows
-
-
-def _not_lost(track: Track, rows: IntArray) -> IntArray:
-    """The rows that are tracked; all where none is."""
-    if track.lost is None or track.lost[rows].all():
-        return rows
-    return rows[~track.lost[rows]]
-
-
 def _depth_range(options: ViewOptions, track: Track) -> DepthRange:
     """The same colours for all frames, so that they do not flicker."""
     if options.range_mm is not None:
@@ -255,6 +178,6 @@ def _depth_range(options: ViewOptions, track: Track) -> DepthRange:
 
 def usual_range(track: Track) -> DepthRange:
     """The depths around where a track goes while it is not lost."""
-    rows = _not_lost(track, np.arange(len(track), dtype=np.int64))
+    rows = not_lost(track, np.arange(len(track), dtype=np.int64))
     source = track.points if track.points is not None else track.position
     return DepthRange.of_points(np.empty(0) if source is None else source[rows][..., 2])

@@ -11,8 +11,9 @@ from viewing_support import KINECT, make_recording, make_result, truth_of
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.viewing.drawing import Shown
+from posetrack_cli.evaluation.viewing.layering import ViewOptions
 from posetrack_cli.evaluation.viewing.segments import LABEL_COLOURS, HandSegments, configuration_of
-from posetrack_cli.evaluation.viewing.view import View, ViewOptions
+from posetrack_cli.evaluation.viewing.view import View
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
