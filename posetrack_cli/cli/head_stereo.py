@@ -16,6 +16,8 @@ from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadStereoConfig
+    from posetrack_cli.head.model_file import Learned
+    from posetrack_cli.head.protocol import HeadTracker
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.base import Recording
     from posetrack_cli.tracking.run import Report
@@ -148,9 +150,15 @@ def _run_options(options: dict[str, Any]) -> HeadRunOptions:
 
 def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
+    from posetrack_cli.head.clicked_tracker import ClickedTracker
     from posetrack_cli.head.estimates import components_of
     from posetrack_cli.head.run import HeadRun
     from posetrack_cli.head.stereo_tracker import make_stereo_tracker
+
+    def make_tracker(known: Learned | None) -> HeadTracker[Any]:
+        if options.init is None:
+            return make_stereo_tracker(config, source.cameras, known)
+        return ClickedTracker(config, source.cameras, Path(options.init), known)
 
     return HeadRun(
         source,
@@ -159,7 +167,7 @@ def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, f
         name="head-stereo",
         components=components_of(config),
         flush_frames=config.output.flush_frames,
-        make_tracker=lambda known: make_stereo_tracker(config, source.cameras, known),
+        make_tracker=make_tracker,
         first_pass=first_pass,
     )
 

@@ -6,10 +6,15 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.tracking.protocol import Tracker
 
 State = TypeVar("State")
+
+
+class NoFaceError(RecordingError):
+    """A face was found in no frame of a recording."""
 
 
 class HeadTracker(Tracker[State], Protocol[State]):

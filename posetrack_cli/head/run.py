@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.configuration import Settings
-from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, Learned, load_model, model_bytes, save_model
 from posetrack_cli.head.passes import (
@@ -20,7 +19,7 @@ from posetrack_cli.head.passes import (
     reached_in_pass,
     second_pass_checkpoint,
 )
-from posetrack_cli.head.protocol import HeadTracker
+from posetrack_cli.head.protocol import HeadTracker, NoFaceError
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -34,12 +33,8 @@ from posetrack_cli.tracking.options import RunOutcome
 from posetrack_cli.tracking.record import common_record
 from posetrack_cli.tracking.run import Report, Run, Stopped
 
-MakeTracker = Callable[[Mapping[str, np.ndarray[Any, Any]] | None], HeadTracker[Any]]
+MakeTracker = Callable[[Learned | None], HeadTracker[Any]]
 """Makes a tracker that begins with what another has learned, or with nothing."""
-
-
-class NoFaceError(RecordingError):
-    """A face was found in no frame of a recording."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from head_run_support import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.model_file import load_model, model_bytes
-from posetrack_cli.head.run import HeadRun, HeadRunOptions, NoFaceError
+from posetrack_cli.head.protocol import NoFaceError
+from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_messages
