@@ -10,7 +10,8 @@ resampled; then all move again. Two forms:
     weighted   **[ours]** the second move is the other half of the first, and the weights are divided by those
                that were resampled with: p(y | x_t) / p(y | x~). Each particle has then made one whole move,
                one group first, and the target is p(x_t | y_1..t), as in partitioned sampling proper
-               (MacCormick and Isard 2000): weighted resampling changes no distribution.
+               (MacCormick and Isard 2000): weighted resampling changes no distribution. Where one group is
+               empty there are no halves, and the step is an ordinary one.
 """
 
 from __future__ import annotations
@@ -78,6 +79,10 @@ def partitioned_step(
     """
     _check(points, motion)
     halfway = points[resample(scheme, weights, rng)]
+    if sampling == "weighted" and motion.first in (0, motion.sd.size):
+        halfway += motion.drift
+        _scatter(halfway, motion.sd, rng)
+        return Particles(halfway, weigh_drawn(np.zeros(len(points)), halfway, log_likelihood))
     _move_halves(halfway, motion, sampling, rng)
     scores = scored(halfway, log_likelihood)
     chosen = resample(scheme, normalise(scores)[0], rng)

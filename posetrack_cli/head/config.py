@@ -86,8 +86,10 @@ class ParticleSettings(Settings):
     ``floor_mm`` (camera x, y, z) and ``floor_rad`` (about camera x, y, z: pitch, yaw, roll) are the least
     standard deviations of what a pose does beyond its prediction within a thirtieth of a second; ``gain``
     times the way that the present velocity goes in that time replaces them where it is larger. ``kappa`` is
-    the same for the deformation, in units of its deviations mu. ``sigma`` belongs to (3.27); the thesis's 3.0
-    hardly tells a pixel from none **[ours]**. ``local_radius`` is d of (3.29), in units of these standard
+    the same for the deformation, in units of its deviations mu.
+
+    ``weighting`` is by patches with ``patch_noise`` **[ours]**, or as printed, (3.27) with ``sigma``, which
+    hardly tells a pixel from none. ``local_radius`` is d of (3.29), in units of the diffusion's standard
     deviations. ``sampling`` is halfway partitioned sampling with the weights that it needs to keep its target
     **[ours]**, or as printed. ``gap_max_s`` is the longest time without a frame that is predicted, and counts
     for all longer ones; ``speed_mm_s`` and ``speed_rad_s`` are the same for velocities, so that one wild
@@ -95,7 +97,9 @@ class ParticleSettings(Settings):
     """
 
     count: Count = 1000
-    sigma: Positive = 0.5
+    weighting: Literal["patches", "printed"] = "patches"
+    patch_noise: Positive = 0.35
+    sigma: Positive = 3.0
     kappa: Positive = 0.5
     floor_mm: tuple[Positive, Positive, Positive] = (0.8, 0.8, 1.5)
     floor_rad: tuple[Positive, Positive, Positive] = (0.008, 0.010, 0.006)

@@ -187,12 +187,21 @@ class HeadFilter:
         -(2K - c)^2 / (2 sigma^2) - 1/2 sum_b (a_b / mu_b)^2. What is missing, 2K - c, is the sum of
         visibility (1 - correlation): the same where all is visible; a point or camera that is not seen
         says nothing **[ours]**.
+
+        **[ours]** -(2K - c) / s^2 in place of the first term: patches of zero mean and unit norm with white
+        noise, as |p - q|^2 = 2 (1 - correlation); s is larger than that noise, since what makes patches
+        differ is common to their pixels. The square tells a good match hardly from a fair one, and of a face
+        half covered lets a single particle survive.
         """
         self._missing = missing = self._scores.missing(deviations)
         mu = np.maximum(particles.model.deviations, LEAST_DEVIATION_MM)
         whitened = (particles.coefficients + deviations[:, POSE_SIZE:]) / mu
         prior = np.einsum("nb,nb->n", whitened, whitened)
-        log_weights: FloatArray = -0.5 * (np.square(missing / self._settings.sigma) + prior)
+        if self._settings.weighting == "printed":
+            missing = 0.5 * np.square(missing / self._settings.sigma)
+        else:
+            missing = missing / self._settings.patch_noise**2
+        log_weights: FloatArray = -missing - 0.5 * prior
         return log_weights
 
 
