@@ -22,7 +22,7 @@ IN_CAMERA = np.array([1.0, -1.0, -1.0])
 """The head's axes in the camera's, of a head that looks at the camera."""
 POSE_SIZE = 8
 PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0, 0.0, 0.0])
-PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.15, 5.0, 3.0])
+PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.25, 5.0, 3.0])
 WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 0.7, 0.7, 0.6, 0.6, 3.0])
 # What a point contributes where its map is 0: no point may veto a pose.
 LEAST_RESPONSE = 0.1

@@ -11,7 +11,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.detection.features import FEATURE_SD, FEATURES
 from posetrack_cli.head.start.clicked import clicked_camera
 from posetrack_cli.head.start.settings import StartSettings
-from posetrack_cli.head.start.start import NoStart, Start, match_everywhere, start_from_pixels, views_of
+from posetrack_cli.head.start.start import NoStart, Start, match_everywhere, start_from_pixels
+from posetrack_cli.head.start.views import views_of
 
 
 def start_from_clicked(

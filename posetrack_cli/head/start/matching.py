@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import inverse
-from posetrack_cli.geometry.projection import in_camera_axes, normalised_from_pixels, pixels_from_points
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.geometry.projection import in_camera_axes
 from posetrack_cli.head.detection.peaks import find_peak
+from posetrack_cli.head.start.views import View
 
 # The face's depth follows from its size in the image, for heads of these sizes.
 NEAREST, FARTHEST = 0.65, 1.5
@@ -31,37 +30,12 @@ OWN_DEPTH_SD_MM = 30.0
 # Faces differ so much in relief: the shared depth may differ by this from point to point.
 RELIEF_MM = 8.0
 # Half the side of what is compared, mm on the face, and its limits in pixels.
-HALF_SIDE_MM = 9.5
+HALF_SIDE_MM = 6.0
 HALF_SIDES_PX = (6, 24)
 # A calibration is right to about a pixel: so far from the epipolar line the peak may lie.
 OFF_LINE_SD_PX = 0.8
 # On the way back a point is looked for so far around, in half sides.
 RETURN_REACH = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One camera's image.
-
-    Attributes:
-        camera: with its place.
-        image: (height, width) uint8.
-    """
-
-    camera: Camera
-    image: ImageArray
-
-    def points_at(self, pixels: FloatArray, depths: FloatArray) -> FloatArray:
-        """Return the points (..., 3) in the reference's axes seen at pixels and depths, mm."""
-        rays = normalised_from_pixels(self.camera, pixels)
-        local = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) * depths[..., None]
-        back = inverse(np.array(self.camera.camera_T_reference))
-        points: FloatArray = local @ back[:, :3].T + back[:, 3]
-        return points
-
-    def pixels_of(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return where points (..., 3) in the reference's axes appear, and whether they can."""
-        return pixels_from_points(self.camera, in_camera_axes(self.camera, points))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,17 +9,18 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import better_order
 from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
-from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.detector import Detection, FaceDetector
 from posetrack_cli.head.detection.fit import relief_of
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.start.completion import completed
-from posetrack_cli.head.start.head_frame import face_deviation, face_size, head_frame
-from posetrack_cli.head.start.matching import Matches, View, match_points
+from posetrack_cli.head.start.completion import completed, deviations, relative_size, without_outliers
+from posetrack_cli.head.start.exchanged import exchanged_order
+from posetrack_cli.head.start.head_frame import head_frame
+from posetrack_cli.head.start.matching import Matches, match_points
 from posetrack_cli.head.start.settings import StartSettings
+from posetrack_cli.head.start.views import View, is_reference, there, views_of
 
 NO_FACE = "no face"
 
@@ -75,28 +76,21 @@ def find_start(
         settings: what is good enough.
     """
     views = views_of(images, cameras)
-    there = [c for c, view in enumerate(views) if view is not None]
-    if len(there) < 2:
+    present = [c for c, view in enumerate(views) if view is not None]
+    if len(present) < 2:
         return NoStart("images of fewer than two cameras")
-    failures, faces = [], np.full((len(cameras), POINT_COUNT, 2), np.nan)
-    for camera in sorted(there, key=lambda c: not is_reference(cameras[c])):
-        detection = detector.detect(_there(views[camera]).image)
-        failures.append(NoStart(NO_FACE, detection.best_score))
-        for face in reversed(detection.faces):
-            faces[camera] = face.pixels
-        for face in detection.faces:
-            outcome = _from_face(views, camera, face, settings)
-            if isinstance(outcome, Start):
-                return outcome
-            failures.append(outcome)
-    failure = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
-    return _with_order(failure, cameras, faces)
-
-
-def views_of(images: Sequence[ImageArray | None], cameras: Sequence[Camera]) -> tuple[View | None, ...]:
-    """Return each camera with its image, None where it has none."""
-    pairs = zip(cameras, images, strict=True)
-    return tuple(None if image is None else View(camera, image) for camera, image in pairs)
+    detections: dict[int, Detection] = {}
+    failures = [NoStart(NO_FACE)]
+    for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
+        detections[camera] = detector.detect(there(views[camera]).image)
+        failures.append(NoStart(NO_FACE, detections[camera].best_score))
+        outcomes = [_from_face(views, camera, face, settings) for face in detections[camera].faces]
+        failures += [one for one in outcomes if isinstance(one, NoStart)]
+        starts = [one for one in outcomes if isinstance(one, Start)]
+        if starts:
+            return _checked(starts[0], views, detections, detector)
+    worst = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
+    return _checked(worst, views, detections, detector)
 
 
 def match_everywhere(
@@ -120,7 +114,7 @@ def match_everywhere(
     Returns:
         (C, K, 2) pixels, NaN where a point was not matched, and (K,) each point's best correlation.
     """
-    first = _there(views[camera])
+    first = there(views[camera])
     found = np.full((len(views), POINT_COUNT, 2), np.nan)
     found[camera] = pixels
     correlations = np.zeros((len(views), POINT_COUNT))
@@ -149,24 +143,21 @@ def start_from_pixels(
         settings: what is good enough.
     """
     used = [c for c, view in enumerate(views) if view is not None]
-    cameras = [_there(views[c]).camera for c in used]
+    cameras = [there(views[c]).camera for c in used]
     points, known = triangulate(cameras, pixels[used])
     errors = reprojection_errors(cameras, points, pixels[used])
     known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= settings.reprojection_px
     score = float(correlations.mean())
+    known = without_outliers(points, known, settings.matched_points)
     if known.sum() < settings.matched_points:
         return NoStart(f"{known.sum()} of {POINT_COUNT} points matched between the images", score)
-    points = completed(points, known, _there(views[camera]), pixels[camera])
-    pose, shape = head_frame(points)
-    reason = _implausible(shape, settings)
+    reason = _implausible(points, known, settings)
     if reason:
         return NoStart(reason, score)
+    points = completed(points, known, there(views[camera]), pixels[camera])
+    pose, shape = head_frame(points)
+    pixels = np.where((known | (np.arange(len(views)) == camera)[:, None])[..., None], pixels, np.nan)
     return Start(pose, shape, _everywhere(views, points, pixels), known, float(correlations[known].mean()))
-
-
-def is_reference(camera: Camera) -> bool:
-    """Whether a camera's axes are the recording's."""
-    return bool(np.array_equal(np.array(camera.camera_T_reference), np.eye(3, 4)))
 
 
 def _from_face(
@@ -182,9 +173,10 @@ def _are_good(matches: Matches, pixels_per_mm: float, settings: StartSettings) -
     return good & (matches.returns_px <= settings.return_mm * pixels_per_mm)
 
 
-def _implausible(shape: FloatArray, settings: StartSettings) -> str:
-    """Say what about a shape (K, 3) is not a face's; empty if nothing is."""
-    size, deviation = face_size(shape), face_deviation(shape)
+def _implausible(points: FloatArray, known: BoolArray, settings: StartSettings) -> str:
+    """Say what about the known points (K, 3) is not a face's; empty if nothing is."""
+    size = relative_size(points, known)
+    deviation = float(np.sqrt(np.mean(deviations(points, known)[known] ** 2)))
     if not settings.least_size <= size <= settings.most_size:
         return f"points {size:.2f} times as far apart as a face's"
     if deviation > settings.deviation:
@@ -202,20 +194,25 @@ def _everywhere(views: Sequence[View | None], points: FloatArray, pixels: FloatA
     return filled
 
 
-def _with_order(failure: NoStart, cameras: Sequence[Camera], faces: FloatArray) -> NoStart:
-    """Say so if the faces found in each image (C, K, 2) fit the calibration in another order of images."""
-    if np.isnan(faces[..., 0]).all(axis=1).any():
-        return failure
-    better = better_order(cameras, faces)
-    if better is None:
-        return failure
-    names = ", ".join(cameras[c].name for c in better.order)
+def _checked(
+    outcome: Start | NoStart,
+    views: Sequence[View | None],
+    detections: dict[int, Detection],
+    detector: FaceDetector,
+) -> Start | NoStart:
+    """Return the outcome, or that images look exchanged if the faces found in each of them say so."""
+    if any(view is None for view in views) or not any(one.faces for one in detections.values()):
+        return outcome
+    cameras = [there(view).camera for view in views]
+    faces = np.full((len(views), POINT_COUNT, 2), np.nan)
+    for camera, view in enumerate(views):
+        detection = detections.get(camera) or detector.detect(there(view).image)
+        if detection.faces:
+            faces[camera] = detection.faces[0].pixels
+    order = exchanged_order(cameras, faces)
+    if not order:
+        return outcome
+    names = ", ".join(cameras[c].name for c in order)
     return NoStart(
-        f"images look exchanged: they fit the calibration in the order {names}", failure.score, better.order
+        f"images look exchanged: they fit the calibration in the order {names}", outcome.score, order
     )
-
-
-def _there(view: View | None) -> View:
-    if view is None:
-        raise ValueError("a camera without an image")
-    return view

@@ -1,0 +1,105 @@
+"""Faces and their points in images of people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.errors import UsageError
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.settings import DetectionSettings
+from posetrack_cli.head.face import EYES, MIRRORED
+
+# The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is off:
+# medians over frames, of the worst point of a kind.
+REPEATED_MM = {"eyes": 2.0, "mouth": 2.5, "nose": 4.0, "brows": 5.0}
+
+
+def grey(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    return image
+
+
+def clip_frame(path: Path, index: int) -> np.ndarray:
+    video = cv2.VideoCapture(str(path))
+    video.set(cv2.CAP_PROP_POS_FRAMES, index)
+    found, image = video.read()
+    assert found
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def truth_of(person: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions (N, 3), rotations (N, 3, 3) and points in the head's frame (N, K, 3)."""
+    from posetrack_cli.geometry.rotations import matrices_from_quaternions
+
+    table = np.loadtxt(person / "truth.csv", delimiter=",", skiprows=1)
+    return table[:, 1:4], matrices_from_quaternions(table[:, 4:8]), table[:, 8:].reshape(len(table), -1, 3)
+
+
+@pytest.mark.parametrize("person", ["person-a", "person-b"])
+def test_points_repeat_in_the_heads_frame(measured_data: Path, person: str) -> None:
+    folder = measured_data / "heads" / person
+    positions, rotations, shapes = truth_of(folder)
+    detector, offsets = FaceDetector(), []
+    for i in range(0, len(positions), 30):
+        faces = detector.detect(grey(folder / "left" / f"{i:06d}.jpg")).faces
+        assert len(faces) == 1
+        points = shapes[i] @ rotations[i].T + positions[i]
+        pixels = 1000.0 * points[:, :2] / points[:, 2:] + [320.0, 240.0]
+        off = np.zeros_like(points)
+        off[:, :2] = (faces[0].pixels - pixels) * points[:, 2:] / 1000.0
+        offsets.append((off @ rotations[i])[:, :2])
+    spread = np.linalg.norm(np.array(offsets) - np.median(offsets, axis=0), axis=2)
+    medians = np.median(spread, axis=0)
+    kinds = {"eyes": medians[:4], "mouth": medians[4:6], "nose": medians[6:8], "brows": medians[8:]}
+    assert all(values.max() < REPEATED_MM[kind] for kind, values in kinds.items()), kinds
+
+
+@pytest.mark.parametrize(
+    ("clip", "index"), [("clip-a", 30), ("clip-a", 210), ("clip-b", 30), ("clip-b", 390)]
+)
+def test_haar_and_yunet_lead_to_the_same_points(measured_data: Path, clip: str, index: int) -> None:
+    image = clip_frame(measured_data / "faces" / f"{clip}.mp4", index)
+    model = str(measured_data / "faces" / "face_detection_yunet_2023mar.onnx")
+    by_haar = FaceDetector().detect(image)
+    by_yunet = FaceDetector(DetectionSettings(detector="yunet", model=model)).detect(image)
+    assert len(by_haar.faces) == len(by_yunet.faces) == 1
+    one, other = by_haar.faces[0].pixels, by_yunet.faces[0].pixels
+    eye_distance = np.hypot(*(one[2:4].mean(axis=0) - one[:2].mean(axis=0)))
+    # Two starts of one search: the median point agrees to a few hundredths of the eyes' distance.
+    assert np.median(np.linalg.norm(one - other, axis=1)) < 0.05 * eye_distance
+
+
+def test_a_mirrored_face_has_mirrored_points(measured_data: Path) -> None:
+    image = grey(measured_data / "heads" / "person-b" / "left" / "000000.jpg")
+    (face,) = FaceDetector().detect(image).faces
+    (mirrored,) = FaceDetector().detect(np.ascontiguousarray(image[:, ::-1])).faces
+    back = mirrored.pixels[list(MIRRORED)] * [-1.0, 1.0] + [image.shape[1] - 1.0, 0.0]
+    distances = np.linalg.norm(back - face.pixels, axis=1)
+    assert np.median(distances[EYES]) < 2.0  # the cascades are not symmetric, the points nearly are
+    assert np.median(distances) < 3.0
+
+
+def test_where_no_face_is_none_is_found() -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
+    detection = FaceDetector().detect(cv2.GaussianBlur(noise, (0, 0), 4))
+    assert detection.faces == ()
+    assert detection.best_score < 0.5
+
+
+def test_yunet_needs_a_model() -> None:
+    with pytest.raises(UsageError, match="--detector-model"):
+        FaceDetector(DetectionSettings(detector="yunet"))
+
+
+def test_a_missing_model_and_a_file_that_is_none_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="model not found"):
+        FaceDetector(DetectionSettings(detector="yunet", model=str(tmp_path / "none.onnx")))
+    wrong = tmp_path / "wrong.onnx"
+    wrong.write_bytes(b"no network")
+    with pytest.raises(UsageError, match="not a model of YuNet"):
+        FaceDetector(DetectionSettings(detector="yunet", model=str(wrong)))
