@@ -25,7 +25,7 @@ class Surface:
     """What does not change about a surface.
 
     Attributes:
-        triangles: (T, 3) vertex indices.
+        triangles: (T, 3) vertex indices, counter-clockwise seen from outside; from inside nothing is drawn.
         texcoords: (V, 2) place of each vertex in the texture, 0 to 1; (0, 0) is the first texel's corner.
         texture: (height, width, 2) uint8, reflectance and gloss.
     """
@@ -103,8 +103,8 @@ class TexturedRenderer:
     def _draw(self) -> None:
         self._target.use()
         self._context.viewport = (0, 0, *self._size)
-        self._context.disable(moderngl.CULL_FACE)
-        self._context.enable(moderngl.DEPTH_TEST)
+        self._context.front_face = "cw"  # rows of the image run upwards in OpenGL
+        self._context.enable_only(moderngl.CULL_FACE | moderngl.DEPTH_TEST)
         self._target.clear()
         for surface in self._surfaces:
             surface.draw()
@@ -125,6 +125,7 @@ class _Drawn:
         height, width = surface.texture.shape[:2]
         texture = np.ascontiguousarray(surface.texture)
         self._texture = context.texture((width, height), 2, texture.tobytes(), alignment=1)
+        self._texture.repeat_x = self._texture.repeat_y = False
         self._texture.build_mipmaps()
         self._texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         self._changing = np.zeros((len(surface.texcoords), FLOATS), dtype=np.float32)

@@ -28,7 +28,7 @@ BOTH_WAYS = ("mouth_sideways", "gaze")
 
 REACH_MM = 26.0
 HINGE = np.array([-14.0, AXIS_Z])  # y, z of the jaw's axis, mm
-JAW_RAD = float(np.radians(13.0))
+JAW_RAD = float(np.radians(16.4))
 GAZE_MM = 3.0
 Anchors = list[tuple[float, float, float, float, float]]
 

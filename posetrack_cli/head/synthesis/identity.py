@@ -40,7 +40,7 @@ class Looks:
     skin: float = 0.62
     hair: float = 0.16
     lips: float = 0.44
-    iris: float = 0.22
+    iris: float = 0.16
     brow_thickness: float = 8.0
     brow_arch: float = 4.0
     brow_density: float = 0.8
@@ -126,7 +126,7 @@ def _random_looks(rng: np.random.Generator) -> Looks:
         skin=skin,
         hair=rng.uniform(0.07, 0.26),
         lips=skin * rng.uniform(0.62, 0.76),
-        iris=rng.uniform(0.10, 0.30),
+        iris=rng.uniform(0.06, 0.22),
         brow_thickness=rng.uniform(6.5, 9.5),
         brow_arch=rng.uniform(2.0, 5.5),
         brow_density=rng.uniform(0.65, 0.9),

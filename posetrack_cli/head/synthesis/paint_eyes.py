@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
@@ -14,7 +16,8 @@ from posetrack_cli.head.synthesis.noise_fields import smooth_field
 EYES: tuple[Box, Box] = ((-54.0, -12.0, -14.0, 18.0), (12.0, 54.0, -14.0, 18.0))
 IRIS_MM, PUPIL_MM = 5.9, 2.1
 IRIS_ALONG, IRIS_ABOVE = 0.5, 1.1
-SCLERA = 0.80
+SCLERA = 0.58
+"""Hardly brighter than skin: it lies in the lids' shade."""
 BROW_INNER = (float(MEAN_SHAPE[9, 0]), float(MEAN_SHAPE[9, 1]))
 BROW_OUTER_X = 54.0
 BROWS: tuple[Box, Box] = ((-60.0, -8.0, 8.0, 40.0), (8.0, 60.0, 8.0, 40.0))
@@ -37,13 +40,8 @@ def paint_brows(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
         size, 0.8 / texel, rng
     )
     for box in BROWS:
-        window = canvas.window(box)
-        part = strands[window]
-        canvas.paint(
-            box,
-            looks.hair * 0.9,
-            lambda x, y, part=part: looks.brow_density * _brow(x, y, part, looks),  # type: ignore[misc]
-        )
+        cover = partial(_brow, strands=strands[canvas.window(box)], looks=looks)
+        canvas.paint(box, looks.hair * 0.75, cover)
 
 
 def _brow(x: FloatArray, y: FloatArray, strands: FloatArray, looks: Looks) -> FloatArray:
@@ -54,7 +52,7 @@ def _brow(x: FloatArray, y: FloatArray, strands: FloatArray, looks: Looks) -> Fl
     edges = inside(top - y, 1.6) * inside(y - top + thick, 2.2)
     ends = inside(np.abs(x) - BROW_INNER[0], 1.4) * inside(BROW_OUTER_X - np.abs(x), 9.0)
     hairs = np.clip(0.85 + 0.28 * strands, 0.0, 1.0)
-    opacity: FloatArray = edges * ends * hairs
+    opacity: FloatArray = looks.brow_density * edges * ends * hairs
     return opacity
 
 
@@ -84,11 +82,11 @@ def _opening(x: FloatArray, y: FloatArray, old: Float32Array, looks: Looks, rays
     shown = _open(x, y, looks, 0.7)
     ball = _eyeball(s, above, looks, rays) * (1.0 - 0.5 * inside(above - top + 2.4, 3.6))
     ball *= 1.0 - 0.25 * inside(bottom + 1.0 - above, 1.6)
-    ends = inside(s + 0.05, 0.08) * inside(1.09 - s, 0.08)
+    ends = inside(s + 0.015, 0.05) * inside(1.025 - s, 0.05)
     upper = ends * np.exp(-0.5 * ((above - top - 0.3) / (0.75 + 0.35 * s)) ** 2)
     lower = 0.55 * ends * np.exp(-0.5 * ((above - bottom + 0.2) / 0.55) ** 2)
-    corner = np.exp(-0.5 * ((s * LENGTH + 0.3) / 1.3) ** 2 - 0.5 * (above / 1.1) ** 2)
-    corner += np.exp(-0.5 * (((1.0 - s) * LENGTH + 0.2) / 1.3) ** 2 - 0.5 * (above / 1.0) ** 2)
+    corner = np.exp(-0.5 * ((s * LENGTH - 0.7) / 1.0) ** 2 - 0.5 * (above / 0.9) ** 2)
+    corner += np.exp(-0.5 * (((1.0 - s) * LENGTH - 0.6) / 1.0) ** 2 - 0.5 * (above / 0.9) ** 2)
     painted = old + shown * (ball - old)
     for cover, tone in ((np.clip(0.7 * corner, 0.0, 0.7), 0.14), (0.92 * upper, 0.05), (0.8 * lower, 0.18)):
         painted = painted + cover * (tone - painted)

@@ -34,7 +34,7 @@ def paint_lips(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
 def paint_nostrils(canvas: Canvas) -> None:
     """Paint the nostrils dark around their feature points, softly towards the wings."""
     canvas.shade(
-        NOSE, lambda x, y: 1.0 - 0.45 * blob(np.abs(x), y, (NOSTRIL[0] + 1.5, NOSTRIL[1] + 0.4), (5.0, 2.6))
+        NOSE, lambda x, y: 1.0 - 0.3 * blob(np.abs(x), y, (NOSTRIL[0] + 1.5, NOSTRIL[1] + 0.4), (5.0, 2.6))
     )
     canvas.paint(NOSE, 0.05, _nostril)
     canvas.polish(NOSE, 0.0, _nostril)

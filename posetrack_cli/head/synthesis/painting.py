@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
@@ -13,8 +15,9 @@ from posetrack_cli.head.synthesis.paint_mouth import paint_lips, paint_nostrils,
 from posetrack_cli.head.synthesis.paint_skin import paint_skin, shade_folds
 
 
+@functools.lru_cache(maxsize=2)  # of a person who is recorded again
 def head_texture(looks: Looks) -> ImageArray:
-    """Return the texture (rows, columns, 2) uint8 of a head, reflectance and gloss."""
+    """Return the texture (rows, columns, 2) uint8 of a head, reflectance and gloss; read-only."""
     skin, hair, brows, mouth, eyes = np.random.default_rng(looks.texture_seed).spawn(5)
     canvas = Canvas(looks.skin)
     paint_skin(canvas, looks, skin)
@@ -25,4 +28,6 @@ def head_texture(looks: Looks) -> ImageArray:
     paint_eyes(canvas, looks, eyes)
     paint_hair(canvas, looks, hair)
     paint_pocket(canvas, mouth)
-    return canvas.texture()
+    texture = canvas.texture()
+    texture.setflags(write=False)
+    return texture

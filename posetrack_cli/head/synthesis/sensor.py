@@ -9,7 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, ImageArray
 from posetrack_cli.geometry.camera import Camera
 
-EXPOSURE = 225.0
+EXPOSURE = 245.0
 """Grey value of light 1."""
 BLUR_PX = 0.5
 READ_SD, SHOT = 1.1, 0.022

@@ -19,17 +19,17 @@ POCKET_ROWS = 9
 POCKET_BAND = 20.0
 """Height of the pocket's part of the texture, in the texture's millimetres."""
 TEXTURE_SIZE = (1536, 2048)
-FRONT_DEG, FRONT_COLUMNS, BACK_COLUMNS = 82.0, 165, 40
+FRONT_DEG, FRONT_COLUMNS, BACK_COLUMNS = 82.0, 125, 30
 # from level to level, mm, with a step
 _LEVELS = (
-    (TOP, 60.0, 5.0),
-    (60.0, 40.0, 2.4),
-    (40.0, -36.0, 1.3),
-    (-36.0, -52.0, 0.9),
-    (-52.0, MOUTH_Y, 1.1),
-    (MOUTH_Y, -86.0, 1.1),
-    (-86.0, -126.0, 1.8),
-    (-126.0, BOTTOM, 6.0),
+    (TOP, 60.0, 6.0),
+    (60.0, 40.0, 3.0),
+    (40.0, -36.0, 1.6),
+    (-36.0, -52.0, 1.0),
+    (-52.0, MOUTH_Y, 1.4),
+    (MOUTH_Y, -86.0, 1.4),
+    (-86.0, -126.0, 2.2),
+    (-126.0, BOTTOM, 8.0),
 )
 
 

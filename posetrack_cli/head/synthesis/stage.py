@@ -20,7 +20,7 @@ from posetrack_cli.head.synthesis.person import Person
 from posetrack_cli.head.synthesis.skin_grid import SkinGrid, grid_normals
 from posetrack_cli.rendering.textured import Lighting, Surface, TexturedRenderer
 
-NECK_FROM_Y, NECK_TO_Y = -118.0, -172.0
+NECK_FROM_Y, NECK_TO_Y = -116.0, -160.0
 """Between these heights the neck passes from the head's motion to the trunk's."""
 TRUNK_FOLLOWS, TRUNK_TURNS = 0.4, 0.15
 """Parts of the head's way and turn that the trunk goes along with."""

@@ -12,16 +12,16 @@ from posetrack_cli.rendering.textured import Surface
 
 EAR_MIDDLE = np.array([72.0, -16.0, -88.0])
 EAR_MM = np.array([7.0, 31.0, 17.0])
-TRUNK_TOP_Y = -168.0
+TRUNK_TOP_Y = -150.0
 # height, half width, half depth, mm
 _TRUNK = np.array(
     [
         (TRUNK_TOP_Y, 52.0, 46.0),
-        (-180.0, 66.0, 56.0),
-        (-190.0, 95.0, 66.0),
-        (-205.0, 140.0, 78.0),
-        (-230.0, 185.0, 92.0),
-        (-280.0, 205.0, 105.0),
+        (-160.0, 62.0, 54.0),
+        (-170.0, 88.0, 64.0),
+        (-185.0, 132.0, 76.0),
+        (-212.0, 180.0, 90.0),
+        (-265.0, 203.0, 104.0),
         (-420.0, 205.0, 112.0),
     ]
 )
@@ -54,7 +54,7 @@ def ear_surface(looks: Looks, rng: np.random.Generator) -> Surface:
 
 def trunk_vertices() -> FloatArray:
     """Return the grid (20, 61, 3) of neck's base, shoulders and chest, mm, in the head's frame at rest."""
-    heights = [*np.linspace(_TRUNK[0, 0], -260.0, 16).tolist(), -300.0, -340.0, -380.0, -420.0]
+    heights = [*np.linspace(_TRUNK[0, 0], -250.0, 16).tolist(), -300.0, -340.0, -380.0, -420.0]
     profile = [np.interp(heights, _TRUNK[::-1, 0], _TRUNK[::-1, k]) for k in (1, 2)]
     phi = np.linspace(-np.pi, np.pi, 61)
     x = profile[0][:, None] * np.sin(phi)

@@ -421,3 +421,16 @@ def test_the_rendered_heads_against_themselves(tmp_path: Path, measured_data: Pa
         assert figures.max < 1e-9, name
     aligned = evaluate(result, EvalOptions(truth=path, align="rigid+points"))
     assert aligned.notes[0].startswith("one constant rigid offset removed: 0.0 0.0 0.0 mm, 0.0 deg")
+
+
+def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_path: Path) -> None:
+    """A synthetic head's truth tells its deformation by its points only."""
+    bare = replace(HEAD, shape_names=())
+    truth = carried(estimates(bare, 8, seed=9), "/truth/head/estimate")
+    track = truth_of(result_of(tmp_path, HEAD, truth))
+    assert track.shape_names == () and of(track.shape).shape == (8, 0) and of(track.twist).shape == (8, 6)
+    other = replace(HEAD, shape_names=("b1",))
+    (tmp_path / "other").mkdir()
+    wrong = carried(estimates(other, 8), "/truth/head/estimate")
+    with pytest.raises(TruthError, match="other shape entries"):
+        truth_of(result_of(tmp_path / "other", HEAD, wrong))
