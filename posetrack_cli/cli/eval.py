@@ -241,19 +241,33 @@ def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
 def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:
     """The worst frames; where they cannot be drawn, why, which is also told here."""
     from posetrack_cli.errors import RenderingError
+
+    try:
+        pictures, reason = _worst_frames(evaluation, given)
+    except RenderingError as error:
+        pictures, reason = None, str(error)
+    if pictures is not None:
+        return pictures
+    click.echo(f"{evaluation.name}: no pictures of the worst frames: {reason}", err=True)
+    return reason
+
+
+def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Picture] | None, str]:
+    """The worst frames on the recording, None without one and why there is none."""
+    from posetrack_cli.evaluation.head_pictures import worst_head_pictures
+    from posetrack_cli.evaluation.images_of import is_of_images, search_images
     from posetrack_cli.evaluation.pictures import worst_frame_pictures
     from posetrack_cli.evaluation.recording_of import search_recording
     from posetrack_cli.results.reader import read_result
 
-    search = search_recording(read_result(evaluation.path), given)
-    reason = search.reason
-    if search.recording is not None:
-        try:
-            return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES)
-        except RenderingError as error:
-            reason = str(error)
-    click.echo(f"{evaluation.name}: no pictures of the worst frames: {reason}", err=True)
-    return reason
+    result = read_result(evaluation.path)
+    if is_of_images(result.run):
+        images, reason = search_images(result, given)
+        return None if images is None else worst_head_pictures(evaluation, images, WORST_FRAMES), reason
+    search = search_recording(result, given)
+    if search.recording is None:
+        return None, search.reason
+    return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES), ""
 
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:

@@ -131,7 +131,9 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
 
 def _of_images(results: Sequence[Result]) -> bool:
     """Whether results were made from grey images, as those of heads are, and not from depth."""
-    kinds = {result.run.get("tracker", "").startswith("head") for result in results}
+    from posetrack_cli.evaluation.images_of import is_of_images
+
+    kinds = {is_of_images(result.run) for result in results}
     if len(kinds) > 1:
         found = ", ".join(f"a {result.subject.name} in {result.path}" for result in results)
         raise UsageError("results are of different subjects", found=found)

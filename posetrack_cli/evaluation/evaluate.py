@@ -40,6 +40,7 @@ LONGEST_OFFSET_S = 1e10
 """What 64 bits of nanoseconds hold, nearly 300 years, is a little less."""
 SMOOTHED_NOTE = "the smoothed track: its estimates rest on later frames, too"
 NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
+NO_DEPTH = "a head is tracked in grey images, which hold no depth to compare with"
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "in no frame the estimate and the observed hand overlap"
 NO_RECORDING = "needs the images: give the recording with --recording"
@@ -244,9 +245,13 @@ def _without_truth(
 
 
 def _against_images(measures: Measures, result: Result, options: EvalOptions, rows: IntArray) -> None:
+    from posetrack_cli.evaluation.images_of import is_of_images, required_images
     from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
     from posetrack_cli.evaluation.recording_of import required_recording
 
+    if is_of_images(result.run):
+        required_images(result, options.recording)
+        return measures.lack(NO_DEPTH, "residual_mm", "region_overlap")
     recording = required_recording(result, options.recording)
     found = image_consistency(result, recording, which=options.track)
     measures.lack(NO_OVERLAP if found else NO_IMAGES, "residual_mm", "region_overlap")

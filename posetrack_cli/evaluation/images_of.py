@@ -37,16 +37,28 @@ def required_images(
         RecordingError: there is none, it cannot be read, or is another.
         UsageError: an option that does not apply.
     """
+    recording, reason = search_images(result, given, any_recording=any_recording, **opening)
+    if recording is None:
+        raise RecordingError(reason)
+    return recording
+
+
+def search_images(
+    result: Result, given: Path | None = None, *, any_recording: bool = False, **opening: Any
+) -> tuple[Recording | None, str]:
+    """As ``required_images``, but not to find any is no error: None and the reason."""
     options = {name: value for name, value in opening.items() if value is not None}
     for name in options.keys() - set(OPTIONS):
         option = f"--{name.replace('_', '-')}"
         raise UsageError(f"{option} does not apply to images", found="a head's result", hint="leave it out")
     if given is not None:
-        return open_images(given, **options) if any_recording else _same(given, result, options)
-    recording, reason = found_beside(result, lambda place: _same(place, result, options))
-    if recording is None:
-        raise RecordingError(reason)
-    return recording
+        return (open_images(given, **options) if any_recording else _same(given, result, options)), ""
+    return found_beside(result, lambda place: _same(place, result, options))
+
+
+def is_of_images(run: Mapping[str, str]) -> bool:
+    """Whether a run tracked in grey images, as those of heads do, and not in depth."""
+    return run.get("tracker", "").startswith("head")
 
 
 def _same(path: Path, result: Result, given: Mapping[str, Any]) -> Recording:

@@ -63,7 +63,7 @@ def worst_frame_pictures(
     from posetrack_cli.evaluation.viewing.frame_choice import worst_rows
     from posetrack_cli.rendering.context import open_context
 
-    errors, name = _errors(evaluation)
+    errors, name = errors_of(evaluation)
     rows = worst_rows(evaluation.track, errors, count)
     if not rows.size:
         return []
@@ -73,14 +73,14 @@ def worst_frame_pictures(
     finally:
         context.release()
     return [
-        Picture(*drawn[int(row)], _caption(evaluation, int(row), errors, name))
+        Picture(*drawn[int(row)], said_of(evaluation, int(row), errors, name))
         for row in rows
         if int(row) in drawn
     ]
 
 
-def _errors(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
-    """The error (N,) of every frame, NaN without truth, and its name; None where there is none."""
+def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
+    """Return the error (N,) of every frame, NaN without truth, and its name; None where there is none."""
     found = next((name for name in ERRORS if name in evaluation.series), None)
     if found is None or evaluation.pairs is None:
         return None, ""
@@ -135,7 +135,8 @@ def _panels(evaluation: Evaluation, recording: StoredRecording, context: Any) ->
     )
 
 
-def _caption(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:
+def said_of(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:
+    """Return the line below a picture: frame, time, what the estimate is like."""
     track = evaluation.track
     seconds = 1e-9 * int(track.stamp_ns[row] - track.stamp_ns[0])
     number = row if track.frame_index is None else int(track.frame_index[row])
