@@ -1,0 +1,203 @@
+"""Pictures of heads: what is drawn lies on what the cameras saw, lens distortion and all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.cli.main import run
+from posetrack_cli.evaluation.images_of import required_images
+from posetrack_cli.evaluation.viewing.colours import LOST, SKIN
+from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.subject import head_subject
+from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
+
+FPS, FRAMES = 25.0, 3
+TURNED = cv2.Rodrigues(np.array([0.02, -0.17, 0.03]))[0]
+PLACE = tuple(map(tuple, np.column_stack([TURNED, [-118.0, 2.0, 20.0]]).tolist()))
+BENT = (-0.4, 0.1, 0.002, -0.001, 0.0)
+"""Shifts the outer points by 4 pixels."""
+CAMERAS = (
+    Camera(320, 240, 400.0, 402.0, 160.5, 118.0, BENT, name="left"),
+    Camera(320, 240, 405.0, 400.0, 158.0, 121.5, BENT, name="right", camera_T_reference=PLACE),
+)
+POINTS = np.array([[x, y, 600.0] for x in (-150.0, -70.0, 0.0, 70.0, 150.0) for y in (-90.0, 90.0)])
+DOT_PX = 4
+
+
+def seen(camera: Camera, points: np.ndarray, *, bent: bool) -> np.ndarray:
+    """Pixels (P, 2) by OpenCV, with or without the lens."""
+    place = np.array(camera.camera_T_reference)
+    turn, _ = cv2.Rodrigues(place[:, :3])
+    lens = np.array(camera.distortion) if bent else np.zeros(5)
+    return cv2.projectPoints(points, turn, place[:, 3], camera.matrix, lens)[0][:, 0]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """White dots on dark ground where bent lenses see the points."""
+    folder = tmp_path_factory.mktemp("seen") / "dots"
+    for camera in CAMERAS:
+        (folder / camera.name).mkdir(parents=True)
+        image = np.full((camera.height, camera.width), 20, np.uint8)
+        for x, y in np.rint(16 * seen(camera, POINTS, bent=True)).astype(int).tolist():
+            cv2.circle(image, (x, y), DOT_PX << 4, 255, -1, cv2.LINE_AA, 4)
+        for index in range(FRAMES):
+            cv2.imwrite(str(folder / camera.name / f"{index}.png"), image)
+    (folder / "camera.toml").write_text(camera_file_text(CAMERAS))
+    return folder
+
+
+def estimate(index: int, status: Status) -> Estimate:
+    return Estimate(
+        frame_index=index,
+        stamp_ns=index * 40_000_000,
+        status=status,
+        confidence=0.5,
+        position=np.array([0.0, 0.0, 600.0]),
+        quaternion=np.array([1.0, 0.0, 0.0, 0.0]),  # looks at the camera
+        shape=np.zeros(0),
+        pose_rate=None,
+        twist=None,
+        pose_variance=None,
+        twist_variance=None,
+        points=POINTS,
+        effective_sample_size=None,
+        resampled=False,
+    )
+
+
+@pytest.fixture
+def result(recording: Path, tmp_path: Path) -> Callable[..., Path]:
+    def write(name: str = "r.mcap", cameras: tuple[Camera, ...] = CAMERAS) -> Path:
+        opened = open_images(recording, fps=FPS)
+        record = {f"input.{key}": value for key, value in opened.identity().items()}
+        record |= {"tracker": "head-stereo", "configuration": "{}"}
+        statuses = (Status.TRACKING, Status.LOST, Status.REINITIALISED)
+        subject = head_subject("left", 0)
+        with ResultWriter(tmp_path / name, subject, cameras[0], record, others=cameras[1:]) as writer:
+            for index, status in enumerate(statuses):
+                writer.write(estimate(index, status))
+            writer.finish({})
+        return tmp_path / name
+
+    return write
+
+
+def view(*arguments: object) -> int:
+    return run(["view", *map(str, arguments)])
+
+
+def test_what_is_drawn_lies_on_what_was_seen(
+    result: Callable[..., Path], recording: Path, tmp_path: Path
+) -> None:
+    assert view(result(), "-o", tmp_path / "p", "--recording", recording, "--scale", 1) == 0
+    picture = cv2.imread(str(tmp_path / "p" / "frame_000000.png"))
+    assert picture.shape[:2] == (240 + 18, 640)
+    for camera, left in zip(CAMERAS, (0, 320), strict=True):
+        half = picture[:240, left : left + 320]
+        for x, y in np.rint(seen(camera, POINTS, bent=False)).astype(int):
+            assert np.abs(half[y, x].astype(int) - SKIN).max() <= 30, "a dot of the estimate"
+            around = [half[y, x - 3], half[y, x + 3], half[y - 3, x], half[y + 3, x]]
+            assert np.min(np.max(around, axis=1)) > 120, "amid what the camera saw"
+
+
+def test_axes_point_where_the_head_does(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:
+    assert view(result(), "-o", tmp_path / "p", "--recording", recording, "--scale", 1) == 0
+    picture = cv2.imread(str(tmp_path / "p" / "frame_000000.png"))
+    # half a turn about x: the subject's left is the image's right, its up the image's up
+    middles = np.array([[0.5 * AXIS_MM, 0.0, 600.0], [0.0, -0.5 * AXIS_MM, 600.0]])
+    for camera, left in zip(CAMERAS, (0, 320), strict=True):
+        pixels = np.rint(seen(camera, middles, bent=False)).astype(int)
+        for (x, y), colour in zip(pixels, AXIS_COLOURS[:2], strict=True):
+            assert np.abs(picture[y, left + x].astype(int) - colour).max() <= 30
+
+
+def test_lost_frames_have_a_red_border(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:
+    assert view(result(), "-o", tmp_path / "p", "--recording", recording) == 0
+    corners = [tuple(cv2.imread(str(tmp_path / "p" / f"frame_00000{i}.png"))[0, 0]) for i in range(3)]
+    assert corners[1] == LOST
+    assert corners[0] != LOST and corners[2] != LOST
+
+
+def test_two_results_are_below_each_other_and_crops_are_small(
+    result: Callable[..., Path], recording: Path, tmp_path: Path
+) -> None:
+    a, b = result("a.mcap"), result("b.mcap")
+    options = ("--recording", recording, "--frames", "0", "--scale", 1)
+    assert view(a, b, "-o", tmp_path / "two.png", *options) == 0
+    assert cv2.imread(str(tmp_path / "two.png")).shape == (2 * (240 + 18), 640, 3)
+    assert view(a, "-o", tmp_path / "crop.png", *options, "--crop", "head") == 0
+    height, width = cv2.imread(str(tmp_path / "crop.png")).shape[:2]
+    # of 180 mm of points and 45 mm above and below, at 0.67 px/mm, and the caption
+    assert 150 < height < 240 and width < 640
+
+
+def test_it_is_found_beside_the_result(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "dots").symlink_to(recording)
+    assert view(result(), "-o", tmp_path / "a.png", "--frames", "0") == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--layout", "segments"], "layout cannot be used, found --layout segments"),
+        (["--range-mm", "1", "2"], "--range-mm does not apply to images"),
+        (["--missing", "3"], "--missing does not apply to images"),
+        (["--truth"], "carries no truth to draw"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_a_head_has_not_is_one_line(
+    result: Callable[..., Path],
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    expected: str,
+) -> None:
+    assert view(result(), "-o", tmp_path / "a.png", "--recording", recording, *options) != 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert expected in line
+
+
+def test_other_images_are_refused(
+    result: Callable[..., Path], recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed = tmp_path / "changed"
+    for camera in CAMERAS:
+        (changed / camera.name).mkdir(parents=True)
+        for index in range(FRAMES):
+            cv2.imwrite(str(changed / camera.name / f"{index}.png"), np.zeros((240, 320), np.uint8))
+    (changed / "camera.toml").write_text(camera_file_text(CAMERAS))
+    path = result()
+    assert view(path, "-o", tmp_path / "a.png", "--recording", changed) == 1
+    assert "is not the recording that the result was made from" in capsys.readouterr().err
+    anyway = ("--any-recording", "--fps", FPS)
+    assert view(path, "-o", tmp_path / "a.png", "--recording", changed, *anyway) == 0
+
+
+def test_a_result_of_other_cameras_is_refused(
+    result: Callable[..., Path], recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moved = replace(CAMERAS[1], fx=410.0)
+    a, b = result("a.mcap"), result("b.mcap", (CAMERAS[0], moved))
+    assert view(a, b, "-o", tmp_path / "a.png", "--recording", recording) == 2
+    assert "results have different cameras" in capsys.readouterr().err
+
+
+def test_images_are_opened_as_the_run_did(result: Callable[..., Path], recording: Path) -> None:
+    opened = required_images(read_result(result()), recording)
+    assert opened.cameras[0] == CAMERAS[0]
+    places = [camera.camera_T_reference for camera in (opened.cameras[1], CAMERAS[1])]
+    np.testing.assert_allclose(*places, atol=1e-12)  # a rotation from a file is made orthonormal
+    assert replace(opened.cameras[1], camera_T_reference=PLACE) == CAMERAS[1]
+    assert [frame.stamp_ns for frame in opened.frames()] == [0, 40_000_000, 80_000_000]
