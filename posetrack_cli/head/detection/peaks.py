@@ -8,12 +8,16 @@ from posetrack_cli.arrays import Float32Array, FloatArray, IntArray
 
 # Beyond so many standard deviations nothing is looked for.
 REACH = 2.5
+# A prior draws a peak by a pixel or two; more uphill is another peak's slope.
+STEPS_UPHILL = 2
 
 
 def find_peak(
     response: Float32Array, expected: FloatArray, sd: tuple[float, float]
 ) -> tuple[FloatArray, float]:
-    """Return where response times a Gaussian prior is greatest, and the response there.
+    """Return the peak of a response that a Gaussian prior chooses, and the response there.
+
+    The prior chooses a pixel; from there the response itself is climbed, so that the prior shifts nothing.
 
     Args:
         response: (height, width), not negative.
@@ -32,10 +36,19 @@ def find_peak(
     prior_y = np.exp(-0.5 * ((rows - expected[1]) / sd[1]) ** 2)
     values = response[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] * prior_x * prior_y[:, None]
     row, column = np.unravel_index(int(np.argmax(values)), values.shape)
-    x, y = int(columns[column]), int(rows[row])
+    x, y = _climbed(response, int(columns[column]), int(rows[row]))
     shift_x = _vertex(response[y, x - 1 : x + 2])
     shift_y = _vertex(response[y - 1 : y + 2, x])
     return np.array([x + shift_x, y + shift_y]), float(response[y, x])
+
+
+def _climbed(response: Float32Array, x: int, y: int) -> tuple[int, int]:
+    """Return the pixel of the greatest response that a few steps uphill lead to."""
+    height, width = response.shape
+    for _ in range(STEPS_UPHILL):
+        row, column = divmod(int(np.argmax(response[y - 1 : y + 2, x - 1 : x + 2])), 3)
+        x, y = int(np.clip(x + column - 1, 1, width - 2)), int(np.clip(y + row - 1, 1, height - 2))
+    return x, y
 
 
 def _near(expected: float, sd: float, size: int) -> IntArray:

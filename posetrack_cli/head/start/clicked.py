@@ -33,11 +33,12 @@ def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
         where = f"{path}, line {line}"
         camera = _index(row["camera"], names, "camera", where)
         point = _index(row["point"], POINT_NAMES, "point", where)
+        pixel = _pixel(row, cameras[camera], where)
         if not np.isnan(pixels[camera, point, 0]):
             raise PosetrackError(
                 "point clicked twice", where=where, found=f"{row['point']} in {row['camera']}"
             )
-        pixels[camera, point] = _pixel(row, cameras[camera], where)
+        pixels[camera, point] = pixel
     if clicked_camera(pixels) is None:
         raise PosetrackError(
             "no camera has all points",

@@ -12,18 +12,19 @@ from posetrack_cli.head.start.views import View
 
 # A point so many standard deviations from an average face's was matched with something else.
 OUTLYING = 2.0
+# With more of them taken away anything can be made a face.
+MOST_OUTLIERS = 2
 
 
-def without_outliers(points: FloatArray, known: BoolArray, least: int) -> BoolArray:
-    """Return which points remain when the worst is taken away until all lie like an average face's.
+def without_outliers(points: FloatArray, known: BoolArray) -> BoolArray:
+    """Return which points remain when the worst ones, two at most, that lie unlike a face's are taken away.
 
     Args:
         points: (K, 3) mm.
-        known: (K,) which of them are measured.
-        least: so many are kept in any case.
+        known: (K,) which of them are measured, more than five.
     """
     kept = known.copy()
-    while kept.sum() > least:
+    for _ in range(MOST_OUTLIERS):
         distances = np.array([_from_others(points, kept, k) if kept[k] else 0.0 for k in range(len(kept))])
         worst = int(np.argmax(distances))
         if distances[worst] <= OUTLYING:

@@ -27,6 +27,6 @@ class StartSettings(Settings):
     return_mm: Positive = 4.0
     matched_points: Annotated[int, Field(ge=6, le=10)] = 7
     reprojection_px: Positive = 3.0
-    deviation: Positive = 1.3
+    deviation: Positive = 1.1
     least_size: Positive = 0.7
     most_size: Positive = 1.3

@@ -148,7 +148,8 @@ def start_from_pixels(
     errors = reprojection_errors(cameras, points, pixels[used])
     known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= settings.reprojection_px
     score = float(correlations.mean())
-    known = without_outliers(points, known, settings.matched_points)
+    if known.sum() >= settings.matched_points:
+        known = without_outliers(points, known)
     if known.sum() < settings.matched_points:
         return NoStart(f"{known.sum()} of {POINT_COUNT} points matched between the images", score)
     reason = _implausible(points, known, settings)

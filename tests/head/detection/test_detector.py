@@ -13,8 +13,8 @@ from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.detection.settings import DetectionSettings
 from posetrack_cli.head.face import EYES, MIRRORED
 
-# The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is off:
-# medians over frames, of the worst point of a kind.
+# The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is
+# off: medians over frames, of the worst point of a kind.
 REPEATED_MM = {"eyes": 2.0, "mouth": 2.5, "nose": 4.0, "brows": 5.0}
 
 

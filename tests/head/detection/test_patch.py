@@ -19,7 +19,7 @@ def test_a_spot_lies_where_the_transform_says(pixels_per_mm: float, roll: float)
     along = pixels_per_mm * 20.0 * np.array([np.cos(roll), np.sin(roll)])  # 20 mm along the line of the eyes
     patch = cut_patch(spot(*(eyes + along)), eyes, pixels_per_mm, roll)
     row, column = np.unravel_index(int(np.argmax(patch.grey)), patch.grey.shape)
-    expected = MIDDLE + [20.0 * PIXELS_PER_MM, 0.0]
+    expected = MIDDLE + np.array([20.0 * PIXELS_PER_MM, 0.0])
     np.testing.assert_allclose([column, row], expected, atol=1.0)
     np.testing.assert_allclose(patch.from_image(eyes + along), expected, atol=1e-9)
 

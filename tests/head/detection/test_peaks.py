@@ -14,7 +14,7 @@ def bump(x: float, y: float, height: float = 1.0) -> np.ndarray:
 
 
 def test_a_peak_is_found_to_a_fraction_of_a_pixel() -> None:
-    place, value = find_peak(bump(20.3, 15.6).astype(np.float32), np.array([21.0, 15.0]), (20.0, 20.0))
+    place, value = find_peak(bump(20.3, 15.6).astype(np.float32), np.array([22.0, 15.0]), (3.0, 3.0))
     # A parabola through three samples of a Gaussian of sd 3 is off by less than 0.02 pixels.
     np.testing.assert_allclose(place, [20.3, 15.6], atol=0.02)
     assert value == pytest.approx(1.0, abs=0.05)
