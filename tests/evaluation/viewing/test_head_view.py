@@ -21,7 +21,7 @@ from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
 
 FPS, FRAMES = 25.0, 3
-TURNED = cv2.Rodrigues(np.array([0.02, -0.17, 0.03]))[0]
+TURNED = cv2.Rodrigues(np.array([0.02, 0.17, 0.03]))[0]
 PLACE = tuple(map(tuple, np.column_stack([TURNED, [-118.0, 2.0, 20.0]]).tolist()))
 BENT = (-0.4, 0.1, 0.002, -0.001, 0.0)
 """Shifts the outer points by 4 pixels."""
