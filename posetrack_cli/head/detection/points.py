@@ -7,16 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
-from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.detection.fit import fit_face, projected
 from posetrack_cli.head.detection.guess import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.patch import FacePatch, cut_patch
 from posetrack_cli.head.detection.peaks import find_peak
 from posetrack_cli.head.detection.responses import response_maps
-from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.face import NOSTRILS, POINT_COUNT
 
 # A point lies within these of where the fitted mean face has it, pixels of the patch.
 POINT_SD = (3.5, 3.0)
+# The nose's base within these, and the nostrils of where it has them.
+NOSE_SD = (5.0, 4.0)
+NOSTRIL_SD = (2.0, 2.0)
 EYE_DISTANCE_MM = 63.0
 
 
@@ -58,7 +60,7 @@ def find_points(image: ImageArray, guess: FaceGuess) -> FacePoints:
     upright = cut_patch(image, first.to_image(rough[:2]), pixels_per_mm, roll)
     maps = response_maps(upright.grey)
     pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright))
-    pixels, responses = _strongest(maps[:POINT_COUNT], projected(pose[None], FEATURES)[0])
+    pixels, responses = _strongest(maps, projected(pose[None])[0])
     angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
     return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
 
@@ -71,5 +73,12 @@ def _carried_over(pose: FloatArray, before: FacePatch, after: FacePatch) -> Floa
 
 
 def _strongest(maps: Float32Array, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
-    peaks = [find_peak(one, place, POINT_SD) for one, place in zip(maps, expected, strict=True)]
+    """Return the pixels (K, 2) and the responses (K,) of the points near where they are expected (K + 1, 2)."""
+    nose, _ = find_peak(maps[-1], expected[-1], NOSE_SD)
+    expected = expected.copy()
+    expected[NOSTRILS] += nose - expected[-1]
+    spreads = [
+        NOSTRIL_SD if k in range(*NOSTRILS.indices(POINT_COUNT)) else POINT_SD for k in range(POINT_COUNT)
+    ]
+    peaks = [find_peak(one, place, sd) for one, place, sd in zip(maps, expected, spreads, strict=False)]
     return np.array([pixel for pixel, _ in peaks]), np.array([response for _, response in peaks])
