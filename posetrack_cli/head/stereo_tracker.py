@@ -74,7 +74,7 @@ class StereoTracker:
         if state.following is not None:
             followed = self._followed(state, state.following, frame, rng)
             if self._is_tracked(followed):
-                return self._tracked(state, frame, followed, Status.TRACKING)
+                return self._tracked(state, frame, followed, self._status_after(state))
             if state.lost + 1 < self._config.status.lost_after_frames:
                 return self._lost(state, frame)
         return self._search(state, frame, rng)
@@ -104,6 +104,11 @@ class StereoTracker:
     ) -> Followed:
         face = _found(state.face)
         return self._follower.step(following, frame.stamp_ns, frame.images, state.sets, face.model, rng)
+
+    def _status_after(self, state: StereoState) -> Status:
+        """A head that was gone for longer is found anew, wherever it comes back."""
+        gone = state.lost >= self._config.status.lost_after_frames
+        return Status.REINITIALISED if gone else Status.TRACKING
 
     def _is_tracked(self, followed: Followed) -> bool:
         return followed.score >= self._config.status.tracking_above
