@@ -60,12 +60,8 @@ class HandFits:
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._camera, self._space = camera, HandSpace()
-        self._settings, self._observing, self._most = (
-            config.smoothing,
-            config.observation,
-            config.fit.most_modes,
-        )
-        self._size = config.observation.tile_px
+        self._settings, self._observing = config.smoothing, config.observation
+        self._most, self._size = config.fit.most_modes, config.observation.tile_px
         terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
         self._terms_sd = terms.sigma_mm
         self._fitter = HandFitter(hand, camera, self._size, terms)
@@ -100,19 +96,24 @@ class HandFits:
         )
 
     def _refitted(self, seen: Seen, belief: StateGaussian) -> LikelihoodModes:
-        """The likelihood about the best pose on the way from a belief's mean to the posterior's maximum."""
+        """The likelihood about the best pose on the way from a belief's mean to the posterior's maximum.
+
+        Gauss-Newton: (1 + C H)^-1 (C g + off), C the belief's covariance, off from the pose to its mean.
+        """
         size = belief.velocity.size
-        precision = np.linalg.inv(belief.covariance[:size, :size])
-        pose, best, highest = belief.pose, None, -np.inf
-        for _ in range(self._settings.refit_iterations + 1):
-            here = self._assessed(seen, pose[None])
+        C = belief.covariance[:size, :size]
+        precision = np.linalg.pinv(C, hermitian=True)  # what is known for sure may not vary at all
+        pose = belief.pose
+        best = here = self._assessed(seen, pose[None])
+        highest = float(here.log_heights[0])
+        for _ in range(self._settings.refit_iterations):
             off = self._space.local(pose, belief.pose)
-            height = float(here.log_heights[0] - 0.5 * off @ precision @ off)
-            if best is None or height > highest:
-                best, highest = here, height
-            step = np.linalg.solve(here.information[0] + precision, here.gradients[0] + precision @ off)
+            step = np.linalg.solve(np.eye(size) + C @ here.information[0], C @ here.gradients[0] + off)
             pose = self._space.retract(pose[None], np.clip(step, -STEP, STEP)[None])[0]
-        assert best is not None
+            here, off = self._assessed(seen, pose[None]), self._space.local(pose, belief.pose)
+            height = float(here.log_heights[0] - 0.5 * off @ precision @ off)
+            if height > highest:
+                best, highest = here, height
         return best
 
     def _assessed(self, seen: Seen, poses: FloatArray) -> LikelihoodModes:

@@ -117,13 +117,14 @@ def test_a_fit_from_what_other_frames_expect_finds_the_hand(stage: Stage, seed: 
     assert found.log_heights[1] > found.log_heights[0]
 
 
-def test_what_is_known_for_sure_is_not_moved_by_a_frame(stage: Stage) -> None:
+@pytest.mark.parametrize("share", [1e-5, 0.0])
+def test_what_is_known_for_sure_is_not_moved_by_a_frame(stage: Stage, share: float) -> None:
     truth, looks = relaxed(), fits()
     expected = moved(truth, 5)
     frame = looks.keep(observation_of(stage, truth), modes_at(truth))
     known = looks.known(frame)
     assert known is not None
-    found = looks.more(frame, known, belief_at(expected, 1e-5 * SD))
+    found = looks.more(frame, known, belief_at(expected, share * SD))
     np.testing.assert_allclose(found.poses[1], expected, atol=1e-3)
 
 
