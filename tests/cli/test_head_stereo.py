@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import filecmp
+import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +13,9 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.results import load_arrays, read_result
 
 ASIDE = ((1.0, 0.0, 0.0, -120.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 CAMERAS = (
@@ -83,3 +88,122 @@ def test_one_camera_is_refused_with_what_is_needed(
     assert run(["head", "stereo", str(recording), "-o", str(tmp_path / "r.mcap"), "--fps", "30"]) == 2
     assert "too few cameras" in (told := line(capsys))
     assert "left/ and right/" in told
+
+
+# On a made recording
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A synthetic head that hardly moves, with its truth."""
+    path = tmp_path_factory.mktemp("made") / "head.mcap"
+    assert run(["head", "synth", "-o", str(path), "--frames", "10", "--seed", "3"]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def tracked(made: Path) -> Path:
+    path = made.with_name("tracked.mcap")
+    assert stereo(made, path, "--save-model", made.with_name("face.npz")) == 0
+    return path
+
+
+def stereo(recording: Path, output: Path, *arguments: object) -> int:
+    asked = ["head", "stereo", str(recording), "-o", str(output), "--particles", "100"]
+    return run([*asked, *map(str, arguments)])
+
+
+def table(path: Path, truth: tuple[str, ...] = ()) -> dict[str, float]:
+    """Means of a result's figures after one rigid offset."""
+    report = path.with_suffix(".json")
+    asked = ["eval", str(path), *truth, "--align", "rigid", "--json", str(report), "--overwrite"]
+    assert run(asked) == 0
+    (found,) = json.loads(report.read_text())["results"]
+    values = found["metrics"].items()
+    return {name: value["value"] if "value" in value else value["mean"] for name, value in values}
+
+
+def test_a_made_head_is_tracked_and_measured_against_its_own_truth(tracked: Path) -> None:
+    found = table(tracked)
+    assert (found["frames"], found["lost"], found["matched"]) == (10, 0, 10)
+    assert found["position_mm"] < 1.0 and found["rotation_deg"] < 1.0
+    assert found["particles"] == 100
+    result = read_result(tracked)
+    assert result.finished
+    assert [camera.name for camera in result.cameras()] == ["left", "right"]
+    assert result.truth_topics
+
+
+def test_the_same_options_give_the_same_bytes_and_others_do_not(made: Path, tracked: Path) -> None:
+    again, other = made.with_name("again.mcap"), made.with_name("other.mcap")
+    assert stereo(made, again) == stereo(made, other, "--seed", "1") == 0
+    assert filecmp.cmp(tracked, again, shallow=False)
+    assert not filecmp.cmp(tracked, other, shallow=False)
+
+
+def test_a_second_pass_equals_a_run_with_the_saved_model(made: Path, tracked: Path) -> None:
+    twice, loaded = made.with_name("twice.mcap"), made.with_name("loaded.mcap")
+    assert stereo(made, twice, "--passes", "2") == 0
+    assert stereo(made, loaded, "--load-model", made.with_name("face.npz")) == 0
+    mine, theirs, once = (load_arrays(path) for path in (twice, loaded, tracked))
+    for name in mine:
+        np.testing.assert_array_equal(mine[name], theirs[name], err_msg=name)
+    assert np.any(mine["position"] != once["position"])
+    assert read_result(twice).run["passes"] == "2"
+
+
+def test_clicked_points_begin_a_run(
+    made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left, first = read_result(tracked).camera(), load_arrays(tracked)["points"][0]
+    pixels = left.pixels_from_points(first)[0].round().tolist()
+    rows = [f"left,{name},{x},{y}" for name, (x, y) in zip(POINT_NAMES, pixels, strict=True)]
+    (tmp_path / "clicked.csv").write_text("\n".join(["camera,point,x,y", *rows]))
+    assert stereo(made, tmp_path / "r.mcap", "--init", tmp_path / "clicked.csv") == 0
+    run_record = read_result(tmp_path / "r.mcap").run
+    assert run_record["init"] == "clicked.csv" and len(run_record["init.sha256"]) == 64
+    assert table(tmp_path / "r.mcap")["position_mm"] < 1.0
+    (tmp_path / "mirrored.csv").write_text("\n".join(["camera,point,x,y", *(_swapped(row) for row in rows)]))
+    capsys.readouterr()
+    assert stereo(made, tmp_path / "m.mcap", "--init", tmp_path / "mirrored.csv") == 1
+    assert "clicked points begin no head" in line(capsys)
+    assert not list(tmp_path.glob("m.mcap*"))
+
+
+def _swapped(row: str) -> str:
+    """A row with the subject's left and right confused."""
+    camera, point, x, y = row.split(",")
+    side, _, what = point.partition("_")
+    return f"{camera},{'left' if side == 'right' else 'right'}_{what},{x},{y}"
+
+
+@pytest.mark.parametrize("person", ["person-a", "person-b"])
+def test_the_rendered_heads_with_their_truth(measured_data: Path, tmp_path: Path, person: str) -> None:
+    folder = measured_data / "heads" / person
+    rig = write_rig(tmp_path / "camera.toml", json.loads((folder / "calibration.json").read_text()))
+    options = ("--camera", rig, "--fps", "30", "--end", "12")
+    assert stereo(folder, tmp_path / "r.mcap", *options) == 0
+    found = table(tmp_path / "r.mcap", ("--truth", str(folder / "truth.csv")))
+    assert (found["matched"], found["unmatched"], found["lost"]) == (12, 0, 0)
+    assert found["position_mm"] < 1.0 and found["rotation_deg"] < 1.5
+
+
+def write_rig(path: Path, calibration: dict[str, Any]) -> Path:
+    """A camera file of the two cameras of a calibration.json."""
+    cameras = [
+        Camera(
+            values["width"],
+            values["height"],
+            values["K"][0][0],
+            values["K"][1][1],
+            values["K"][0][2],
+            values["K"][1][2],
+            name=name,
+            camera_T_reference=tuple(
+                (*row, t) for row, t in zip(values["R_from_left"], values["t_from_left_mm"], strict=True)
+            ),
+        )
+        for name, values in calibration["cameras"].items()
+    ]
+    path.write_text(camera_file_text(cameras))
+    return path
