@@ -73,7 +73,7 @@ def _carried_over(pose: FloatArray, before: FacePatch, after: FacePatch) -> Floa
 
 
 def _strongest(maps: Float32Array, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pixels (K, 2) and the responses (K,) of the points near where they are expected (K + 1, 2)."""
+    """Return the pixels (K, 2) and responses (K,) of the points near where they are expected (K + 1, 2)."""
     nose, _ = find_peak(maps[-1], expected[-1], NOSE_SD)
     expected = expected.copy()
     expected[NOSTRILS] += nose - expected[-1]

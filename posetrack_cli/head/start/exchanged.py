@@ -19,7 +19,7 @@ from posetrack_cli.head.start.completion import deviations
 
 # Another order must be so many times more like a face, and as like one as this, to be believed.
 CLEARLY_BETTER = 1.6
-LIKE_A_FACE = 1.5
+LIKE_A_FACE = 2.0
 # So many points must be in front of the cameras for a shape to be looked at.
 LEAST_POINTS = 8
 
