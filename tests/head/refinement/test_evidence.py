@@ -1,0 +1,103 @@
+"""What patches say about a point: derivatives of E against differences of E itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from textured_face import FACING, SHAPE, stereo, textured_face
+
+from posetrack_cli.head.config import RefinementSettings
+from posetrack_cli.head.patches import GRID, SIZE, normalise, sample_grid
+from posetrack_cli.head.refinement.evidence import belief, gather, make_evidence, make_room, project_point
+from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.templates import take_templates
+
+ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}
+MOVED = np.array([1.0, -0.8, 2.0])
+
+
+def scene_of(**weights):
+    cameras = stereo()
+    images = textured_face().render(cameras, FACING, SHAPE)
+    templates = take_templates(images, cameras, FACING, SHAPE)
+    settings = RefinementSettings(**{"patch_sd": 1.0, **ONLY, **weights})
+    return make_scene(images, cameras, [templates], templates, FACING, SHAPE, settings)[0]
+
+
+def evidence_at(scene, k, X):
+    out = make_evidence(2)
+    gather(scene, k, X, make_room(2), out)
+    return out
+
+
+def patch(scene, c, k, X, warp):
+    """The patch of point k at X on camera c, by itself."""
+    pixel, J, grid, values = np.empty(2), np.empty((2, 3)), np.empty((GRID, GRID)), np.empty(SIZE)
+    assert project_point(scene.optics, c, k, X, pixel, J)
+    u, v = pixel - scene.images.corners[c]
+    assert sample_grid(scene.images.windows[c], *scene.images.sizes[c], u, v, warp, grid)
+    normalise(grid, values)
+    return values
+
+
+def cost(scene, k, X, weights_at):
+    """E(X) from its definition, with the weights that hold at another point."""
+    total, upright = 0.0, np.eye(2)
+    for c in range(2):
+        for s in range(len(scene.targets.patches)):
+            weight = scene.targets.weights[s, c, k]
+            if weight > 0.0:
+                q = scene.targets.patches[s, c, k]
+                w = weight * belief(scene.robustness, patch(scene, c, k, weights_at, upright) @ q)
+                total += 0.5 * w * np.sum((patch(scene, c, k, X, upright) - q) ** 2)
+    weight, warp = scene.targets.pair_weights[0, k], scene.targets.pair_warps[0, k]
+    if weight > 0.0:
+        there = patch(scene, 1, k, weights_at, upright) @ patch(scene, 0, k, weights_at, warp)
+        difference = patch(scene, 1, k, X, upright) - patch(scene, 0, k, X, warp)
+        total += 0.5 * weight * belief(scene.robustness, there) * np.sum(difference**2)
+    return total
+
+
+@pytest.mark.parametrize("term", ["reference", "previous", "between_cameras"])
+@pytest.mark.parametrize("k", [0, 4, 9])
+def test_gradient_is_the_difference_of_the_cost(term, k):
+    scene, h = scene_of(**{term: 2.0}), 0.4
+    X = FACING.points(SHAPE)[k] + MOVED
+    found = evidence_at(scene, k, X).gradient
+    wanted = [(cost(scene, k, X + step, X) - cost(scene, k, X - step, X)) / (2 * h) for step in h * np.eye(3)]
+    # central differences of pixels damp waves of 12 px by (2 pi / 12)^2 / 6 = 5 %; 8 bits, bending
+    assert np.linalg.norm(found - wanted) < 0.1 * np.linalg.norm(wanted)
+
+
+def test_terms_add_up():
+    k, X = 3, FACING.points(SHAPE)[3] + MOVED
+    apart = [evidence_at(scene_of(**{name: 2.0}), k, X) for name in ONLY]
+    together = evidence_at(scene_of(**dict.fromkeys(ONLY, 2.0)), k, X)
+    np.testing.assert_allclose(together.hessian, sum(one.hessian for one in apart))
+    np.testing.assert_allclose(together.gradient, sum(one.gradient for one in apart))
+
+
+def test_where_the_templates_were_taken_nothing_pulls():
+    scene = scene_of(reference=1.0, previous=1.0)
+    out = evidence_at(scene, 5, FACING.points(SHAPE)[5])
+    np.testing.assert_allclose(out.gradient, 0.0, atol=1e-9)
+    np.testing.assert_allclose(out.correlations, 1.0, atol=1e-12)
+    assert np.linalg.eigvalsh(out.hessian).min() > 0.0  # and two cameras see a point from all sides
+
+
+def test_one_camera_does_not_see_depth():
+    scene = scene_of(reference=1.0)
+    scene.targets.weights[:, 1] = 0.0
+    X = FACING.points(SHAPE)[2]
+    hessian = evidence_at(scene, 2, X).hessian
+    assert X @ hessian @ X < 1e-9 * np.trace(hessian) * (X @ X)
+    assert np.isnan(evidence_at(scene, 2, X).correlations[1])
+
+
+@pytest.mark.parametrize(
+    "ncc, wanted",
+    [(1.0, 1.0), (0.6, 0.5**6), (0.2, 0.0), (-0.5, 0.0)],
+    ids=["same", "half", "floor", "below"],
+)
+def test_belief_falls_with_the_sixth_power_above_the_floor(ncc, wanted):
+    assert belief(scene_of().robustness, ncc) == pytest.approx(wanted)

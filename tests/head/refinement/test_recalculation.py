@@ -1,0 +1,152 @@
+"""The points' own places: no place in a search around them costs less."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from textured_face import FACING, SHAPE, stereo, textured_face
+
+from posetrack_cli.head.config import PointSettings, RefinementSettings
+from posetrack_cli.head.patches import GRID, PATCH, SIZE, normalise, sample_grid
+from posetrack_cli.head.projection import project
+from posetrack_cli.head.refinement.refine import recalculate
+from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.refinement.settling import settle
+from posetrack_cli.head.templates import take_templates
+
+OFFSETS = np.random.default_rng(8).uniform(-1.2, 1.2, (10, 3))
+"""Of the points from where the model has them, mm."""
+SD = 3.0
+AROUND = 0.25
+"""Step of the search, mm: a pixel is 0.7 mm across, 6 mm in depth."""
+UPRIGHT = np.eye(2)
+
+
+def drawn(shape=SHAPE + OFFSETS):
+    cameras = stereo()
+    face = textured_face()
+    templates = take_templates(face.render(cameras, FACING, SHAPE), cameras, FACING, SHAPE)
+    images = face.render(cameras, FACING, shape, noise=3.0)
+    return cameras, images, templates
+
+
+def found(settings, previous=False, start=SHAPE):
+    cameras, images, templates = drawn()
+    scene, _ = make_scene(
+        images, cameras, [templates], templates if previous else None, FACING, SHAPE, settings
+    )
+    return scene, recalculate(scene, FACING, SHAPE, start, settings)
+
+
+def grid_at(image, pixel):
+    grid = np.empty((GRID, GRID))
+    assert sample_grid(image, image.shape[1], image.shape[0], *pixel, UPRIGHT, grid)
+    return grid
+
+
+def neighbours(place):
+    steps = (-AROUND, 0.0, AROUND)
+    return [place + np.array(step) for step in product(steps, steps, (-4 * AROUND, 0.0, 4 * AROUND))]
+
+
+def search(cost, start):
+    """The least cost on a grid about a start, walked to from neighbour to neighbour."""
+    place = start
+    while True:
+        best = min(neighbours(place), key=cost)
+        if cost(best) >= cost(place):
+            return place
+        place = best
+
+
+def joint_cost(scene, cameras, images, k, place):
+    """E_k + the prior, with constant belief, from the definitions."""
+    total = 0.5 * 7.0 * np.log1p(np.sum((place - SHAPE[k]) ** 2) / (4.0 * SD**2))
+    projection = project(cameras, FACING.points(place[None]))
+    for c, image in enumerate(images):
+        patch = np.empty(SIZE)
+        normalise(grid_at(image, projection.pixels[c, 0]), patch)
+        ncc = patch @ scene.targets.patches[0, c, k]
+        total += scene.targets.weights[0, c, k] * scene.robustness.precision * (1.0 - ncc)
+    return total
+
+
+def test_no_place_around_costs_less():
+    kinds = PointSettings(eyes=SD, mouth=SD, nostrils=SD, brows=SD)
+    settings = RefinementSettings(
+        between_cameras=0.0, correlation_power=0.0, recalculation_mm=kinds, recalculation_iterations=30
+    )
+    scene, result = found(settings)
+    cameras, images, _ = drawn()
+    for k in range(10):
+        wanted = search(lambda place, k=k: joint_cost(scene, cameras, images, k, place), SHAPE[k])
+        away = np.abs(result.shape[k] - wanted)
+        assert np.all(away <= [2 * AROUND, 2 * AROUND, 8 * AROUND]), (k, away)
+
+
+def test_points_are_found_where_they_were_drawn():
+    free = PointSettings(eyes=10.0, mouth=10.0, nostrils=10.0, brows=10.0)
+    settings = RefinementSettings(correlation_power=1.0, recalculation_mm=free, recalculation_iterations=15)
+    _, result = found(settings)
+    away = np.abs(result.shape - SHAPE - OFFSETS)
+    assert away[:, :2].max() < 0.3  # noise of 3 levels in 20
+    assert away[4:6, 2].max() < 1.0
+    assert result.correlations.min() > 0.95
+    np.testing.assert_allclose(
+        result.pixels, project(stereo(), FACING.points(result.shape)).pixels, atol=0.02
+    )
+
+
+def printed_cost(cameras, images, templates, settings, k, place):
+    """E of (3.3)-(3.6) for one point; both templates are of the same frame."""
+    total = settings.epsilon * np.sum((place - SHAPE[k]) ** 2)
+    before = project(cameras, FACING.points(SHAPE)).pixels
+    now = project(cameras, FACING.points(place[None])).pixels
+    first = textured_face().render(cameras, FACING, SHAPE)
+    for c, image in enumerate(images):
+        difference = grid_at(image, now[c, 0]) - grid_at(first[c], before[c, k])
+        total += (settings.rho + 1.0) * np.sum(difference[1:-1, 1:-1] ** 2)
+    return total
+
+
+@pytest.mark.parametrize("epsilon", [2000.0, 20.0])
+def test_the_printed_one_minimises_the_printed_cost(epsilon):
+    settings = RefinementSettings(recalculation="printed", epsilon=epsilon, recalculation_iterations=30)
+    _, result = found(settings, previous=True)
+    cameras, images, templates = drawn()
+    for k in (0, 4, 7, 9):
+        wanted = search(
+            lambda place, k=k: printed_cost(cameras, images, templates, settings, k, place), SHAPE[k]
+        )
+        away = np.abs(result.shape[k] - wanted)
+        assert np.all(away <= [2 * AROUND, 2 * AROUND, 8 * AROUND]), (k, away)
+
+
+def test_printed_without_a_frame_before_compares_with_the_reference_only():
+    settings = RefinementSettings(recalculation="printed", recalculation_iterations=30)
+    doubled = settings.model_copy(update={"epsilon": (1.0 + settings.rho) * settings.epsilon})
+    _, alone = found(settings)
+    _, both = found(doubled, previous=True)  # (1 + rho) times the same comparison, and as much prior
+    np.testing.assert_allclose(alone.shape, both.shape, atol=1e-6)
+
+
+def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
+    cameras = stereo()
+    images = textured_face().render(cameras, FACING, SHAPE)
+    points = FACING.points(SHAPE)
+    wrong = points * (1.0 + np.linspace(-6.0, 6.0, 10)[:, None] / 700.0)  # along the reference's rays
+    shape = (wrong - FACING.position) @ FACING.rotation
+    settled = settle(images, cameras, FACING, shape, RefinementSettings())
+    away = np.abs(settled - SHAPE)
+    assert away[:, :2].max() < 0.3
+    assert away[:, 2].max() < 1.0  # a sixth of a pixel; 6 mm before
+    assert PATCH == 16
+
+
+def test_settling_with_one_image_changes_nothing():
+    cameras = stereo()
+    images = textured_face().render(cameras, FACING, SHAPE)
+    settled = settle([images[0], None], cameras, FACING, SHAPE, RefinementSettings())
+    np.testing.assert_allclose(settled, SHAPE, atol=1e-6)
