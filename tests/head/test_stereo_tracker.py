@@ -127,7 +127,8 @@ def test_a_face_that_goes_is_lost_and_found_again() -> None:
     assert back[0].status is Status.REINITIALISED
     assert {e.status for e in back[1:]} == {Status.TRACKING}
     distances, angles = errors([before[0], *back])
-    assert distances[1:].max() < 2.0 * POSITION_MM and angles[1:].max() < ROTATION_RAD
+    # it came back 4 mm from where it was last: the first frame's few steps need not have converged
+    assert distances[1] < 2.0 and distances[2:].max() < POSITION_MM and angles[1:].max() < ROTATION_RAD
 
 
 def test_another_face_in_its_place_is_not_taken_for_it() -> None:
