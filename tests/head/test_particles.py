@@ -80,6 +80,18 @@ def test_scores_are_one_correlation_per_particle_camera_and_point(dropped):
     assert np.ptp(expected) > 1.0, "particles differ"
 
 
+def test_a_map_that_is_too_small_for_the_second_weighing_is_made_anew():
+    face = model()
+    used, _, particles = started(ParticleSettings(count=100), face)
+    seen = observation(FACING, face.mean, used)
+    asked = ParticleScores(used, between=True)
+    asked.observe(seen, particles.pose, particles.coefficients, face)
+    asked.missing(0.1 * particles.deviations)
+    after_narrow = asked.missing(5.0 * particles.deviations)
+    asked.observe(seen, particles.pose, particles.coefficients, face)
+    assert after_narrow == pytest.approx(asked.missing(5.0 * particles.deviations), abs=20 * TOLERANCE)
+
+
 @pytest.mark.parametrize("weighting", ["printed", "patches"])
 def test_weights_are_as_printed_or_of_patches_with_noise(weighting):
     """exp(-(2K - c)^2 / (2 3^2)), (3.27), or exp(-(2K - c) / 0.4^2), times the prior of the deformation."""
