@@ -9,5 +9,6 @@ for folder in (
     HERE.parent / "evaluation",
     HERE.parent / "results",
     HERE.parent / "recording",
+    HERE.parent / "recording" / "calibration",
 ):  # their support modules are shared by the tests of this folder
     sys.path.insert(0, str(folder))

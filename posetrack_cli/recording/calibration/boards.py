@@ -114,14 +114,14 @@ class BoardFinder:
         return FoundBoard(np.arange(len(pixels)), pixels)
 
     def _find_charuco(self, image: ImageArray) -> FoundBoard | None:
-        for detector in self._detectors:
-            corners, ids, _, _ = detector.detectBoard(image)
-            if ids is not None and len(ids) >= FEWEST_CORNERS:
-                self._detectors = [detector]  # the other kind is not tried again
-                order = np.argsort(ids.ravel())
-                pixels = corners.reshape(-1, 2)[order].astype(np.float64)
-                return FoundBoard(ids.ravel()[order].astype(np.int64), pixels)
-        return None
+        found = [(detector, *detector.detectBoard(image)[:2]) for detector in self._detectors]
+        best, corners, ids = max(found, key=lambda one: 0 if one[2] is None else len(one[2]))
+        if ids is None or len(ids) < FEWEST_CORNERS:
+            return None
+        self._detectors = [best]  # the other kind of print loses corners, and is not tried again
+        order = np.argsort(ids.ravel())
+        pixels = corners.reshape(-1, 2)[order].astype(np.float64)
+        return FoundBoard(ids.ravel()[order].astype(np.int64), pixels)
 
 
 def _charuco(board: Board, marker_mm: float, is_old: bool) -> cv2.aruco.CharucoDetector:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import epipolar_errors, relative_transform
 from posetrack_cli.geometry.triangulation import triangulate
 from posetrack_cli.recording.calibration.boards import Board
+from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import CameraFit, fit_camera, place_cameras, shared_views
 from posetrack_cli.recording.calibration.views import CameraViews, find_views
 from posetrack_cli.recording.identity import shown_name
@@ -107,7 +108,8 @@ def calibrate_stereo(
 ) -> StereoCalibration:
     """Calibrate the cameras whose images of a board lie in the folders of a folder.
 
-    Every camera's intrinsics come from all its views, the places then from the views that two cameras share.
+    Every camera's intrinsics come from all its views, the places then from the views that two cameras share;
+    with these to start from everything is adjusted together.
 
     Args:
         path: has a folder of images per camera; images of one instant have the same name or number.
@@ -123,13 +125,19 @@ def calibrate_stereo(
     views = find_views(path, board, names, report, losses)
     fitted = [fit_camera(own, board, distortion) for own in views]
     fits, used = [fit for fit, _ in fitted], [mask for _, mask in fitted]
-    cameras = place_cameras([fit.camera for fit in fits], views, used, board)
+    start = place_cameras([fit.camera for fit in fits], views, used, board)
+    joint = adjust(start, views, used, board)
+    cameras = joint.cameras
+    fits = [
+        replace(fit, camera=camera, rms_px=float(rms), focal_sd_px=float(sd))
+        for fit, camera, rms, sd in zip(fits, cameras, joint.rms_px, joint.focal_sd_px, strict=True)
+    ]
     pairs = [
         error
         for i, j in combinations(range(len(cameras)), 2)
         if (error := _pair_error(cameras[i], cameras[j], views[i], views[j], used[i] & used[j], board))
     ]
-    return StereoCalibration(board, tuple(cameras), tuple(fits), tuple(pairs))
+    return StereoCalibration(board, cameras, tuple(fits), tuple(pairs))
 
 
 def _pair_error(
