@@ -53,6 +53,7 @@ from posetrack_cli.errors import UsageError
 @click.option("--occlusion", is_flag=True, help="An object covers half the face for one second.")
 @click.option("--noise", default=1.0, show_default=True, help="Factor on the sensor's noise.")
 @click.option("--distortion", is_flag=True, help="The lenses distort.")
+@click.option("--drops", is_flag=True, help="Cameras now and then miss images.")
 @click.option(
     "--image-size",
     metavar="WIDTHxHEIGHT",
@@ -83,9 +84,10 @@ def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) 
     began = time.perf_counter()
     with _progress(options.frames) as report:
         made = write_synthetic(options, output, image_format=image_format, overwrite=overwrite, report=report)
+    seconds = time.perf_counter() - began
     click.echo(
         f"{output}: {made.frames} frames of {options.cameras} camera{'s'[: options.cameras - 1]}, "
-        f"{made.seconds:.3f} s long, made in {time.perf_counter() - began:.1f} s"
+        f"{made.missing} images missing, {made.seconds:.3f} s long, made in {seconds:.1f} s"
     )
 
 

@@ -20,7 +20,7 @@ def invoke(*arguments: str) -> str:
 
 def test_it_writes_a_file_or_a_folder_and_says_so(tmp_path: Path) -> None:
     line = invoke("-o", str(tmp_path / "a.mcap"), *SMALL)
-    assert line.startswith(f"{tmp_path / 'a.mcap'}: 2 frames of 2 cameras, 0.033 s long, made in ")
+    assert line.startswith(f"{tmp_path / 'a.mcap'}: 2 frames of 2 cameras, 0 images missing, 0.033 s long")
     line = invoke("-o", str(tmp_path / "b"), *SMALL, "--cameras", "1", "--image-format", "png")
     assert line.startswith(f"{tmp_path / 'b'}: 2 frames of 1 camera, ")
     assert sorted(path.name for path in (tmp_path / "b" / "camera").iterdir()) == ["000000.png", "000001.png"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
@@ -30,7 +31,7 @@ class Canvas:
         self._angles = texel_angles(size[1])
         self.texel_mm = (TOP - BOTTOM + POCKET_BAND) / size[0]
 
-    @property
+    @cached_property
     def places(self) -> FloatArray:
         """(rows, columns, 3) of every texel on the smooth average head, mm."""
         return smooth_head(self._angles[None, :], self._levels[:, None])

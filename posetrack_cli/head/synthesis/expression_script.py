@@ -18,7 +18,7 @@ NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
 """The neutral beginning: so long, but at most this part of the recording."""
 DEFORMING_PART = 2.0 / 3.0
 RISE_S, HOLD_S, FALL_S, REST_S = (0.25, 0.6), (0.2, 1.0), (0.25, 0.6), (0.0, 0.4)
-BLINK_EVERY_S, BLINK_S = (2.0, 5.0), (0.08, 0.03, 0.12)
+BLINK_EVERY_S, BLINK_S = (2.5, 6.0), (0.06, 0.02, 0.10)
 GAZE_EVERY_S, GAZE_MOVE_S, GAZE = (0.8, 3.0), 0.06, 0.5
 # what is made together, with the least and greatest strength
 _FACES: tuple[dict[str, tuple[float, float]], ...] = (

@@ -76,7 +76,9 @@ def _write(
     record: Mapping[str, str],
 ) -> None:
     names = [f"{index:06d}{SUFFIXES[image_format]}" for index in range(len(plan.stamps_ns))]
-    rows = [f"{name},{stamp}\n" for name, stamp in zip(names, plan.stamps_ns.tolist(), strict=True)]
+    taken = ~plan.dropped.all(axis=0)
+    stamped = zip(names, plan.stamps_ns.tolist(), taken.tolist(), strict=True)
+    rows = [f"{name},{stamp}\n" for name, stamp, is_taken in stamped if is_taken]
     (folder / STAMPS_FILE_NAME).write_text("".join(["filename,stamp_ns\n", *rows]), encoding="utf-8")
     comments = ["Cameras of a synthetic recording; the truth is in truth.mcap."]
     (folder / CAMERA_FILE_NAME).write_text(camera_file_text(plan.cameras, comments), encoding="utf-8")
@@ -87,7 +89,8 @@ def _write(
         truth = TruthChannels(sink, plan.cameras[0].name)
         for frame in frames:
             for camera, image in zip(plan.cameras, frame.images, strict=True):
-                (folder / camera.name / names[frame.index]).write_bytes(encoded(image, image_format))
+                if image is not None:
+                    (folder / camera.name / names[frame.index]).write_bytes(encoded(image, image_format))
             truth.write(frame)
         sink.finish()
 

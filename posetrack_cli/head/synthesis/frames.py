@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.synthesis.drops import dropped_images
 from posetrack_cli.head.synthesis.expression_script import ExpressionScript, make_script
 from posetrack_cli.head.synthesis.identity import Identity, identity_of_seed
 from posetrack_cli.head.synthesis.illumination import Illumination, make_illumination
@@ -34,7 +35,7 @@ class SyntheticHeadFrame:
     Attributes:
         index: from 0.
         stamp_ns: when it was taken, integer nanoseconds.
-        images: one a camera, (height, width) uint8.
+        images: one a camera, (height, width) uint8; None where a camera missed it.
         pose: of the head, ``camera_T_head`` of the reference camera.
         twist: (6,) velocity: mm/s in camera axes, rad/s in the head's frame.
         strengths: (J,) of ``EXPRESSIONS``.
@@ -43,7 +44,7 @@ class SyntheticHeadFrame:
 
     index: int
     stamp_ns: int
-    images: tuple[ImageArray, ...]
+    images: tuple[ImageArray | None, ...]
     pose: HeadPose
     twist: FloatArray
     strengths: FloatArray
@@ -58,8 +59,10 @@ class Plan:
         cameras: the reference camera first.
         identity, person, grid: who is seen.
         stamps_ns: (T,) of the frames.
+        dropped: (C, T) which images are missing.
         movement, script, passing, illumination: what happens.
-        scenery, noise: random streams of surroundings and of each camera's sensor, unused yet.
+        scenery: random stream of the surroundings, unused yet.
+        noise_seed: of the sensors' noise.
     """
 
     cameras: tuple[Camera, ...]
@@ -67,12 +70,13 @@ class Plan:
     person: Person
     grid: SkinGrid
     stamps_ns: IntArray
+    dropped: BoolArray
     movement: Movement
     script: ExpressionScript
     passing: Passing | None
     illumination: Illumination
     scenery: np.random.Generator
-    noise: tuple[np.random.Generator, ...]
+    noise_seed: int
 
     @property
     def seconds(self) -> FloatArray:
@@ -85,22 +89,24 @@ def make_plan(options: HeadSynthOptions) -> Plan:
 
     So motion, expressions and light of a seed are the same for every person and with one camera or two.
     """
-    streams = np.random.default_rng(options.seed).spawn(6)
-    moving, speaking, passing, lighting, scenery, sensing = streams
+    streams = np.random.default_rng(options.seed).spawn(7)
+    moving, speaking, passing, lighting, scenery, sensing, missing = streams
     cameras, identity, grid = make_cameras(options), identity_of_seed(options.identity), skin_grid()
     stamps = START_NS + np.rint(np.arange(options.frames) * (1e9 / options.fps)).astype(np.int64)
+    dropped = dropped_images(len(cameras), options.frames, missing)
     return Plan(
         cameras=cameras,
         identity=identity,
         person=make_person(identity, grid),
         grid=grid,
         stamps_ns=stamps,
+        dropped=dropped & options.drops,
         movement=make_movement(options, moving),
         script=make_script(options.duration_s, options.expressions, speaking),
         passing=make_passing(options, passing),
         illumination=make_illumination(options, lighting),
         scenery=scenery,
-        noise=tuple(sensing.spawn(2)[: len(cameras)]),
+        noise_seed=int(sensing.integers(2**32)),
     )
 
 
@@ -146,7 +152,7 @@ def _frames(plan: Plan, options: HeadSynthOptions, context: Any) -> Iterator[Syn
             yield SyntheticHeadFrame(
                 index=index,
                 stamp_ns=int(plan.stamps_ns[index]),
-                images=_images(stage, sensors, plan, seconds),
+                images=_images(stage, sensors, plan, index),
                 pose=pose,
                 twist=twists[index],
                 strengths=strengths[index],
@@ -156,9 +162,10 @@ def _frames(plan: Plan, options: HeadSynthOptions, context: Any) -> Iterator[Syn
         stage.release()
 
 
-def _images(stage: Stage, sensors: list[Sensor], plan: Plan, seconds: float) -> tuple[ImageArray, ...]:
-    lighting = plan.illumination.at(seconds)
+def _images(stage: Stage, sensors: list[Sensor], plan: Plan, index: int) -> tuple[ImageArray | None, ...]:
+    lighting = plan.illumination.at(float(plan.seconds[index]))
+    streams = [np.random.default_rng([plan.noise_seed, number, index]) for number in range(len(sensors))]
     return tuple(
-        sensor.image(stage.seen(sensor.drawn, lighting), rng)
-        for sensor, rng in zip(sensors, plan.noise, strict=True)
+        None if dropped else sensor.image(stage.seen(sensor.drawn, lighting), rng)
+        for sensor, rng, dropped in zip(sensors, streams, plan.dropped[:, index].tolist(), strict=True)
     )

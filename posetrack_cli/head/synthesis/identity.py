@@ -39,7 +39,7 @@ class Looks:
 
     skin: float = 0.62
     hair: float = 0.16
-    lips: float = 0.44
+    lips: float = 0.40
     iris: float = 0.16
     brow_thickness: float = 8.0
     brow_arch: float = 4.0
@@ -125,7 +125,7 @@ def _random_looks(rng: np.random.Generator) -> Looks:
     return Looks(
         skin=skin,
         hair=rng.uniform(0.07, 0.26),
-        lips=skin * rng.uniform(0.62, 0.76),
+        lips=skin * rng.uniform(0.55, 0.72),
         iris=rng.uniform(0.06, 0.22),
         brow_thickness=rng.uniform(6.5, 9.5),
         brow_arch=rng.uniform(2.0, 5.5),

@@ -32,6 +32,7 @@ class HeadSynthOptions:
         occlusion: whether an object covers half the face for one second.
         noise: factor on the sensor's noise.
         distortion: whether the lenses distort.
+        drops: whether cameras now and then miss images.
         width, height: of the images, pixels; the horizontal field of view is always the same.
         distance_mm: of the head from the reference camera in the beginning.
         baseline_mm: between two cameras.
@@ -52,6 +53,7 @@ class HeadSynthOptions:
     occlusion: bool = False
     noise: float = 1.0
     distortion: bool = False
+    drops: bool = False
     width: int = 640
     height: int = 480
     distance_mm: float = 700.0

@@ -30,9 +30,10 @@ Report = Callable[[SyntheticHeadFrame], None]
 
 @dataclass(frozen=True)
 class Synthesis:
-    """What was written: the number of frames, and seconds from the first to the last stamp."""
+    """What was written: frames, images that are missing of them, seconds from the first to the last stamp."""
 
     frames: int
+    missing: int
     seconds: float
 
 
@@ -83,7 +84,7 @@ def write_synthetic(
             sink.finish()
     else:
         write_folder(out, plan, frames, image_format, record)
-    return Synthesis(options.frames, options.duration_s)
+    return Synthesis(options.frames, int(plan.dropped.sum()), options.duration_s)
 
 
 def synth_record(options: HeadSynthOptions, plan: Plan) -> dict[str, str]:
@@ -115,8 +116,9 @@ class RecordingChannels:
     def write(self, frame: SyntheticHeadFrame) -> None:
         """Write one frame and the truth about it."""
         for channel, camera, image in zip(self._images, self._plan.cameras, frame.images, strict=True):
-            data = image_message(image, self._format, camera.name, frame.stamp_ns)
-            self._sink.write(channel, frame.stamp_ns, data)
+            if image is not None:
+                data = image_message(image, self._format, camera.name, frame.stamp_ns)
+                self._sink.write(channel, frame.stamp_ns, data)
         self._truth.write(frame)
 
     def _calibrate(self, stamp_ns: int) -> None:

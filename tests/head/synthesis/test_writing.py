@@ -16,7 +16,7 @@ from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.synthesis.expressions import EXPRESSIONS
 from posetrack_cli.head.synthesis.folder_writing import SYNTH_RECORD
-from posetrack_cli.head.synthesis.frames import synthesise
+from posetrack_cli.head.synthesis.frames import make_plan, synthesise
 from posetrack_cli.head.synthesis.options import HeadSynthOptions
 from posetrack_cli.head.synthesis.rig import make_cameras
 from posetrack_cli.head.synthesis.truth import COMPONENTS, truth_estimate
@@ -141,3 +141,21 @@ def test_an_interrupted_synthesis_leaves_nothing(tmp_path: Path, name: str) -> N
     with pytest.raises(KeyboardInterrupt):
         write_synthetic(SMALL, tmp_path / name, report=stop)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "cameras"), [("a.mcap", 1), ("a.mcap", 2), ("a", 1), ("a", 2)])
+def test_images_that_are_missing_are_those_of_the_plan(tmp_path: Path, name: str, cameras: int) -> None:
+    """The others are the same as without drops."""
+    options = replace(SMALL, cameras=cameras, frames=20, seed=73, width=64, height=64, drops=True)
+    plan = make_plan(options)
+    made = write_synthetic(options, tmp_path / name, image_format="png")
+    assert made.missing == plan.dropped.sum() > 0
+    assert not plan.dropped[:, 0].any() and (cameras == 1 or not plan.dropped.all(axis=0).any())
+    taken = np.flatnonzero(~plan.dropped.all(axis=0))
+    whole = list(synthesise(replace(options, drops=False)))
+    for frame, index in zip(open_images(tmp_path / name).frames(), taken, strict=True):
+        assert frame.stamp_ns == plan.stamps_ns[index]
+        for image, dropped, expected in zip(
+            frame.images, plan.dropped[:, index], whole[index].images, strict=True
+        ):
+            assert image is None if dropped else np.array_equal(image, expected)
