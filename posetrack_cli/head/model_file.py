@@ -27,11 +27,14 @@ ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"
 _HEADER, _PREFIX = "header", "array."
 
 
-def model_bytes(learned: Mapping[str, np.ndarray[Any, Any]], cameras: Sequence[Camera]) -> bytes:
-    """Return the file of what was learned with some cameras; the same bytes for the same arrays."""
+def model_bytes(
+    learned: Mapping[str, np.ndarray[Any, Any]], cameras: Sequence[Camera], tracker: str
+) -> bytes:
+    """Return the file of what a tracker learned with some cameras; the same bytes for the same arrays."""
     header = {
         "format": FORMAT,
         "version": VERSION,
+        "tracker": tracker,
         "points": list(POINT_NAMES),
         "cameras": [camera.name for camera in cameras],
     }
@@ -51,20 +54,24 @@ def save_model(path: Path, data: bytes) -> None:
         part.write_bytes(data)
 
 
-def load_model(path: Path, cameras: Sequence[Camera]) -> Learned:
+def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
     """Read what was learned of a face from a model file, or from a result that carries one.
 
     Args:
         path: the file.
         cameras: that the arrays are to be used with: as many as they were learned with.
+        tracker: that uses them; what it knows is its own.
 
     Raises:
-        UsageError: it does not exist, or is of another number of cameras.
+        UsageError: it does not exist, or is of another tracker or number of cameras.
         ResultError: it is neither, or damaged.
     """
     if not path.is_file():
         raise UsageError("no such model file", where=path)
     header, learned = _parsed(path)
+    if header["tracker"] != tracker:
+        what = "model was learned by another tracker"
+        raise UsageError(what, where=path, found=header["tracker"], expected=tracker)
     count = len(header["cameras"])
     if count != len(cameras):
         raise UsageError(

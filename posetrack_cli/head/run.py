@@ -91,7 +91,8 @@ class HeadRun(Run):
         super().__init__(recording, options, flush_frames)
         self._components, self._make_tracker, self._first_pass_report = components, make_tracker, first_pass
         self._learned: Learned = {}  # in the first of two passes, once the second has begun
-        known = None if options.load_model is None else load_model(options.load_model, recording.cameras)
+        self._name, load = name, options.load_model
+        known = None if load is None else load_model(load, recording.cameras, name)
         self.tracker = make_tracker(known)
         self._record = head_record(name, recording, config, options)
 
@@ -174,7 +175,7 @@ class HeadRun(Run):
         return second_pass_checkpoint(self.tracker, reached, frames, self._learned)
 
     def _ended(self, writer: ResultWriter, state: Any) -> dict[str, str]:
-        data = model_bytes(self._learned_by(state), self._recording.cameras)
+        data = model_bytes(self._learned_by(state), self._recording.cameras, self._name)
         writer.attach(ATTACHMENT, MEDIA_TYPE, data)
         if self._options.save_model is not None:
             save_model(self._options.save_model, data)

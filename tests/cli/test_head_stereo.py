@@ -13,9 +13,15 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.estimates import components_of
 from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.stereo_tracker import make_stereo_tracker
+from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import load_arrays, read_result
+from posetrack_cli.tracking.options import RunOutcome
 
 ASIDE = ((1.0, 0.0, 0.0, -120.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 CAMERAS = (
@@ -150,6 +156,31 @@ def test_a_second_pass_equals_a_run_with_the_saved_model(made: Path, tracked: Pa
         np.testing.assert_array_equal(mine[name], theirs[name], err_msg=name)
     assert np.any(mine["position"] != once["position"])
     assert read_result(twice).run["passes"] == "2"
+
+
+@pytest.mark.parametrize(("passes", "frames"), [(1, 5), (2, 14)])
+def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
+    made: Path, tmp_path: Path, passes: int, frames: int
+) -> None:
+    config = HeadStereoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 3}})
+    source = open_images(made)
+
+    def track(name: str, stop_after: int = 0, *, resume: bool = False) -> RunOutcome:
+        asked = iter(range(1, 1000))
+        return HeadRun(
+            source,
+            config,
+            HeadRunOptions(tmp_path / name, passes=passes, resume=resume),
+            name="head-stereo",
+            components=components_of(config),
+            flush_frames=config.output.flush_frames,
+            make_tracker=lambda known: make_stereo_tracker(config, source.cameras, known),
+        ).track(lambda estimate: None, lambda: next(asked) == stop_after)
+
+    track("whole.mcap")
+    assert track("cut.mcap", frames).stopped
+    assert track("cut.mcap", resume=True).tracked < 10 * passes
+    assert filecmp.cmp(tmp_path / "whole.mcap", tmp_path / "cut.mcap", shallow=False)
 
 
 def test_clicked_points_begin_a_run(

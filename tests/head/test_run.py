@@ -29,6 +29,7 @@ from posetrack_cli.results.export.text_formats import csv_text
 from posetrack_cli.tracking.options import RunOutcome
 
 Track = Callable[..., RunOutcome]
+NAME = "head-stereo"
 
 
 def ignored(estimate: Estimate) -> None:
@@ -56,7 +57,7 @@ def track(tmp_path: Path) -> Track:
             recording,
             HeadStereoConfig(),
             chosen,
-            name="head-stereo",
+            name=NAME,
             components=COMPONENTS,
             flush_frames=3,
             make_tracker=FakeTracker,
@@ -93,7 +94,7 @@ def test_a_result_holds_cameras_numbers_and_what_was_learned(track: Track, tmp_p
     assert np.isnan(numbers["contribution_ratio"][:3]).all()
     assert numbers["contribution_ratio"][3:].tolist() == [0.5] * 9
     assert numbers["learnt_frames"].tolist() == [0, 0, *range(1, 11)]
-    assert load_model(result.path, CAMERAS)["counts"] == [10]
+    assert load_model(result.path, CAMERAS, NAME)["counts"] == [10]
 
 
 def test_topics_of_two_cameras_and_of_one(track: Track, tmp_path: Path) -> None:
@@ -163,7 +164,9 @@ def test_the_second_pass_begins_with_what_the_first_learned(track: Track, tmp_pa
     once, twice = (load_arrays(tmp_path / name)["points"] for name in ("once.mcap", "twice.mcap"))
     assert np.abs(twice[2] - once[2]).max() > 0.9  # ten frames' worth of mean
     assert read_result(tmp_path / "twice.mcap").summary["passes"] == "2"
-    assert load_model(tmp_path / "twice.mcap", CAMERAS)["mean"][0, 0] == pytest.approx(2 * 1.065, abs=0.02)
+    assert load_model(tmp_path / "twice.mcap", CAMERAS, NAME)["mean"][0, 0] == pytest.approx(
+        2 * 1.065, abs=0.02
+    )
 
 
 def test_a_result_serves_as_a_model(track: Track, tmp_path: Path) -> None:
@@ -202,11 +205,17 @@ def test_no_face_is_told_and_leaves_nothing(track: Track, tmp_path: Path) -> Non
 
 
 def test_a_model_of_other_cameras_is_refused(track: Track, tmp_path: Path) -> None:
-    (tmp_path / "one.npz").write_bytes(model_bytes({"mean": np.zeros((10, 3))}, CAMERAS[:1]))
+    (tmp_path / "one.npz").write_bytes(model_bytes({"mean": np.zeros((10, 3))}, CAMERAS[:1], NAME))
     with pytest.raises(UsageError, match="another number of cameras, found 1, expected 2"):
         track(Memory(), load_model=tmp_path / "one.npz")
     assert not (tmp_path / "r.mcap").exists()
     assert not part_path(tmp_path / "r.mcap").exists()
+
+
+def test_a_model_of_another_tracker_is_refused(track: Track, tmp_path: Path) -> None:
+    (tmp_path / "mono.npz").write_bytes(model_bytes({"mean": np.zeros((10, 3))}, CAMERAS, "head-mono"))
+    with pytest.raises(UsageError, match="another tracker, found head-mono, expected head-stereo"):
+        track(Memory(), load_model=tmp_path / "mono.npz")
 
 
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04 nonsense", b"\x89MCAP0\r\n and no more"])
@@ -221,7 +230,7 @@ def test_a_file_that_is_no_model_is_one_line(track: Track, tmp_path: Path, data:
 def test_a_result_without_model_is_none(tmp_path: Path, track: Track) -> None:
     track(Memory(), stopped=after(5))
     with pytest.raises(ResultError, match=r"holds no attachment 'model\.npz', found none"):
-        load_model(part_path(tmp_path / "r.mcap"), CAMERAS)
+        load_model(part_path(tmp_path / "r.mcap"), CAMERAS, NAME)
 
 
 def test_a_model_is_not_written_over(track: Track, tmp_path: Path) -> None:
