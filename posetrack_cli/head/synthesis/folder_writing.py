@@ -6,6 +6,8 @@ import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.head.synthesis.encoding import SUFFIXES, encoded
 from posetrack_cli.head.synthesis.frames import Plan, SyntheticHeadFrame
@@ -76,9 +78,8 @@ def _write(
     record: Mapping[str, str],
 ) -> None:
     names = [f"{index:06d}{SUFFIXES[image_format]}" for index in range(len(plan.stamps_ns))]
-    taken = ~plan.dropped.all(axis=0)
-    stamped = zip(names, plan.stamps_ns.tolist(), taken.tolist(), strict=True)
-    rows = [f"{name},{stamp}\n" for name, stamp, is_taken in stamped if is_taken]
+    taken = np.flatnonzero((~plan.dropped).any(axis=0)).tolist()
+    rows = [f"{names[index]},{int(plan.stamps_ns[index])}\n" for index in taken]
     (folder / STAMPS_FILE_NAME).write_text("".join(["filename,stamp_ns\n", *rows]), encoding="utf-8")
     comments = ["Cameras of a synthetic recording; the truth is in truth.mcap."]
     (folder / CAMERA_FILE_NAME).write_text(camera_file_text(plan.cameras, comments), encoding="utf-8")
