@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, Loss, TruthMessage
@@ -203,6 +204,17 @@ class Result:
         names = self.subject.shape_names, self.subject.point_names, self.subject.number_names
         fields = fields or self.field_names
         return joined(self.column_blocks(topic, fields)) or empty_columns(fields, *map(len, names))
+
+    def numbers(self) -> dict[str, FloatArray]:
+        """Return the further numbers of the result's own estimates, (N,) by name; NaN where one is not known.
+
+        Raises:
+            ResultError: as of ``columns``.
+        """
+        names = self.subject.number_names
+        if not names:
+            return {}
+        return dict(zip(names, self.columns(fields=(NUMBERS,))[NUMBERS].T, strict=True))
 
     def truth(self) -> Iterator[TruthMessage]:
         """Yield the messages of ground truth undecoded, in file order."""

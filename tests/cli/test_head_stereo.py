@@ -140,6 +140,15 @@ def test_a_made_head_is_tracked_and_measured_against_its_own_truth(tracked: Path
     assert result.truth_topics
 
 
+def test_a_page_shows_the_worst_frames(
+    made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.html"
+    assert run(["eval", str(tracked), "--recording", str(made), "--html", str(page)]) == 0
+    assert not capsys.readouterr().err
+    assert page.read_text().count("data:image/png;base64,") >= 1
+
+
 def test_the_same_options_give_the_same_bytes_and_others_do_not(made: Path, tracked: Path) -> None:
     again, other = made.with_name("again.mcap"), made.with_name("other.mcap")
     assert stereo(made, again) == stereo(made, other, "--seed", "1") == 0

@@ -88,7 +88,8 @@ def test_a_result_holds_cameras_numbers_and_what_was_learned(track: Track, tmp_p
     assert result.cameras() == CAMERAS  # exact, extrinsics too
     assert result.camera() == CAMERAS[0]
     assert result.subject.number_names[0] == "eigenvalue_1_mm2"
-    numbers = dict(zip(result.subject.number_names, load_arrays(result.path)["numbers"].T, strict=True))
+    numbers = result.numbers()
+    assert tuple(numbers) == result.subject.number_names
     assert numbers["eigenvalue_1_mm2"].tolist() == [4.0] * 12
     assert np.isnan(numbers["eigenvalue_2_mm2"]).all()  # not learnt yet
     assert np.isnan(numbers["contribution_ratio"][:3]).all()
