@@ -43,6 +43,20 @@ def test_records_come_back_in_reverse(tmp_path: Path, monkeypatch, block: int, c
         assert_holds(reversed(spool), list(range(count))[::-1])
 
 
+def test_values_keep_their_types(tmp_path: Path) -> None:
+    """An image of single precision takes half the room of doubles."""
+    values = {"image": np.arange(6, dtype=np.float32).reshape(2, 3), "few": np.asarray(-7, dtype=np.int16)}
+    with RecordSpool(tmp_path / "spool") as spool:
+        spool.append(values)
+        spool.append(values)
+        back = next(reversed(spool))
+    for name, expected in values.items():
+        np.testing.assert_array_equal(back[name], expected)
+        assert back[name].dtype == expected.dtype
+    header = (tmp_path / "spool").read_bytes().index(b"\n") + 1
+    assert (tmp_path / "spool").stat().st_size == header + 2 * (6 * 4 + 2)
+
+
 def test_reading_does_not_disturb_writing(tmp_path: Path) -> None:
     with filled(tmp_path / "spool", 3) as spool:
         next(reversed(spool))
