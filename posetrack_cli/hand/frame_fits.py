@@ -3,7 +3,7 @@
 What a fit is worth is told by what it leaves (**[ours]**): the filter, which has to try all poses by one
 measure, takes a pixel's noise from the sensor; here it is taken from the fit's own union cost D, the mean
 absolute residual, so sigma = sqrt(pi / 2) D. Where a hand is seen well, information is some ten times that of
-the filter's fits, and where half of it is hidden or cut off, a hundredth.
+the filter's fits, and where half of it is hidden or cut off, a tenth.
 """
 
 from __future__ import annotations
