@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from reproduction.heads_data import camera_file_text, frame_rate
 
 from posetrack_cli.recording.rig_file import load_rig
+from reproduction.heads_data import camera_file_text, frame_rate
 
 
 def test_a_calibration_becomes_a_camera_file(tmp_path: Path) -> None:
