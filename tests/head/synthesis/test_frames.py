@@ -120,7 +120,8 @@ def test_an_object_hides_one_half_of_the_face_only(context: Any) -> None:
     index = round((plan.passing.start_s + 0.5) * 10.0)
     hidden = list(render_plan(plan, options, context=context))[index]
     plain = list(synthesise(options, context=context))[index]
-    changed = np.abs(hidden.images[0].astype(int) - plain.images[0]) > 4
+    difference = np.abs(hidden.images[0].astype(float) - plain.images[0])
+    changed = cv2.blur(difference, (9, 9)) > 4.0  # the object may be as grey as a single pixel of the face
     ten = np.rint(pixels(plan.cameras[0], plain)).astype(int)
     covered = changed[ten[:, 1], ten[:, 0]]
     expected = ten[:, 0] > ten[:, 0].mean() if plan.passing.side > 0 else ten[:, 0] < ten[:, 0].mean()
