@@ -1,0 +1,1 @@
+"""What the stereo head tracker reaches, part by part."""
