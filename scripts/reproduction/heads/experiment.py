@@ -125,7 +125,7 @@ def _of_configuration(options: Options, task: Task, title: str, pair: tuple[str,
     figures.poses_over_time(graph, tracks, courses, contribution, parts)
     yield f"### `{title}`"
     yield ""
-    yield "Figure 3.9: rigid model left, deformable model right."
+    yield "Figure 3.9: both cameras, rigid model above, deformable model below."
     yield ""
     yield f"![Poses and points of both models on the images]({pictures.name})"
     yield ""

@@ -16,9 +16,9 @@ from reproduction.figures import STYLE, save
 from reproduction.heads.measuring import FOLLOWED, MOVING_MM, Course
 
 LABELS = ("x, mm", "y, mm", "z, mm", "roll, deg", "pitch, deg", "yaw, deg")
-COLOURS = {"truth": "#222222", "rigid": "#d55e00", "deformable": "#0072b2"}  # told apart by the colour-blind
-WIDTHS = {"truth": 0.8, "rigid": 0.7, "deformable": 1.5}
-"""Thin and thick as in the thesis."""
+COLOURS = {"truth": "#bbbbbb", "rigid": "#d55e00", "deformable": "#0072b2"}  # told apart by the colour-blind
+WIDTHS = {"truth": 3.0, "rigid": 0.7, "deformable": 1.5}
+"""Thin and thick as in the thesis, above the truth."""
 
 
 def pose_columns(track: Track) -> FloatArray:

@@ -19,6 +19,7 @@ import click
 
 import posetrack_cli
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.head.face import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.identity import files_digest
 from reproduction.accuracy.tasks import code_digest, command
@@ -27,7 +28,6 @@ from reproduction.heads_data import camera_file_text, frame_rate
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
 DRAWING = (
     "head/synthesis/*.py",
-    "head/face.py",
     "head/pose.py",
     "geometry/camera.py",
     "geometry/distortion.py",
@@ -36,7 +36,7 @@ DRAWING = (
     "rendering/textured.py",
     "rendering/shaders/textured.*",
 )
-"""What a synthetic recording's images and truth come from."""
+"""What a synthetic recording's images and truth come from, beside the mean face."""
 ENTRANTS: dict[str, tuple[str, ...]] = {
     "deformable": (),
     "deformable-2": ("--passes", "2"),
@@ -163,7 +163,8 @@ def _result_stamp(task: Task, entrant: str) -> str:
 
 def _recording_stamp(task: Task) -> str:
     """What a recording depends on."""
-    return _stamp({"recording": task.synthetic, "code": drawing_digest()})
+    face = [MEAN_SHAPE.tolist(), SHAPE_SD.tolist()]
+    return _stamp({"recording": task.synthetic, "face": face, "code": drawing_digest()})
 
 
 def _stamp(values: Mapping[str, object]) -> str:
