@@ -28,7 +28,7 @@ class ModelSettings(Settings):
     kind: Literal["deformable", "rigid"] = "deformable"
     components: Annotated[int, Field(ge=1, le=20)] = 5
     rigid_frames: Annotated[int, Field(ge=0)] = 120
-    mean_rate: Fraction = 0.1
+    mean_rate: Fraction = 0.02
     facing_deg: Positive = 25.0
     least_mm: NotNegative = 3.0
     most_mm: Positive = 40.0
@@ -48,27 +48,28 @@ class RefinementSettings(Settings):
     """The refinement of pose, deformation and points after the particle filter **[ours]**.
 
     Patches are compared as vectors of zero mean and unit norm; each comparison has a weight (``reference``,
-    ``previous``, ``between_cameras``, ``keyframe``), times the point's visibility, times
-    ((ncc - ``correlation_floor``) / (1 - floor)) ^ ``correlation_power``. ``patch_sd`` is the standard
-    deviation of one such vector's difference per unit of weight. A point's residual is Student-t of
-    ``degrees_of_freedom`` with the sd of ``residual_mm``; in the recalculation of points, with the pose held,
-    of ``recalculation_mm``, and of a shape that was just found of ``settling_mm``. Without ``joint`` the
-    filter's pose stays. ``recalculation = "printed"`` is the thesis's: raw intensities, ``rho`` and
-    ``epsilon`` of (3.3) and (3.5).
+    ``previous``, ``between_cameras``, ``keyframe``), times the point's visibility (a cosine) to the power
+    ``visibility_power``, times ((ncc - ``correlation_floor``) / (1 - floor)) ^ ``correlation_power``.
+    ``patch_sd`` is the standard deviation of one such vector's difference per unit of weight. A point's
+    residual is Student-t of ``degrees_of_freedom`` with the sd of ``residual_mm``; in the recalculation of
+    points, with the pose held, of ``recalculation_mm``; of a shape that was just found of ``settling_mm``.
+    Without ``joint`` the filter's pose stays. ``recalculation = "printed"`` is the thesis's: raw
+    intensities, ``rho`` and ``epsilon`` of (3.3) and (3.5).
     """
 
     joint: bool = True
     iterations: Count = 3
     recalculation_iterations: Count = 2
     reference: NotNegative = 1.0
-    keyframe: NotNegative = 1.0
+    keyframe: NotNegative = 2.0
     previous: NotNegative = 1.0
     between_cameras: NotNegative = 4.0
     correlation_floor: Fraction = 0.2
     correlation_power: NotNegative = 6.0
-    patch_sd: Positive = 0.3
+    patch_sd: Positive = 0.4
+    visibility_power: Positive = 0.3
     degrees_of_freedom: Positive = 4.0
-    residual_mm: PointSettings = PointSettings(eyes=0.4, mouth=3.0, nostrils=3.0, brows=2.0)
+    residual_mm: PointSettings = PointSettings(eyes=0.8, mouth=2.5, nostrils=3.0, brows=0.9)
     recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=5.0, nostrils=2.5, brows=2.0)
     settling_mm: Positive = 20.0
     recalculation: Literal["joint", "printed"] = "joint"

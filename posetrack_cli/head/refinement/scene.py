@@ -116,7 +116,7 @@ def make_scene(
     return Scene(
         _cut_images(images, projection.pixels),
         _optics(cameras, projection),
-        _targets(sets, previous, now, seen, settings),
+        _targets(sets, previous, now, seen**settings.visibility_power, settings),
         _robustness(settings),
         _raw(sets[0], previous, settings),
     ), seen
@@ -170,8 +170,8 @@ def _targets(
 
 def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Compare each camera with the first that gave an image."""
-    first, *others = [*np.flatnonzero(seen.any(axis=1)), 0][:-1] or [0]
-    pairs = np.array([(c, first) for c in others], dtype=np.int64).reshape(-1, 2)
+    there = np.flatnonzero(seen.any(axis=1))
+    pairs = np.array([(c, there[0]) for c in there[1:]], dtype=np.int64).reshape(-1, 2)
     warps = warps_between(now[pairs[:, 0]], now[pairs[:, 1]])
     weights = weight * np.minimum(seen[pairs[:, 0]], seen[pairs[:, 1]])
     return pairs, warps, np.where(np.isnan(warps[..., 0, 0]), 0.0, weights)
