@@ -17,6 +17,7 @@ from posetrack_cli.configuration import (
 )
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.head.config import HeadStereoConfig
 
 
 class Inner(Settings):
@@ -216,9 +217,18 @@ def test_the_shipped_hand_configurations_state_every_default() -> None:
     assert set(leaves(HandConfig().model_dump())) - optional == set(stated) - optional
 
 
+def test_the_shipped_head_configuration_states_every_default() -> None:
+    path, defaults = find_configuration("head-stereo"), HeadStereoConfig()
+    assert load_settings(HeadStereoConfig, path, {}) == defaults
+    optional = {key for key, value in leaves(defaults.model_dump()).items() if value is None}
+    assert set(leaves(defaults.model_dump())) - optional == set(leaves(tomllib_of(path)))
+
+
 def test_every_shipped_configuration_can_be_loaded() -> None:
-    for path in find_configuration("hand").parent.glob("hand*.toml"):
-        load_settings(HandConfig, path, {})
+    shipped = list(find_configuration("hand").parent.glob("*.toml"))
+    assert {path.name.split("-")[0].removesuffix(".toml") for path in shipped} == {"hand", "head"}
+    for path in shipped:
+        load_settings(HandConfig if path.name.startswith("hand") else HeadStereoConfig, path, {})
 
 
 def tomllib_of(path: Path) -> dict[str, object]:

@@ -70,12 +70,11 @@ class RefinementSettings(Settings):
     visibility_power: Positive = 0.3
     degrees_of_freedom: Positive = 4.0
     residual_mm: PointSettings = PointSettings(eyes=0.8, mouth=2.5, nostrils=3.0, brows=0.9)
-    recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=5.0, nostrils=2.5, brows=2.0)
+    recalculation_mm: PointSettings = PointSettings(eyes=1.0, mouth=12.0, nostrils=2.5, brows=2.0)
     settling_mm: Positive = 20.0
     recalculation: Literal["joint", "printed"] = "joint"
     rho: NotNegative = 4.0
     epsilon: NotNegative = 2000.0
-    rigid_motion_mm: NotNegative = 3.0
     keyframe_deg: Positive = 10.0
     keyframe_neutral_mm: Positive = 3.0
     keyframe_correlation: Fraction = 0.7
