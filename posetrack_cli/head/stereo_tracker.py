@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
@@ -20,6 +19,7 @@ from posetrack_cli.head.following import Followed, Follower, Following, Images
 from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
 from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.start.start import NoStart, Start, find_start
@@ -167,7 +167,7 @@ class StereoTracker:
         search = state.search.failed(failure)
         if search.images_exchanged:
             names = [camera.name for camera in self._cameras]
-            raise RecordingError(
+            raise NoFaceError(
                 "the cameras' images seem to be exchanged",
                 found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
                 + ", ".join(names[c] for c in search.order),
