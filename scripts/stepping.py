@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,8 +18,15 @@ from posetrack_cli.recording.base import Frame
 FRAME_NS = 33_333_333
 
 
+class Stepping(Protocol):
+    """Whatever tracks a frame and tells how long it took."""
+
+    def step(self, index: int, shown: Any) -> float:
+        """Track what a frame shows; return the seconds it took."""
+
+
 class Walker:
-    """A tracker that is timed step by step.
+    """A hand tracker that is timed step by step.
 
     Args:
         context: GL context.
@@ -34,24 +41,24 @@ class Walker:
         pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
         self.state: Any = self.tracker.start(pose, 0, self.rng)
 
-    def step(self, index: int, depth: Any) -> float:
-        """Track one frame; return the seconds it took."""
-        frame = Frame(index, index * FRAME_NS, (depth,))
+    def step(self, index: int, shown: Any) -> float:
+        """Track one depth image; return the seconds it took."""
+        frame = Frame(index, index * FRAME_NS, (shown,))
         began = time.perf_counter()
         self.state, _ = self.tracker.step(self.state, frame, self.rng)
         return time.perf_counter() - began
 
 
-def in_turn(walkers: Mapping[str, Walker], recorded: Sequence[Any], warm_up: int) -> dict[str, list[float]]:
-    """Let walkers track the same images, frame by frame in turn and in both orders.
+def in_turn(walkers: Mapping[str, Stepping], recorded: Sequence[Any], warm_up: int) -> dict[str, list[float]]:
+    """Let walkers track the same frames, one by one in turn and in both orders.
 
     Returns:
         For each the seconds of every frame after the first ``warm_up``.
     """
     times: dict[str, list[float]] = {name: [] for name in walkers}
-    for index, depth in enumerate(recorded):
+    for index, shown in enumerate(recorded):
         for name in list(walkers)[:: 1 if index % 2 else -1]:
-            seconds = walkers[name].step(index, depth)
+            seconds = walkers[name].step(index, shown)
             if index >= warm_up:
                 times[name].append(seconds)
     return times

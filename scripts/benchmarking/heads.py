@@ -1,0 +1,127 @@
+"""What a frame of a head costs: in the tracker alone, against the number of particles, from file to file."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarking.commands import peak_memory
+from benchmarking.lengths import Lengths
+from benchmarking.recordings import link_head_recording, there_and_back
+from benchmarking.rows import Row, median_ms, median_of_pairs
+from posetrack_cli.configuration import load_settings
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.estimates import components_of
+from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.stereo_tracker import make_stereo_tracker
+from posetrack_cli.head.synthesis.options import HeadSynthOptions
+from posetrack_cli.head.synthesis.writing import write_synthetic
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.opening import open_images
+from posetrack_cli.results.estimate import Status
+from stepping import FRAME_NS, in_turn
+
+FEW, MANY = 1000, 5000
+FPS = 30.0
+TRACKING_MS = 1e3 / 150.0
+FILES_MS = 1e3 / 60.0
+INDEPENDENT = 1.25
+"""Five times the particles may cost a quarter more."""
+SETTLING = 5
+"""Steps left out before times are taken: the search for the face, and caches."""
+
+
+class HeadWalker:
+    """A head tracker that is timed step by step.
+
+    Args:
+        config: of the tracker.
+        cameras: of the recording.
+    """
+
+    def __init__(self, config: HeadStereoConfig, cameras: Sequence[Camera]) -> None:
+        self._tracker = make_stereo_tracker(config, cameras)
+        self._rng = np.random.default_rng(0)
+        self._state: Any = None
+        self.tracked = 0
+
+    def step(self, index: int, shown: Any) -> float:
+        """Track one frame of images; return the seconds it took."""
+        frame = Frame(index, (index + 1) * FRAME_NS, shown)
+        if self._state is None:
+            self._state = self._tracker.start(frame, self._rng)
+        began = time.perf_counter()
+        self._state, estimate = self._tracker.step(self._state, frame, self._rng)
+        seconds = time.perf_counter() - began
+        self.tracked += estimate.status == Status.TRACKING
+        return seconds
+
+
+def heads(lengths: Lengths) -> Iterator[Row]:
+    """Rows of a synthetic head, which is made once."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_synthetic(HeadSynthOptions(frames=lengths.head_frames, fps=FPS), folder / "seen")
+        yield from tracking_alone(folder / "seen", lengths.head_steps)
+        link_head_recording(folder / "long", folder / "seen", lengths.head_memory)
+        yield from file_to_file(folder, lengths.head_steps)
+        command = ["head", "stereo", str(folder / "long"), "--fps", str(FPS)]
+        yield from peak_memory("head stereo", command, lengths.head_memory, folder)
+
+
+def configuration(particles: int) -> HeadStereoConfig:
+    """The defaults with so many particles."""
+    return load_settings(HeadStereoConfig, None, {"particles.count": particles})
+
+
+def tracking_alone(path: Path, steps: int) -> Iterator[Row]:
+    """The same images through trackers of few and many particles in turn.
+
+    The face is rigid in the first frames and deformable afterwards, which costs more.
+    """
+    recording = open_images(path)
+    images = [frame.images for frame in recording.frames()]
+    shown = [images[index] for index in there_and_back(len(images), steps)]
+    configs = {str(count): configuration(count) for count in (FEW, MANY)}
+    walkers = {name: HeadWalker(config, recording.cameras) for name, config in configs.items()}
+    times = in_turn(walkers, shown, SETTLING)
+    yield from tracking_rows(times, configs[str(FEW)].model.rigid_frames - SETTLING)
+    untracked = max(steps - walker.tracked for walker in walkers.values())
+    yield Row("  frames of them in which the head was lost", untracked, "", 0.0)
+
+
+def tracking_rows(times: Mapping[str, Sequence[float]], rigid: int) -> Iterator[Row]:
+    """Rows of times by number of particles, of which so many are of a rigid face."""
+    few, many = times[str(FEW)], times[str(MANY)]
+    name = f"head stereo, N = {FEW}, tracking alone"
+    yield Row(f"{name}, rigid face", median_ms(few[:rigid]), "ms", TRACKING_MS)
+    learnt = median_ms(few[rigid:])
+    yield Row(f"{name}, learnt face", learnt, "ms", TRACKING_MS)
+    yield Row("  that is", 1e3 / learnt, "frames/s")
+    ratio = median_of_pairs(many[rigid:], few[rigid:])
+    yield Row(f"head stereo, N = {MANY} / N = {FEW}, median of pairs", ratio, "", INDEPENDENT)
+
+
+def file_to_file(folder: Path, frames: int) -> Iterator[Row]:
+    """A whole run from JPEG files to a finished result, the search for the face included."""
+    recording, config = open_images(folder / "long", fps=FPS), configuration(FEW)
+    options = HeadRunOptions(folder / "result.mcap", end=frames)
+    run = HeadRun(
+        recording,
+        config,
+        options,
+        name="head-stereo",
+        components=components_of(config),
+        flush_frames=config.output.flush_frames,
+        make_tracker=lambda known: make_stereo_tracker(config, recording.cameras, known),
+    )
+    outcome = run.track(lambda estimate: None)
+    value = 1e3 * outcome.seconds / outcome.tracked
+    yield Row(f"head stereo, N = {FEW}, JPEG files to finished MCAP", value, "ms", FILES_MS)
+    yield Row("  that is", 1e3 / value, "frames/s")

@@ -1,0 +1,26 @@
+"""What figures were measured on."""
+
+from __future__ import annotations
+
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+from posetrack_cli import __version__
+from posetrack_cli.rendering.context import describe
+
+
+def describe_machine(context: Any) -> dict[str, str]:
+    """Processor, cores, load, Python, renderer."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return {
+        "posetrack": __version__,
+        "processor": models[0] if models else platform.processor(),
+        "cores": str(os.cpu_count()),
+        "load": f"{os.getloadavg()[0]:.2f}",
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "renderer": str(describe(context)),
+    }
