@@ -23,6 +23,8 @@ POSE = 6
 STEP = 1e-6
 """Relative step of central differences: half of float64's digits and a bit."""
 TOLERANCE = 1e-9
+MOST_STEPS = 60
+"""Views that belong together need about ten; for others no number of steps is enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,8 @@ def adjust(
 ) -> JointFit:
     """Adjust intrinsics, distortion and places of the cameras and the poses of the board together.
 
+    Ends after ``MOST_STEPS`` if nothing fits, which the errors then tell.
+
     Args:
         cameras: to start from, the reference first.
         views: of each camera.
@@ -63,6 +67,7 @@ def adjust(
         ftol=TOLERANCE,
         xtol=TOLERANCE,
         gtol=TOLERANCE,
+        max_nfev=MOST_STEPS,
     )
     adjusted = problem.cameras(found.x)
     squares = np.sum(found.fun.reshape(-1, 2) ** 2, axis=1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,6 +123,18 @@ def shared_views(
     return shared
 
 
+@contextmanager
+def _in_one_thread() -> Iterator[None]:
+    """OpenCV's calibration adds up in the order its threads end: the last digits would differ by run."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+@_in_one_thread()
 def _calibrate(boards: list[FoundBoard | None], views: CameraViews, board: Board, distortion: str) -> Any:
     """Return OpenCV's RMS, matrix, coefficients, deviations of intrinsics and errors per view."""
     objects = [board.points[found.ids].astype(np.float32) for found in boards if found is not None]
@@ -138,6 +151,7 @@ def _calibrate(boards: list[FoundBoard | None], views: CameraViews, board: Board
     return float(rms), matrix, coefficients.ravel(), deviations.ravel(), errors.ravel()
 
 
+@_in_one_thread()
 def _relative(
     first: Camera, second: Camera, views: CameraViews, others: CameraViews, used: BoolArray, board: Board
 ) -> FloatArray:
