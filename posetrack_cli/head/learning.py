@@ -10,6 +10,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.head.ccipca import Ccipca, begun
 from posetrack_cli.head.config import ModelSettings
+from posetrack_cli.head.keyframes import angle_deg
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.shape_model import ShapeModel, rigid_model
 
@@ -84,7 +85,7 @@ def known_face(statistics: Ccipca, frames: int, settings: ModelSettings) -> Face
 def off_axis_deg(pose: HeadPose) -> float:
     """Return the angle, degrees, between the direction out of the face and that to the reference camera."""
     towards = -pose.position / np.linalg.norm(pose.position)
-    return float(np.degrees(np.arccos(np.clip(pose.facing @ towards, -1.0, 1.0))))
+    return angle_deg(pose.facing, towards)
 
 
 def _model(statistics: Ccipca, settings: ModelSettings) -> ShapeModel:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.configuration import Settings
+from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, Learned, load_model, model_bytes, save_model
 from posetrack_cli.head.passes import (
@@ -92,8 +93,7 @@ class HeadRun(Run):
         self._components, self._make_tracker, self._first_pass_report = components, make_tracker, first_pass
         self._learned: Learned = {}  # in the first of two passes, once the second has begun
         self._name, load = name, options.load_model
-        known = None if load is None else load_model(load, recording.cameras, name)
-        self.tracker = make_tracker(known)
+        self.tracker = make_tracker(None) if load is None else self._knowing(load)
         self._record = head_record(name, recording, config, options)
 
     def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
@@ -108,6 +108,14 @@ class HeadRun(Run):
             for path in (part_path(self._options.output), state_path(self._options.output)):
                 path.unlink(missing_ok=True)
             raise
+
+    def _knowing(self, path: Path) -> HeadTracker[Any]:
+        """Return a tracker that begins with a model file, by whose name whatever is wrong with it is told."""
+        learned = load_model(path, self._recording.cameras, self._name)
+        try:
+            return self._make_tracker(learned)
+        except ResultError as error:
+            raise ResultError(str(error), where=path) from error
 
     def _subject(self) -> Subject:
         return head_subject(self._recording.cameras[0].name, self._components)

@@ -12,6 +12,7 @@ import numpy as np
 from posetrack_cli.head.ccipca import Ccipca
 from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.following import Following
+from posetrack_cli.head.learned_arrays import check_learned
 from posetrack_cli.head.learning import FaceLearning, known_face
 from posetrack_cli.head.particles import HeadParticles
 from posetrack_cli.head.pose import HeadPose
@@ -69,6 +70,18 @@ def state_of(
     following = _following_of(arrays, numbers["stamp_ns"]) if "stamp_ns" in numbers else None
     search = _search_of(arrays) if "search.best" in arrays else Search()
     return StereoState(face, sets, following, numbers.get("lost", 0), search)
+
+
+def known_state(
+    learned: Mapping[str, np.ndarray[Any, Any]], cameras: int, settings: ModelSettings
+) -> StereoState:
+    """Return the state that begins with a face and templates that another tracker has learned.
+
+    Raises:
+        ResultError: arrays are missing, or not what a stereo tracker with so many cameras learns.
+    """
+    check_learned(learned, cameras)
+    return StereoState(_face_of(learned, settings), _templates_of(learned, "sets"))
 
 
 def _search_parts(search: Search) -> Arrays:

@@ -18,18 +18,16 @@ from posetrack_cli.head.estimates import followed_estimate, searched_estimate
 from posetrack_cli.head.following import Followed, Follower, Following, Images
 from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
+from posetrack_cli.head.motion import FRAME_S
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.start.start import NoStart, Start, find_start
-from posetrack_cli.head.stereo_state import StereoState, parts_of, state_of
+from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of, state_of
 from posetrack_cli.head.templates import TemplateSet, take_templates
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-
-USUAL_STEP_S = 1.0 / 30.0
-"""Between two frames, where there is only one."""
 
 
 class FindStart(Protocol):
@@ -47,6 +45,9 @@ class StereoTracker:
         cameras: of the recording, the reference first.
         find_start: finds a face in one frame.
         known: what another tracker has ``learned``: model and templates to begin with.
+
+    Raises:
+        ResultError: ``known`` is not what a stereo tracker with these cameras learns.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class StereoTracker:
         self._config, self._cameras, self._find_start = config, tuple(cameras), find_start
         self._follower = Follower(config, self._cameras)
         self._steadiness = point_values(config.refinement.residual_mm) ** -2
-        self._known = state_of(known, {}, config.model) if known else StereoState()
+        self._known = StereoState() if known is None else known_state(known, len(self._cameras), config.model)
 
     def start(self, frame: Frame, rng: np.random.Generator) -> StereoState:
         """Return the state before a first frame, in which the head has yet to be found."""
@@ -177,11 +178,10 @@ class StereoTracker:
         return replace(state, search=search)
 
     def _gap_ns(self, state: StereoState, frame: Frame) -> int:
-        return (
-            round(USUAL_STEP_S * 1e9)
-            if state.following is None
-            else frame.stamp_ns - state.following.stamp_ns
-        )
+        """Time since the head was last seen; the usual one between two frames if it was not."""
+        if state.following is None:
+            return round(FRAME_S * 1e9)
+        return frame.stamp_ns - state.following.stamp_ns
 
     def _laid_on(self, mean: FloatArray, found: Start) -> HeadPose:
         """The pose in which the known shape lies best on the points that were found."""
@@ -235,7 +235,7 @@ def started(following: Following, found: Start, face: FaceLearning) -> Followed:
         coefficients=nothing,
         coefficient_rate=nothing,
         variance=particles.variance(),
-        dt=USUAL_STEP_S,
+        dt=FRAME_S,
         correlations=np.full(len(found.shape), found.score),
         weights=np.full(len(found.shape), found.score),
         score=found.score,
