@@ -40,13 +40,6 @@ def fundamental_matrix(first: Camera, second: Camera) -> FloatArray:
     return matrix
 
 
-def epipolar_lines(fundamental: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return the lines (..., 3) a u + b v + c = 0, a^2 + b^2 = 1, in the second image of pixels (..., 2)."""
-    lines = _homogeneous(pixels) @ fundamental.T
-    unit: FloatArray = lines / np.linalg.norm(lines[..., :2], axis=-1, keepdims=True)
-    return unit
-
-
 def sampson_distance(fundamental: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
     """Return Sampson's distance, pixels: to first order, how far the four coordinates are from a true pair.
 

@@ -12,8 +12,8 @@ def rigid_alignment(
 ) -> tuple[FloatArray, FloatArray]:
     """Return R (3, 3) and t (3,) that minimise sum_k w_k |R a_k + t - b_k|^2 (Kabsch 1976).
 
-    With both sets about their weighted means, H = sum_k w_k a_k b_k^T = U S V^T and R = V D U^T, D = diag(1, 1,
-    det(V U^T)) so that no mirror image is taken.
+    With both sets about their weighted means, H = sum_k w_k a_k b_k^T = U S V^T and R = V D U^T, with
+    D = diag(1, 1, det(V U^T)) so that no mirror image is taken.
 
     Args:
         source: (K, 3) a.

@@ -62,7 +62,6 @@ def searched_estimate(
     following: Following | None,
     face: FaceLearning | None,
     config: HeadStereoConfig,
-    score: float = np.nan,
 ) -> Estimate:
     """Return the estimate of a frame in which the head was not found: where it was last, status lost."""
     count = components_of(config)
@@ -86,7 +85,7 @@ def searched_estimate(
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=_numbers(face, score, None).array(count),
+        numbers=_numbers(face, np.nan, None).array(count),
     )
 
 

@@ -90,13 +90,10 @@ class Filtered:
 
     Attributes:
         particles: to go on with; their reference is the estimate.
-        score: mean correlation of the visible points at the estimate's heaviest particle, -1 to 1; 0 if
-            nothing was visible.
         effective_sample_size: of the weights.
     """
 
     particles: HeadParticles
-    score: float
     effective_sample_size: float
 
     @property
@@ -172,9 +169,7 @@ class HeadFilter:
         weights = particles.weights
         scale = np.maximum(sd, LEAST_DEVIATION_MM * self._settings.kappa)
         mean = local_mean(particles.deviations, weights, scale, self._settings.local_radius)
-        missing, visible = float(self._missing[np.argmax(weights)]), self._scores.visible
-        score = 1.0 - missing / visible if visible > 0.0 else 0.0
-        return Filtered(particles.about(mean), score, effective_count(weights))
+        return Filtered(particles.about(mean), effective_count(weights))
 
     def _diffusion(self, velocity: FloatArray, dt: float, model: ShapeModel) -> FloatArray:
         """Return the standard deviations (6 + B,) of omega."""
@@ -193,7 +188,7 @@ class HeadFilter:
         differ is common to their pixels. The square tells a good match hardly from a fair one, and of a face
         half covered lets a single particle survive.
         """
-        self._missing = missing = self._scores.missing(deviations)
+        missing = self._scores.missing(deviations)
         mu = np.maximum(particles.model.deviations, LEAST_DEVIATION_MM)
         whitened = (particles.coefficients + deviations[:, POSE_SIZE:]) / mu
         prior = np.einsum("nb,nb->n", whitened, whitened)

@@ -111,8 +111,6 @@ def test_weights_are_as_printed_or_of_patches_with_noise(weighting):
     ratio = after.weights / (expected / expected.sum())
     assert np.mean(np.abs(ratio / np.median(ratio) - 1.0) < 5e-3) > 0.95
     assert after.weights.sum() == pytest.approx(1.0)
-    best = int(np.argmax(after.weights))
-    assert filtered.score == pytest.approx(1.0 - missing[best] / 20.0, abs=0.02)
 
 
 @pytest.mark.parametrize("sampling", ["weighted", "printed"])
@@ -137,7 +135,6 @@ def test_follows_a_head_that_moves_and_deforms(sampling, size):
     assert np.all(np.abs(error[:2]) < 0.7) and abs(error[2]) < 6.0
     assert np.all(np.abs(error[3:]) < np.deg2rad(2.0))
     assert filtered.coefficients == pytest.approx(truth, abs=2.5)
-    assert filtered.score > 0.7
     assert 1.0 <= filtered.effective_sample_size <= settings.count
 
 
@@ -150,7 +147,6 @@ def test_a_camera_that_drops_out_is_done_without():
     assert np.all(np.abs(FACING.difference(filtered.pose)[:2]) < 0.7)
     nothing = replace(seen, images=[None, None])
     blind = head.step(filtered.particles, filtered.pose, AT_REST, FRAME_S, nothing, face, rng)
-    assert blind.score == 0.0
     assert blind.effective_sample_size == pytest.approx(1000.0)
 
 

@@ -63,7 +63,6 @@ class Joint(NamedTuple):
         residuals: (K, 3) delta in the head's frame, mm.
         moved: (6,) how far the pose went, a tangent vector summed over the steps.
         correlations: (C, K).
-        pixels: (C, K, 2).
     """
 
     rotation: FloatArray
@@ -72,7 +71,6 @@ class Joint(NamedTuple):
     residuals: FloatArray
     moved: FloatArray
     correlations: FloatArray
-    pixels: FloatArray
 
 
 @kernel
@@ -104,14 +102,13 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Join
 
 @kernel
 def look(scene: Scene, face: Face, state: Joint, arm: FloatArray, evidence: Evidence) -> None:
-    """Write correlations and pixels at the present unknowns."""
+    """Write correlations at the present unknowns."""
     room = make_room(len(scene.images.sizes))
     for k in range(len(face.mean)):
         place(face, state, k, arm)
         gather(scene, k, arm + state.position, room, evidence)
         for c in range(len(evidence.correlations)):
             state.correlations[c, k] = evidence.correlations[c]
-            state.pixels[c, k] = evidence.pixels[c]
 
 
 @inlined

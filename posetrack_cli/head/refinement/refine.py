@@ -35,7 +35,6 @@ class Refined:
         residuals: (K, 3) delta, how far each point lies from the model, in the head's frame, mm.
         correlations: (C, K) the best with a template of ``sets``; NaN where there is none.
         visibility: (C, K) cosine of normal and ray at the predicted pose; 0 from behind and without an image.
-        pixels: (C, K, 2) of the points with their residuals; NaN behind a camera.
         scene: the frame as it was looked at, for ``recalculate``.
     """
 
@@ -44,7 +43,6 @@ class Refined:
     residuals: FloatArray
     correlations: FloatArray
     visibility: FloatArray
-    pixels: FloatArray
     scene: Scene
 
 
@@ -72,7 +70,6 @@ def refine(
     pose: HeadPose,
     coefficients: FloatArray,
     settings: RefinementSettings,
-    residuals: FloatArray | None = None,
 ) -> Refined:
     """Refine pose and deformation together from where a filter puts them (``joint``).
 
@@ -86,15 +83,14 @@ def refine(
         model: mean and deformations of the face.
         pose, coefficients: start, (B,) mm.
         settings: weights, priors, steps.
-        residuals: (K, 3) start of the residuals; without, 0.
     """
-    start = np.zeros_like(model.mean) if residuals is None else residuals
+    residuals = np.zeros_like(model.mean)
     for _ in range(_looks(cameras)):
-        shape = model.shapes(coefficients) + start
+        shape = model.shapes(coefficients) + residuals
         scene, seen = make_scene(images, cameras, sets, previous, pose, shape, settings)
-        state = _descended(scene, model, pose, coefficients, start, settings)
-        pose, coefficients, start = _pose(state), state.coefficients, state.residuals
-    return Refined(pose, coefficients, start, state.correlations, seen, state.pixels, scene)
+        state = _descended(scene, model, pose, coefficients, residuals, settings)
+        pose, coefficients, residuals = _pose(state), state.coefficients, state.residuals
+    return Refined(pose, coefficients, residuals, state.correlations, seen, scene)
 
 
 def recalculate(
@@ -142,7 +138,6 @@ def _descended(
         residuals.copy(),
         np.zeros(6),
         np.empty(count),
-        np.empty((*count, 2)),
     )
     precisions = np.maximum(model.deviations, LEAST_DEVIATION_MM) ** -2
     face = Face(np.array(model.mean), np.ascontiguousarray(model.basis), precisions)

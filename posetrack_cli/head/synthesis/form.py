@@ -20,8 +20,6 @@ MOUTH_Y = -68.7
 """Height of the line between the lips."""
 MOUTH_X = 25.4
 """Half the distance between the mouth's corners."""
-NECK_Y = -122.0
-"""Where the head ends and the neck begins."""
 
 # level: half width, front, back, mm, from a person's proportions; then how pointed the front is
 _PROFILE = np.array(

@@ -41,14 +41,12 @@ class SkinGrid:
         places: (R, C, 3) on the smooth average head, mm.
         pocket: (R,) 0 outside the mouth; inside from 0 at the upper lip's edge to 1 at the lower's.
         inside: (R,) whether a row belongs to the pocket, its two edges left out.
-        below: (R,) whether a row lies below the mouth's line, the pocket's rows left out.
         texcoords: (R, C, 2) in the texture, 0 to 1.
     """
 
     places: FloatArray
     pocket: FloatArray
     inside: BoolArray
-    below: BoolArray
     texcoords: FloatArray
 
     @property
@@ -64,10 +62,9 @@ def skin_grid() -> SkinGrid:
     levels = np.concatenate([above, pocket_rows, beneath])
     inside = np.zeros(len(levels), dtype=np.bool_)
     inside[len(above) : len(above) + POCKET_ROWS] = True
-    below = np.arange(len(levels)) >= len(above) + POCKET_ROWS
     pocket = np.zeros(len(levels))
     pocket[inside] = (np.arange(POCKET_ROWS) + 1.0) / (POCKET_ROWS + 1.0)
-    pocket[below] = 1.0
+    pocket[len(above) + POCKET_ROWS :] = 1.0
     phi = _angles()
     places = smooth_head(phi[None, :], levels[:, None])
     texture_level = levels - POCKET_BAND * pocket
@@ -76,7 +73,7 @@ def skin_grid() -> SkinGrid:
         np.broadcast_arrays((phi[None, :] + np.pi) / (2.0 * np.pi), (TOP - texture_level[:, None]) / span),
         axis=-1,
     )
-    return SkinGrid(places, pocket, inside, below, texcoords)
+    return SkinGrid(places, pocket, inside, texcoords)
 
 
 def texel_levels(rows: int) -> tuple[FloatArray, FloatArray]:

@@ -120,10 +120,8 @@ def test_images_that_show_nothing_leave_everything_where_it_was():
 
 
 def state_at(pose, coefficients, residuals):
-    out = np.empty((2, 10)), np.empty((2, 10, 2))
-    return Joint(
-        pose.rotation, pose.position.copy(), coefficients.copy(), residuals.copy(), np.zeros(6), *out
-    )
+    unknowns = pose.rotation, pose.position.copy(), coefficients.copy(), residuals.copy()
+    return Joint(*unknowns, np.zeros(6), np.empty((2, 10)))
 
 
 def problem():
