@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
 
+Name = TypeVar("Name")
 FRAME_NS = 33_333_333
 
 
@@ -49,13 +50,15 @@ class Walker:
         return time.perf_counter() - began
 
 
-def in_turn(walkers: Mapping[str, Stepping], recorded: Sequence[Any], warm_up: int) -> dict[str, list[float]]:
+def in_turn(
+    walkers: Mapping[Name, Stepping], recorded: Sequence[Any], warm_up: int
+) -> dict[Name, list[float]]:
     """Let walkers track the same frames, one by one in turn and in both orders.
 
     Returns:
         For each the seconds of every frame after the first ``warm_up``.
     """
-    times: dict[str, list[float]] = {name: [] for name in walkers}
+    times: dict[Name, list[float]] = {name: [] for name in walkers}
     for index, shown in enumerate(recorded):
         for name in list(walkers)[:: 1 if index % 2 else -1]:
             seconds = walkers[name].step(index, shown)

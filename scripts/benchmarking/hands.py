@@ -30,7 +30,10 @@ WARM_UP = 5
 PARTS = {
     "search": ((Acquisition, ("search", "reconsider")),),
     "local fits": ((Guiding, ("fit",)),),
-    "GL": ((RenderedCosts, ("costs", "log_likelihood", "scores")), (RenderedObjective, ("evaluate",))),
+    "GL (kinematics, draw, reduce)": (
+        (RenderedCosts, ("costs", "log_likelihood", "scores")),
+        (RenderedObjective, ("evaluate",)),
+    ),
 }
 """Of a step: looking for a hand in the whole image, the fits, drawing and reducing poses."""
 
@@ -80,7 +83,7 @@ def tracking_alone(context: Any, configs: Mapping[str, HandConfig], depths: Sequ
         times = in_turn(walkers, depths, WARM_UP)
     for name, walker in walkers.items():
         yield Row(f"{name}, tracking alone", median_ms(times[name]), "ms")
-        for part in ("GL", "local fits"):
+        for part in ("GL (kinematics, draw, reduce)", "local fits"):
             shares = np.divide([parts[part] for parts in walker.parts[WARM_UP:]], times[name])
             yield Row(f"  of it {part}", 100.0 * float(np.median(shares)), "%")
     for name in ("hand-fast", "hand-pso"):

@@ -13,7 +13,7 @@ class Lengths:
         repeats: of each timing of the renderer.
         hand_frames: of the synthetic hand, for times per frame.
         head_frames: of the synthetic head, seen to and fro.
-        head_steps: tracked of it; more than ``model.rigid_frames``.
+        head_steps: tracked of it.
         hand_memory, head_memory: of a long run; the short one has a tenth.
         eval_frames: of a long result.
     """
@@ -27,5 +27,5 @@ class Lengths:
     eval_frames: int
 
 
-FULL = Lengths(31, 120, 120, 360, 1500, 2400, 100_000)
-QUICK = Lengths(5, 20, 30, 150, 100, 300, 2_000)
+FULL = Lengths(31, 120, 120, 300, 1500, 2400, 100_000)
+QUICK = Lengths(5, 20, 30, 60, 100, 300, 2_000)
