@@ -1,0 +1,210 @@
+"""scripts/bench: its rows, clocks, recordings, processes; no test looks at how long anything takes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import benchmarks
+from benchmarking import commands
+from benchmarking.clocks import Clocks, clocked
+from benchmarking.commands import peak_memory, usage_of
+from benchmarking.heads import FEW, MANY, deformations_of, tracking_rows
+from benchmarking.recordings import link_head_recording, there_and_back, write_hand_recording
+from benchmarking.rendering import fitted_line
+from benchmarking.rows import Row, median_of_pairs
+from posetrack_cli.hand.synthesis.sensor import CAMERA
+from posetrack_cli.head.subject import HeadNumbers
+from posetrack_cli.head.synthesis.options import HeadSynthOptions
+from posetrack_cli.head.synthesis.rig import make_cameras
+from posetrack_cli.recording.opening import open_images, open_recording
+from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.results import Estimate, Status
+from stepping import in_turn
+
+
+def test_a_row_is_held_against_the_most_it_may_be() -> None:
+    assert [Row("a", value, "ms", 5.0).verdict for value in (4.0, 5.0, 5.1)] == ["ok", "ok", "MISSED"]
+    assert Row("a", 4.0, "ms").verdict == ""
+    assert Row("a", 5.1, "ms", 5.0).line.split() == ["a", "5.100", "ms", "target", "5", "MISSED"]
+
+
+def test_a_ratio_is_of_pairs_and_not_of_medians() -> None:
+    """A clock that slows down threefold halfway changes no pair."""
+    assert median_of_pairs([2.0, 2.0, 6.0], [1.0, 1.0, 3.0]) == 2.0
+    assert median_of_pairs([4.0, 1.0, 9.0], [2.0, 1.0, 1.0]) == 2.0  # of the medians: 4
+
+
+class Worker:
+    """Work of which one part calls the other."""
+
+    def outer(self) -> str:
+        return self.inner()
+
+    def inner(self) -> str:
+        return "done"
+
+    def fail(self) -> None:
+        raise ValueError
+
+
+def test_the_outermost_call_counts_alone() -> None:
+    ticks = count()
+    clocks = Clocks(["in", "out"], lambda: float(next(ticks)))
+    inner = clocks.timed("in", lambda: None)
+    clocks.timed("out", inner)()
+    assert clocks.seconds == {"in": 0.0, "out": 1.0}
+    inner()
+    assert clocks.seconds == {"in": 1.0, "out": 1.0}
+
+
+def test_clocks_are_taken_off_again_and_survive_a_failure() -> None:
+    plain = Worker.outer, Worker.inner, Worker.fail
+    with clocked({"a": [(Worker, ("outer", "fail"))], "b": [(Worker, ("inner",))]}) as clocks:
+        assert Worker().outer() == "done"
+        assert clocks.seconds["a"] > 0.0
+        assert clocks.seconds["b"] == 0.0
+        with pytest.raises(ValueError):
+            Worker().fail()
+        assert Worker().inner() == "done"
+        assert clocks.seconds["b"] > 0.0  # the failure left no clock running
+    assert (Worker.outer, Worker.inner, Worker.fail) == plain
+
+
+class Pacer:
+    """A walker that says when it was called."""
+
+    def __init__(self, calls: list[str], name: str) -> None:
+        self._calls, self._name = calls, name
+
+    def step(self, index: int, shown: Any) -> float:
+        self._calls.append(f"{self._name}{index}{shown}")
+        return float(index)
+
+
+def test_walkers_take_turns_in_both_orders() -> None:
+    calls: list[str] = []
+    times = in_turn({name: Pacer(calls, name) for name in "pq"}, ["x", "y", "z"], warm_up=1)
+    assert calls == ["q0x", "p0x", "p1y", "q1y", "q2z", "p2z"]
+    assert times == {"p": [1.0, 2.0], "q": [1.0, 2.0]}
+
+
+def test_frames_go_to_and_fro() -> None:
+    assert list(there_and_back(3, 8)) == [0, 1, 2, 1, 0, 1, 2, 1]
+    assert list(there_and_back(1, 3)) == [0, 0, 0]
+    assert list(there_and_back(5, 2)) == [0, 1]
+
+
+def test_a_long_recording_of_a_hand_shows_the_depths_to_and_fro(tmp_path: Path) -> None:
+    depths = [np.full((CAMERA.height, CAMERA.width), value, np.float32) for value in (600, 650, 700)]
+    write_hand_recording(tmp_path / "long.mcap", depths, 60)  # flushed once on the way
+    frames = list(open_recording(tmp_path / "long.mcap").frames())
+    assert [int(frame.depth[0, 0]) for frame in frames] == [(600, 650, 700, 650)[k % 4] for k in range(60)]
+    assert all(np.all(frame.depth == frame.depth[0, 0]) for frame in frames)
+    assert len({frame.stamp_ns for frame in frames}) == 60
+
+
+def test_a_long_recording_of_a_head_shows_both_cameras_to_and_fro(tmp_path: Path) -> None:
+    cameras = make_cameras(HeadSynthOptions(frames=3))
+    seen = tmp_path / "seen"
+    seen.mkdir()
+    (seen / "camera.toml").write_text(camera_file_text(cameras, []))
+    for camera, offset in zip(cameras, (0, 100), strict=True):
+        (seen / camera.name).mkdir()
+        for k in range(3):
+            image = np.full((camera.height, camera.width), offset + 10 * k, np.uint8)
+            cv2.imwrite(str(seen / camera.name / f"{k:06d}.png"), image)
+    link_head_recording(tmp_path / "long", seen, 7)
+    frames = list(open_images(tmp_path / "long", fps=30.0).frames())
+    shown = [[int(image[0, 0]) for image in frame.images if image is not None] for frame in frames]
+    assert shown == [[10 * k, 100 + 10 * k] for k in (0, 1, 2, 1, 0, 1, 2)]
+
+
+def test_a_line_is_found_and_every_number_of_particles_counts_alike() -> None:
+    particles = np.array([64.0, 512.0, 8192.0])
+    np.testing.assert_allclose(fitted_line(particles, 4.0 + 0.065 * particles), (4.0, 0.065), rtol=1e-9)
+    # of points on no line: the relative residuals' derivatives are zero
+    bent = np.array([10.0, 20.0, 40.0])
+    offset, slope = fitted_line(np.array([0.0, 1.0, 2.0]), bent)
+    relative = (offset + slope * np.arange(3.0)) / bent - 1.0
+    np.testing.assert_allclose(
+        [np.sum(relative / bent), np.sum(relative * np.arange(3) / bent)], 0, atol=1e-12
+    )
+
+
+def test_a_process_is_measured_by_itself() -> None:
+    """100 MiB more are seen as such, however large this process is."""
+    few, many = (usage_of([sys.executable, "-S", "-c", f"b'x' * ({mib} << 20)"])[1] for mib in (10, 110))
+    assert many - few == pytest.approx(100.0, abs=5.0)  # the interpreter's own pages
+    with pytest.raises(subprocess.CalledProcessError):
+        usage_of([sys.executable, "-S", "-c", "raise SystemExit(3)"])
+
+
+def test_peak_memory_is_of_a_tenth_and_of_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def usage(command: list[str]) -> tuple[float, float]:
+        asked.append(int(command[command.index("--end") + 1]))
+        return 0.0, 200.0 + 0.1 * asked[-1]
+
+    monkeypatch.setattr(commands, "usage_of", usage)
+    rows = list(peak_memory("it", ["run", "this"], 1000, tmp_path, 250.0))
+    assert asked == [100, 1000]
+    assert [row.value for row in rows] == pytest.approx([210.0, 300.0, 300.0 / 210.0])
+    assert [row.verdict for row in rows] == ["ok", "MISSED", "MISSED"]
+
+
+def test_rows_of_heads_are_of_the_right_trackers() -> None:
+    times = {(FEW, False): [0.004], (FEW, True): [0.005], (MANY, False): [0.1], (MANY, True): [0.006]}
+    rigid, rigid_rate, learnt, learnt_rate, ratio = tracking_rows(times)
+    assert [row.value for row in (rigid, learnt)] == pytest.approx([4.0, 5.0])
+    assert [row.value for row in (rigid_rate, learnt_rate)] == pytest.approx([250.0, 200.0])
+    assert ratio.value == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("learnt", [0, 2, 5])
+def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
+    numbers = HeadNumbers(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
+    nothing = np.zeros(6)
+    estimate = Estimate(
+        frame_index=0,
+        stamp_ns=1,
+        status=Status.TRACKING,
+        confidence=1.0,
+        position=np.zeros(3),
+        quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
+        shape=np.zeros(5),
+        pose_rate=nothing,
+        twist=nothing,
+        pose_variance=nothing,
+        twist_variance=nothing,
+        points=np.zeros((10, 3)),
+        effective_sample_size=1.0,
+        resampled=True,
+        cost=None,
+        numbers=numbers,
+    )
+    assert deformations_of(estimate) == learnt
+
+
+def test_a_part_by_itself_is_printed_and_written(tmp_path: Path) -> None:
+    """The command from end to end, of its shortest part."""
+    out = tmp_path / "new" / "bench.json"
+    result = CliRunner().invoke(benchmarks.main, ["--quick", "--part", "commands", "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    written = json.loads(out.read_text())
+    assert written["machine"]["length"] == "quick"
+    names = [row["name"] for row in written["rows"]]
+    assert names == ["posetrack --help, CPU time", "posetrack head stereo --help, CPU time"]
+    assert all(
+        row["value"] > 0.0 and name in result.output for row, name in zip(written["rows"], names, strict=True)
+    )
