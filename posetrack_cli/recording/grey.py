@@ -9,14 +9,12 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.recording.image_files import PNG_SIGNATURE, is_whole_png
-from posetrack_cli.recording.stored import UnreadableImageError
+from posetrack_cli.recording.image_files import decode_any
 
 BITS = (10, 12, 14, 16)
 """Significant bits that cameras deliver in 16-bit images."""
 GREY_FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 AS_STORED_FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ def decode_grey(data: bytes, kind: StoredKind, where: object) -> ImageArray:
         UnreadableImageError: the bytes are no image or an incomplete one.
         RecordingError: it is of another size than the images before, or has values of another kind.
     """
-    image = _decoded(data, GREY_FLAGS)
+    image = decode_any(data, GREY_FLAGS)
     if image.dtype not in (np.uint8, np.uint16):
         raise RecordingError("image cannot be used", where=where, found=image.dtype, expected="8 or 16 bits")
     check_size(image, kind, where)
@@ -91,7 +89,7 @@ def decode_as_stored(data: bytes) -> ImageArray:
     Raises:
         UnreadableImageError: the bytes are no image or an incomplete one.
     """
-    return _decoded(data, AS_STORED_FLAGS)
+    return decode_any(data, AS_STORED_FLAGS)
 
 
 def check_size(image: ImageArray, kind: StoredKind, where: object) -> None:
@@ -103,24 +101,3 @@ def check_size(image: ImageArray, kind: StoredKind, where: object) -> None:
             found=f"{image.shape[1]}x{image.shape[0]}",
             expected=f"{kind.width}x{kind.height} as in the images before",
         )
-
-
-def _decoded(data: bytes, flags: int) -> ImageArray:
-    if not data:
-        raise UnreadableImageError("file is empty")
-    if _is_cut(data):
-        raise UnreadableImageError("image is incomplete")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as error:
-        raise UnreadableImageError("image cannot be decoded") from error
-    if image is None:  # OpenCV's way to say so
-        raise UnreadableImageError("image cannot be decoded")
-    return image
-
-
-def _is_cut(data: bytes) -> bool:
-    """Whether a PNG or JPEG ends early, which its decoder would fill up with grey."""
-    if data.startswith(PNG_SIGNATURE):
-        return not is_whole_png(data)
-    return data.startswith(JPEG_BEGIN) and data.rfind(JPEG_END) < len(data) // 2

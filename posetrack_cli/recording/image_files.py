@@ -16,6 +16,7 @@ from posetrack_cli.recording.stored import UnreadableImageError
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
 GREY_SUFFIXES = (*DEPTH_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".ppm", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 PNG_LEVEL = 9
 PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
@@ -77,23 +78,30 @@ def decode_codes(data: bytes, where: str) -> ImageArray:
     return image
 
 
-def decode_any(data: bytes) -> ImageArray:
-    """Decode an image file of any kind, bits and channels as stored.
+def decode_any(data: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> ImageArray:
+    """Decode an image file of any kind; unless OpenCV's flags say otherwise bits and channels as stored.
 
     Raises:
         UnreadableImageError: if the bytes are no image or an incomplete one.
     """
     if not data:
         raise UnreadableImageError("file is empty")
-    if data.startswith(PNG_SIGNATURE) and not is_whole_png(data):
-        raise UnreadableImageError("image cannot be decoded")
+    if _is_cut(data):
+        raise UnreadableImageError("image is incomplete")
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise UnreadableImageError("image cannot be decoded") from error
     if image is None:  # OpenCV's way to say so
         raise UnreadableImageError("image cannot be decoded")
     return image
+
+
+def _is_cut(data: bytes) -> bool:
+    """Whether a PNG or JPEG ends early, which its decoder would fill up with grey."""
+    if data.startswith(PNG_SIGNATURE):
+        return not is_whole_png(data)
+    return data.startswith(JPEG_BEGIN) and data.rfind(JPEG_END) < len(data) // 2
 
 
 def is_whole_png(data: bytes) -> bool:

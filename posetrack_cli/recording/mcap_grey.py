@@ -10,7 +10,6 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.recording.grey import (
-    JPEG_BEGIN,
     StoredKind,
     check_size,
     decode_as_stored,
@@ -18,7 +17,7 @@ from posetrack_cli.recording.grey import (
     grey_of,
     kind_of_image,
 )
-from posetrack_cli.recording.image_files import PNG_SIGNATURE
+from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE
 from posetrack_cli.recording.mcap_decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.stored import UnreadableImageError
 
