@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.configuration import Settings
-from posetrack_cli.errors import ResultError
+from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, Learned, load_model, model_bytes, save_model
 from posetrack_cli.head.passes import (
@@ -194,11 +194,13 @@ def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
     """Refuse what can be refused without looking at a frame.
 
     Raises:
-        UsageError: an output may not be written.
+        UsageError: an output may not be written, or result and model are one file.
     """
     replace = options.overwrite or options.resume
     check_output(options.output, overwrite=replace, source=recording.path)
     if options.save_model is not None:
+        if options.save_model.resolve() == options.output.resolve():
+            raise UsageError("result and model cannot be one file", where=options.output)
         check_target(options.save_model, overwrite=replace, source=recording.path)
 
 

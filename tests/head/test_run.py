@@ -241,6 +241,12 @@ def test_a_model_is_not_written_over(track: Track, tmp_path: Path) -> None:
     assert (tmp_path / "face.npz").read_bytes() == b"mine"
 
 
+def test_result_and_model_are_two_files(track: Track, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="result and model cannot be one file"):
+        track(Memory(), save_model=tmp_path / "." / "r.mcap")
+    assert not list(tmp_path.iterdir())
+
+
 def test_two_cameras_of_one_name_are_refused(track: Track) -> None:
     with pytest.raises(ResultError, match="two cameras have one name"):
         track(Memory(cameras=(CAMERAS[0], CAMERAS[0])))
