@@ -1,4 +1,8 @@
-"""Points seen by several cameras: pixels, and how they move with the points."""
+"""Points seen by several cameras: pixels, and how they move with the points.
+
+``geometry.projection`` is the same for one camera and points in its own axes; here points are in the
+reference's, and the lens is kept as a matrix at each point, as the compiled kernels of the refinement use it.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -118,8 +119,8 @@ def test_an_object_hides_one_half_of_the_face_only(context: Any) -> None:
     plan = make_plan(replace(options, occlusion=True))
     assert plan.passing is not None
     index = round((plan.passing.start_s + 0.5) * 10.0)
-    hidden = list(render_plan(plan, options, context=context))[index]
-    plain = list(synthesise(options, context=context))[index]
+    hidden = next(islice(render_plan(plan, options, context=context), index, None))
+    plain = next(islice(synthesise(options, context=context), index, None))
     difference = np.abs(hidden.images[0].astype(float) - plain.images[0])
     changed = cv2.blur(difference, (9, 9)) > 4.0  # the object may be as grey as a single pixel of the face
     ten = np.rint(pixels(plan.cameras[0], plain)).astype(int)
