@@ -16,13 +16,23 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
+class PointSettings(Settings):
+    """One number for each kind of feature point, mm."""
+
+    eyes: Positive
+    mouth: Positive
+    nostrils: Positive
+    brows: Positive
+
+
 class ModelSettings(Settings):
     """How the face may deform, and how its model is learnt while tracking (thesis, 3.2.4).
 
     ``components`` is B. The first ``rigid_frames`` frames are tracked with a rigid face, whose mean shape
     moves towards what is measured at ``mean_rate`` a frame **[ours]**. A frame is learnt from where the face
     is turned from the camera by less than ``facing_deg``, the shape differs from the mean by ``least_mm`` to
-    ``most_mm`` (the length of its 3K numbers) and every point correlates above ``correlation``.
+    ``most_mm`` (the length of its 3K numbers) and every point correlates above ``correlation``. Shapes are
+    laid on the mean by points that move little: ``expression_mm`` is how far a kind moves in expressions.
     """
 
     kind: Literal["deformable", "rigid"] = "deformable"
@@ -33,15 +43,7 @@ class ModelSettings(Settings):
     least_mm: NotNegative = 3.0
     most_mm: Positive = 40.0
     correlation: Fraction = 0.5
-
-
-class PointSettings(Settings):
-    """One number for each kind of feature point, mm."""
-
-    eyes: Positive
-    mouth: Positive
-    nostrils: Positive
-    brows: Positive
+    expression_mm: PointSettings = PointSettings(eyes=1.0, mouth=8.0, nostrils=1.5, brows=8.0)
 
 
 class RefinementSettings(Settings):
@@ -63,7 +65,7 @@ class RefinementSettings(Settings):
     reference: NotNegative = 1.0
     keyframe: NotNegative = 2.0
     previous: NotNegative = 1.0
-    between_cameras: NotNegative = 4.0
+    between_cameras: NotNegative = 4.3
     correlation_floor: Fraction = 0.2
     correlation_power: NotNegative = 6.0
     patch_sd: Positive = 0.4

@@ -61,7 +61,7 @@ class Followed:
         coefficient_rate: (B,) its change since the frame before, mm/s.
         variance: (6 + B,) of pose (tangent vector) and coefficients.
         dt: s since the frame before.
-        correlations: (K,) the best camera's of each point, NaN where no camera sees it.
+        correlations: (K,) of each point at its own place, the best camera's; NaN where no camera sees it.
         weights: (K,) visibility of each point times its correlation, 0 to 1.
         score: mean correlation of the points, weighted by their visibility; 0 if none is visible.
         pixels: (C, K, 2) where the points are on the images.
@@ -154,13 +154,14 @@ class Follower:
             take_templates(images, self._cameras, refined.pose, own.shape, own.pixels),
         )
         correlations, score = agreement(refined.correlations, refined.visibility)
+        at_own_places, _ = agreement(own.correlations, refined.visibility)
         return Followed(
             following,
             refined.coefficients,
             (refined.coefficients - coefficients) / dt,
             following.particles.variance(),
             dt,
-            correlations,
+            at_own_places,
             refined.visibility.max(axis=0) * np.clip(np.nan_to_num(correlations), 0.0, 1.0),
             score,
             own.pixels,

@@ -59,7 +59,7 @@ class StereoTracker:
     ) -> None:
         self._config, self._cameras, self._find_start = config, tuple(cameras), find_start
         self._follower = Follower(config, self._cameras)
-        self._steadiness = point_values(config.refinement.residual_mm) ** -2
+        self._steadiness = point_values(config.model.expression_mm) ** -2
         self._known = StereoState() if known is None else known_state(known, len(self._cameras), config.model)
 
     def start(self, frame: Frame, rng: np.random.Generator) -> StereoState:
