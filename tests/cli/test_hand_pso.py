@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli.cli.hand import _progress
 from posetrack_cli.cli.main import run
+from posetrack_cli.cli.running import progress
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.hand.config import HandConfig
@@ -108,7 +108,7 @@ def test_the_progress_bar_shows_no_particles_where_none_are_weighted(monkeypatch
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with _progress(10, 0, 1) as report:
+    with progress(10, 0, 1, "hand") as report:
         report(SimpleNamespace(frame_index=3, effective_sample_size=None, status="tracking"))
     shown = terminal.getvalue().splitlines()[-1]
     assert " 4/10 " in shown and "tracking" in shown and "ESS" not in shown

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.cli.hand import _progress
 from posetrack_cli.cli.main import run
+from posetrack_cli.cli.running import progress
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.recording.mcap_calibration import calibration_message
@@ -287,7 +287,7 @@ def test_the_progress_bar_stands_at_the_frame(monkeypatch: pytest.MonkeyPatch, i
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     estimate = SimpleNamespace(frame_index=index, effective_sample_size=7.4, status="lost")
-    with _progress(10, 5, 2) as report:
+    with progress(10, 5, 2, "hand") as report:
         report(estimate)
     shown = terminal.getvalue().splitlines()[-1]
     assert f" {(index - 5) // 2 + 1}/10 " in shown and "ESS 7 lost" in shown
