@@ -23,6 +23,7 @@ KERNEL_SOURCES = (
     "hand/anatomy.py",
     "hand/fitting/*.py",
     "head/particle_kernels.py",
+    "head/face.py",
     "head/patches.py",
     "head/templates.py",
     "head/refinement/*.py",
