@@ -95,17 +95,15 @@ class Follower:
     def begin(
         self,
         stamp_ns: int,
-        images: Images,
         pose: HeadPose,
         shape: FloatArray,
         model: ShapeModel,
         rng: np.random.Generator,
-        pixels: FloatArray | None = None,
+        seen: TemplateSet | None = None,
     ) -> Following:
-        """Return a head at rest at a pose, its points at ``shape`` (K, 3) or seen at ``pixels`` (C, K, 2)."""
+        """Return a head at rest, its points at ``shape`` (K, 3), mm: ``seen`` there, or put there."""
         particles = self._filter.start(pose, model, rng)
-        templates = take_templates(images, self._cameras, pose, shape, pixels)
-        return Following(stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, templates)
+        return Following(stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, seen)
 
     def step(
         self,

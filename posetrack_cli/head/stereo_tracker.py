@@ -153,8 +153,8 @@ class StereoTracker:
         face = _found(state.face)
         pose = self._laid_on(face.model.mean, found)
         stamp_ns = frame.stamp_ns - self._gap_ns(state, frame)
-        following = self._follower.begin(stamp_ns, frame.images, pose, face.model.mean, face.model, rng)
-        followed = self._followed(state, replace(following, previous=None), frame, rng)
+        following = self._follower.begin(stamp_ns, pose, face.model.mean, face.model, rng)
+        followed = self._followed(state, following, frame, rng)
         if not self._is_tracked(followed):
             return self._lost(state, frame)
         status = Status.TRACKING if state.following is None else Status.REINITIALISED
@@ -197,8 +197,8 @@ class StereoTracker:
             return state, searched_estimate(frame, None, None, self._config)
         shape = settle(frame.images, self._cameras, found.pose, found.shape, self._config.refinement)
         face = new_face(shape, self._config.model)
-        following = self._follower.begin(frame.stamp_ns, frame.images, found.pose, shape, face.model, rng)
         reference = take_templates(frame.images, self._cameras, found.pose, shape)
+        following = self._follower.begin(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
         state = replace(state, face=face, sets=(reference,), following=following)
         followed = started(following, found, face)
         return state, followed_estimate(frame, followed, face, Status.TRACKING, self._config)
