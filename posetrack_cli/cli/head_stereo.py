@@ -154,6 +154,7 @@ def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, f
     from posetrack_cli.head.estimates import components_of
     from posetrack_cli.head.run import HeadRun
     from posetrack_cli.head.stereo_tracker import make_stereo_tracker
+    from posetrack_cli.head.subject import head_subject
 
     def make_tracker(known: Learned | None) -> HeadTracker[Any]:
         if options.init is None:
@@ -165,7 +166,7 @@ def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, f
         config,
         options,
         name="head-stereo",
-        components=components_of(config),
+        subject=head_subject(source.cameras[0].name, components_of(config)),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         first_pass=first_pass,

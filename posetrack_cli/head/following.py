@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.config import ParticleSettings, RefinementSettings
 from posetrack_cli.head.keyframes import chosen
 from posetrack_cli.head.motion import predicted_pose, velocity_between
 from posetrack_cli.head.particle_scores import Observation
@@ -81,16 +81,19 @@ class Followed:
 
 
 class Follower:
-    """One step of the method of chapter 3, for a head that was found.
+    """One step of the method of chapters 3 and 4, for a head that was found.
 
     Args:
-        config: parameters.
-        cameras: of the recording.
+        particles: of the filter.
+        refinement: what follows it.
+        cameras: of the recording, one or more.
     """
 
-    def __init__(self, config: HeadStereoConfig, cameras: Sequence[Camera]) -> None:
-        self._settings, self._motion, self._cameras = config.refinement, config.particles, cameras
-        self._filter = HeadFilter(config.particles, cameras)
+    def __init__(
+        self, particles: ParticleSettings, refinement: RefinementSettings, cameras: Sequence[Camera]
+    ) -> None:
+        self._settings, self._motion, self._cameras = refinement, particles, cameras
+        self._filter = HeadFilter(particles, cameras)
 
     def begin(
         self,

@@ -40,3 +40,6 @@ class HeadTracker(Tracker[State], Protocol[State]):
 
         Such as ``600 frames searched, best score 0.31``: it completes "no face found".
         """
+
+    def remarks(self, state: State) -> tuple[str, ...]:
+        """Say what a user should know about a finished run beside its numbers; each is one line."""

@@ -21,7 +21,6 @@ from posetrack_cli.head.passes import (
     second_pass_checkpoint,
 )
 from posetrack_cli.head.protocol import HeadTracker, NoFaceError
-from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.output import check_output, check_target, part_path, state_path
@@ -63,7 +62,7 @@ class HeadRun(Run):
         config: the tracker's, for the record.
         options: the rest.
         name: of the tracker, for the record.
-        components: how many deformations its estimates state.
+        subject: what its estimates are of.
         flush_frames: estimates between two checkpoints.
         make_tracker: of each pass.
         first_pass: called with every estimate of the first of two passes; none of them is written.
@@ -83,14 +82,14 @@ class HeadRun(Run):
         options: HeadRunOptions,
         *,
         name: str,
-        components: int,
+        subject: Subject,
         flush_frames: int,
         make_tracker: MakeTracker,
         first_pass: Report = lambda estimate: None,
     ) -> None:
         check_head_run(recording, options)
         super().__init__(recording, options, flush_frames)
-        self._components, self._make_tracker, self._first_pass_report = components, make_tracker, first_pass
+        self._of, self._make_tracker, self._first_pass_report = subject, make_tracker, first_pass
         self._learned: Learned = {}  # in the first of two passes, once the second has begun
         self._name, load = name, options.load_model
         self.tracker = make_tracker(None) if load is None else self._knowing(load)
@@ -118,7 +117,7 @@ class HeadRun(Run):
             raise ResultError(str(error), where=path) from error
 
     def _subject(self) -> Subject:
-        return head_subject(self._recording.cameras[0].name, self._components)
+        return self._of
 
     def _cameras(self) -> tuple[Camera, ...]:
         return self._recording.cameras

@@ -58,7 +58,7 @@ class StereoTracker:
         known: Mapping[str, np.ndarray[Any, Any]] | None = None,
     ) -> None:
         self._config, self._cameras, self._find_start = config, tuple(cameras), find_start
-        self._follower = Follower(config, self._cameras)
+        self._follower = Follower(config.particles, config.refinement, self._cameras)
         self._steadiness = point_values(config.model.expression_mm) ** -2
         self._known = StereoState() if known is None else known_state(known, len(self._cameras), config.model)
 
@@ -89,6 +89,10 @@ class StereoTracker:
         if state.following is not None:
             return ""
         return str(state.search)
+
+    def remarks(self, state: StereoState) -> tuple[str, ...]:
+        """Say nothing: what a stereo run finds is in its numbers."""
+        return ()
 
     def state_parts(self, state: StereoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         """Take a state apart into arrays and whole numbers, for a checkpoint."""

@@ -21,6 +21,7 @@ from posetrack_cli.head.estimates import components_of
 from posetrack_cli.head.model_file import Learned
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.stereo_tracker import make_stereo_tracker
+from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.synthesis.options import HeadSynthOptions
 from posetrack_cli.head.synthesis.writing import write_synthetic
 from posetrack_cli.recording.base import Frame
@@ -144,7 +145,7 @@ def file_to_file(folder: Path, frames: int) -> Iterator[Row]:
         config,
         options,
         name="head-stereo",
-        components=components_of(config),
+        subject=head_subject(recording.cameras[0].name, components_of(config)),
         flush_frames=config.output.flush_frames,
         make_tracker=lambda known: make_stereo_tracker(config, recording.cameras, known),
     )

@@ -18,6 +18,7 @@ from posetrack_cli.head.estimates import components_of
 from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.stereo_tracker import make_stereo_tracker
+from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import load_arrays, read_result
@@ -181,7 +182,7 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
             config,
             HeadRunOptions(tmp_path / name, passes=passes, resume=resume),
             name="head-stereo",
-            components=components_of(config),
+            subject=head_subject(source.cameras[0].name, components_of(config)),
             flush_frames=config.output.flush_frames,
             make_tracker=lambda known: make_stereo_tracker(config, source.cameras, known),
         ).track(lambda estimate: None, lambda: next(asked) == stop_after)

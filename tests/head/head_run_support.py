@@ -105,6 +105,9 @@ class FakeTracker:
     def not_found(self, state: FakeState) -> str:
         return "" if state.seen else f"{state.searched} frames searched, best score 0.31"
 
+    def remarks(self, state: FakeState) -> tuple[str, ...]:
+        return ()
+
     def state_parts(self, state: FakeState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         return {"mean": state.mean}, {"seen": state.seen, "searched": state.searched}
 

@@ -19,6 +19,7 @@ from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.start.start import NO_FACE, NoStart
 from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of
 from posetrack_cli.head.stereo_tracker import StereoTracker
+from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.templates import WINDOW, TemplateSet
 
 NEEDED = (
@@ -82,7 +83,7 @@ def test_a_run_tells_the_file(tmp_path: Path, left_out: tuple[str, ...]) -> None
             config,
             HeadRunOptions(tmp_path / "r.mcap", load_model=path),
             name="head-stereo",
-            components=5,
+            subject=head_subject("left", 5),
             flush_frames=30,
             make_tracker=lambda known: StereoTracker(config, CAMERAS, lambda _: NoStart(NO_FACE), known),
         )

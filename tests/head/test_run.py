@@ -19,6 +19,7 @@ from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.model_file import load_model, model_bytes
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_messages
@@ -58,7 +59,7 @@ def track(tmp_path: Path) -> Track:
             HeadStereoConfig(),
             chosen,
             name=NAME,
-            components=COMPONENTS,
+            subject=head_subject(recording.cameras[0].name, COMPONENTS),
             flush_frames=3,
             make_tracker=FakeTracker,
             first_pass=first_pass,
