@@ -55,7 +55,7 @@ def kept(output: Path) -> Iterator[None]:
 
 
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
-    """Print the closing line, and set the exit code."""
+    """Print the closing line and what there is to remark, and set the exit code."""
     from posetrack_cli.recording.losses import loss_line
     from posetrack_cli.recording.output import part_path
 
@@ -70,6 +70,8 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
         click.echo(f"interrupted after {what}: {part_path(output)}; --resume goes on", err=True)
         click.get_current_context().exit(EXIT_INTERRUPTED)
     click.echo(f"{what}: {output}")
+    for remark in outcome.remarks:
+        click.echo(f"{recording}: {remark}", err=True)
     if outcome.losses:
         click.echo(f"{recording}: {loss_line(outcome.losses)}", err=True)
         click.get_current_context().exit(EXIT_DATA_LOST)

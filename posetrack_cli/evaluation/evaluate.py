@@ -53,6 +53,8 @@ WITHOUT_TRUTH = {
     "largest_gap_s": "fewer than two frames",
 }
 """Why these have no value, when they have none."""
+PRIOR_NOTE = "one camera sees no scale: distance and size rest on what faces are like"
+GUESS_NOTE = "the camera was not calibrated: the focal length, and distance with it, is a guess"
 
 
 @dataclass(frozen=True)
@@ -195,8 +197,10 @@ def _readable(duration_ns: int) -> str:
 def _run_notes(result: Result, options: EvalOptions) -> list[str]:
     notes = [SMOOTHED_NOTE] if options.track == SMOOTHED else []
     notes += [] if result.finished else ["the run did not finish: measured over the frames that it holds"]
-    losses = result.summary.get("losses")
-    return [*notes, f"the run could not use all of its input: {losses}"] if losses else notes
+    notes += [PRIOR_NOTE] if result.run.get("scale") == "prior" else []
+    notes += [GUESS_NOTE] if result.run.get("intrinsics") == "guessed" else []
+    told = {"the run could not use all of its input": "losses", "the run remarks": "remarks"}
+    return notes + [f"{what}: {result.summary[key]}" for what, key in told.items() if key in result.summary]
 
 
 def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, options: EvalOptions) -> Track:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,7 @@ class HeadRun(Run):
         flush_frames: estimates between two checkpoints.
         make_tracker: of each pass.
         first_pass: called with every estimate of the first of two passes; none of them is written.
+        stated: what the record says besides, such as that intrinsics were guessed.
 
     Raises:
         UsageError: an output may not be written, no frame to track, or a model that cannot be used.
@@ -86,6 +88,7 @@ class HeadRun(Run):
         flush_frames: int,
         make_tracker: MakeTracker,
         first_pass: Report = lambda estimate: None,
+        stated: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         check_head_run(recording, options)
         super().__init__(recording, options, flush_frames)
@@ -93,7 +96,7 @@ class HeadRun(Run):
         self._learned: Learned = {}  # in the first of two passes, once the second has begun
         self._name, load = name, options.load_model
         self.tracker = make_tracker(None) if load is None else self._knowing(load)
-        self._record = head_record(name, recording, config, options)
+        self._record = head_record(name, recording, config, options) | stated
 
     def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
         """Track every frame; see ``Run.track``.
@@ -187,6 +190,9 @@ class HeadRun(Run):
         if self._options.save_model is not None:
             save_model(self._options.save_model, data)
         return {"passes": str(self._options.passes)}
+
+    def _remarks(self, state: Any) -> tuple[str, ...]:
+        return self.tracker.remarks(state)
 
 
 def check_head_run(recording: Recording, options: HeadRunOptions) -> None:

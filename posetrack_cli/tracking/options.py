@@ -46,6 +46,7 @@ class RunOutcome:
         seconds: wall-clock time.
         losses: data that could not be used.
         stopped: whether it was interrupted.
+        remarks: what else a user should know, one line each.
     """
 
     frames: int
@@ -54,6 +55,7 @@ class RunOutcome:
     seconds: float
     losses: tuple[Loss, ...]
     stopped: bool
+    remarks: tuple[str, ...] = ()
 
 
 def frames_ahead(recording: Recording, options: RunOptions) -> int | None:

@@ -123,6 +123,10 @@ class Run(ABC):
         """Data that could not be used."""
         return self._recording.losses
 
+    def _remarks(self, state: Any) -> tuple[str, ...]:
+        """What else a user should know once all frames are tracked, one line each."""
+        return ()
+
     # The loop
 
     def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
@@ -149,7 +153,7 @@ class Run(ABC):
                 if memory is not None:
                     memory.finish(writer)
                 self._finish(writer, state)
-        return self._outcome(writer, began, stopped=False)
+        return replace(self._outcome(writer, began, stopped=False), remarks=self._remarks(state))
 
     def _write(
         self, writer: ResultWriter, memory: FrameMemory | None, reached: Reached, estimate: Estimate
@@ -194,8 +198,9 @@ class Run(ABC):
         return state, estimate
 
     def _finish(self, writer: ResultWriter, state: Any) -> None:
-        said, losses = self._ended(writer, state), self._losses()
-        writer.finish(said | ({"losses": loss_line(losses)} if losses else {}))
+        said, losses, remarks = self._ended(writer, state), self._losses(), self._remarks(state)
+        more = {"losses": loss_line(losses), "remarks": "; ".join(remarks)}
+        writer.finish(said | {name: line for name, line in more.items() if line})
 
     def _outcome(self, writer: ResultWriter, began: float, *, stopped: bool) -> RunOutcome:
         seconds = time.perf_counter() - began

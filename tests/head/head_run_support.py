@@ -106,7 +106,7 @@ class FakeTracker:
         return "" if state.seen else f"{state.searched} frames searched, best score 0.31"
 
     def remarks(self, state: FakeState) -> tuple[str, ...]:
-        return ()
+        return (f"face seen in {state.seen} frames",)
 
     def state_parts(self, state: FakeState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         return {"mean": state.mean}, {"seen": state.seen, "searched": state.searched}

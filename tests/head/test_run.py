@@ -123,6 +123,26 @@ def test_the_record_states_passes_files_and_no_folder(track: Track, tmp_path: Pa
     assert not [value for value in record.values() if "/" in value]
 
 
+def test_what_the_tracker_remarks_is_told_and_kept(track: Track, tmp_path: Path) -> None:
+    assert track(Memory(), stopped=after(5)).remarks == ()  # not finished yet
+    assert track(Memory(), resume=True).remarks == ("face seen in 10 frames",)
+    assert read_result(tmp_path / "r.mcap").summary["remarks"] == "face seen in 10 frames"
+
+
+def test_what_is_stated_besides_is_in_the_record(tmp_path: Path) -> None:
+    HeadRun(
+        Memory(),
+        HeadStereoConfig(),
+        HeadRunOptions(tmp_path / "r.mcap"),
+        name=NAME,
+        subject=head_subject(CAMERAS[0].name, COMPONENTS),
+        flush_frames=3,
+        make_tracker=FakeTracker,
+        stated={"scale": "prior"},
+    ).track(ignored)
+    assert read_result(tmp_path / "r.mcap").run["scale"] == "prior"
+
+
 def test_truth_is_carried_over(track: Track, tmp_path: Path) -> None:
     true = TruthMessage("/truth/head/pose", "custom", "jsonschema", b"{}", "json", 3 * FRAME_NS, b"{}")
     track(Memory(true=(true,)))
