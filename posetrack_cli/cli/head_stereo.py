@@ -151,7 +151,7 @@ def _run_options(options: dict[str, Any]) -> HeadRunOptions:
 def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
     from posetrack_cli.head.clicked_tracker import ClickedTracker
-    from posetrack_cli.head.estimates import components_of
+    from posetrack_cli.head.stereo_estimates import components_of
     from posetrack_cli.head.run import HeadRun
     from posetrack_cli.head.stereo_tracker import make_stereo_tracker
     from posetrack_cli.head.subject import head_subject

@@ -6,12 +6,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face import MEAN_SHAPE
 from posetrack_cli.head.following import Followed, Following
-from posetrack_cli.head.learning import FaceLearning
 from posetrack_cli.head.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.subject import HeadNumbers
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -21,22 +18,25 @@ UNKNOWN_SD = np.array([300.0] * 3 + [1.0] * 3)
 """(6,) mm and rad, of a head whose place is not known."""
 
 
-def components_of(config: HeadStereoConfig) -> int:
-    """Return B, the number of deformation coefficients in the result."""
-    return 0 if config.model.kind == "rigid" else config.model.components
-
-
 def followed_estimate(
-    frame: Frame, followed: Followed, face: FaceLearning, status: Status, config: HeadStereoConfig
+    frame: Frame, followed: Followed, status: Status, coefficients: FloatArray, numbers: FloatArray
 ) -> Estimate:
     """Return the estimate of a frame in which the head was tracked.
 
     Velocities are differences of two frames' estimates, whose errors are taken for independent.
+
+    Args:
+        frame: that was tracked.
+        followed: what it says.
+        status: of the track.
+        coefficients: (B,) deformation that the result states; where ``followed`` has fewer, the rest of the
+            variances and rates is 0.
+        numbers: (M,) further numbers.
     """
-    count, now = components_of(config), followed.following
+    count, now = len(coefficients), followed.following
     rotation = now.pose.rotation
-    variance = _in_body_axes(_padded(followed.variance, POSE_SIZE + count), rotation)
-    rate = _padded(followed.coefficient_rate, count)
+    variance = _in_body_axes(padded(followed.variance, POSE_SIZE + count), rotation)
+    rate = padded(followed.coefficient_rate, count)
     twist = np.concatenate([now.velocity[:3], rotation.T @ now.velocity[3:], rate])
     return Estimate(
         frame_index=frame.index,
@@ -45,7 +45,7 @@ def followed_estimate(
         confidence=float(np.clip(followed.score, 0.0, 1.0)),
         position=now.pose.position,
         quaternion=now.pose.quaternion,
-        shape=_padded(followed.coefficients, count),
+        shape=coefficients,
         pose_rate=np.concatenate([twist[:3], quaternion_rate(now.pose.quaternion, twist[3:6]), rate]),
         twist=twist,
         pose_variance=variance,
@@ -53,23 +53,31 @@ def followed_estimate(
         points=now.pose.points(now.shape),
         effective_sample_size=followed.effective_sample_size,
         resampled=True,
-        numbers=_numbers(face, followed.score, followed.weights).array(count),
+        numbers=numbers,
     )
 
 
 def searched_estimate(
     frame: Frame,
     following: Following | None,
-    face: FaceLearning | None,
-    config: HeadStereoConfig,
+    coefficients: FloatArray,
+    deviations: FloatArray,
+    numbers: FloatArray,
 ) -> Estimate:
-    """Return the estimate of a frame in which the head was not found: where it was last, status lost."""
-    count = components_of(config)
+    """Return the estimate of a frame in which the head was not found: where it was last, status lost.
+
+    Args:
+        frame: that was searched.
+        following: the head when it was last tracked; None before.
+        coefficients: (B,) of the face at rest.
+        deviations: (B,) their standard deviations.
+        numbers: (M,) further numbers.
+    """
     pose = UNSEEN if following is None else following.pose
     shape = MEAN_SHAPE if following is None else following.shape
+    count = len(coefficients)
     nothing = np.zeros(POSE_SIZE + count)
-    mu = np.zeros(0) if face is None else face.model.deviations
-    variance = np.concatenate([np.square(UNKNOWN_SD), _padded(np.square(mu), count)])
+    variance = np.concatenate([np.square(UNKNOWN_SD), np.square(deviations)])
     return Estimate(
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
@@ -77,7 +85,7 @@ def searched_estimate(
         confidence=0.0,
         position=pose.position,
         quaternion=pose.quaternion,
-        shape=np.zeros(count),
+        shape=coefficients,
         pose_rate=np.zeros(POSE_SIZE + 1 + count),
         twist=nothing,
         pose_variance=variance,
@@ -85,28 +93,14 @@ def searched_estimate(
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=_numbers(face, np.nan, None).array(count),
+        numbers=numbers,
     )
 
 
-def _numbers(face: FaceLearning | None, score: float, weights: FloatArray | None) -> HeadNumbers:
-    if face is None:
-        return HeadNumbers(np.zeros(0), score=score, weights=weights)
-    statistics = face.statistics
-    known = statistics.learnt > 0
-    return HeadNumbers(
-        statistics.eigenvalues if known else np.zeros(0),
-        float(statistics.contribution[-1]) if known else np.nan,
-        statistics.learnt,
-        score,
-        weights,
-    )
-
-
-def _padded(values: FloatArray, count: int) -> FloatArray:
-    """The first ``count`` values; zeros where the model has fewer components yet."""
-    padded: FloatArray = np.pad(values[:count], (0, max(0, count - len(values))))
-    return padded
+def padded(values: FloatArray, count: int) -> FloatArray:
+    """Return the first ``count`` values; zeros where there are fewer."""
+    filled: FloatArray = np.pad(values[:count], (0, max(0, count - len(values))))
+    return filled
 
 
 def _in_body_axes(variance: FloatArray, rotation: FloatArray) -> FloatArray:

@@ -14,7 +14,6 @@ from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.estimates import followed_estimate, searched_estimate
 from posetrack_cli.head.following import Followed, Follower, Following, Images
 from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
@@ -24,6 +23,7 @@ from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.start.start import NoStart, Start, find_start
+from posetrack_cli.head.stereo_estimates import searched, tracked
 from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of, state_of
 from posetrack_cli.head.templates import TemplateSet, take_templates
 from posetrack_cli.recording.base import Frame
@@ -130,7 +130,7 @@ class StereoTracker:
         if now.previous is not None and self._is_keyframe(sets, followed):
             sets = (*sets, now.previous)
         after = replace(state, face=face, sets=sets, following=now, lost=0)
-        return after, followed_estimate(frame, followed, face, status, settings)
+        return after, tracked(frame, followed, face, status, settings)
 
     def _is_keyframe(self, sets: Sequence[TemplateSet], followed: Followed) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
@@ -145,7 +145,7 @@ class StereoTracker:
         if following is not None:
             following = replace(following, velocity=np.zeros_like(following.velocity))
         after = replace(state, following=following, lost=state.lost + 1)
-        return after, searched_estimate(frame, following, face, self._config)
+        return after, searched(frame, following, face, self._config)
 
     def _search(
         self, state: StereoState, frame: Frame, rng: np.random.Generator
@@ -198,14 +198,14 @@ class StereoTracker:
         found = self._find_start(frame.images)
         if not isinstance(found, Start):
             state = self._after_search(state, found)
-            return state, searched_estimate(frame, None, None, self._config)
+            return state, searched(frame, None, None, self._config)
         shape = settle(frame.images, self._cameras, found.pose, found.shape, self._config.refinement)
         face = new_face(shape, self._config.model)
         reference = take_templates(frame.images, self._cameras, found.pose, shape)
         following = self._follower.begin(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
         state = replace(state, face=face, sets=(reference,), following=following)
         followed = started(following, found, face)
-        return state, followed_estimate(frame, followed, face, Status.TRACKING, self._config)
+        return state, tracked(frame, followed, face, Status.TRACKING, self._config)
 
 
 def make_stereo_tracker(

@@ -17,9 +17,9 @@ from benchmarking.rows import Row, median_ms, median_of_pairs
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.estimates import components_of
 from posetrack_cli.head.model_file import Learned
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.stereo_estimates import components_of
 from posetrack_cli.head.stereo_tracker import make_stereo_tracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.synthesis.options import HeadSynthOptions
