@@ -32,15 +32,22 @@ from posetrack_cli.errors import UsageError
 @click.option(
     "--expressions/--no-expressions",
     default=True,
-    help="The face deforms in the first two thirds, then only the head moves; it blinks throughout.  "
-    "[default: expressions]",
+    help="The face deforms and blinks.  [default: expressions]",
+)
+@click.option(
+    "--script",
+    type=click.Choice(["free", "two-motions"]),
+    default="free",
+    show_default=True,
+    help="free: all expressions in the first two thirds, then only the head moves; two-motions: the mouth "
+    "grows wide and narrow, then the face long and short, for build-model.",
 )
 @click.option(
     "--motion",
-    type=click.Choice(["natural", "turn", "still"]),
+    type=click.Choice(["natural", "slight", "turn", "still"]),
     default="natural",
     show_default=True,
-    help="turn: also two sudden turns of 200 deg/s after three quarters.",
+    help="slight: a fifth of the natural one; turn: also two sudden turns of 200 deg/s after three quarters.",
 )
 @click.option("--speed", default=1.0, show_default=True, help="Factor on the natural motion's rate of time.")
 @click.option(

@@ -58,6 +58,11 @@ def test_bad_values_are_wrong_usage_and_write_nothing(tmp_path: Path, option: st
 
 
 def test_unknown_choices_are_wrong_usage(tmp_path: Path) -> None:
-    for option in ("--motion", "--light", "--image-format"):
+    for option in ("--motion", "--script", "--light", "--image-format"):
         result = CliRunner().invoke(head_synth, ["-o", str(tmp_path / "a.mcap"), option, "none"])
         assert result.exit_code == 2
+
+
+def test_a_script_needs_expressions(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--script cannot be used"):
+        invoke("-o", str(tmp_path / "a.mcap"), "--no-expressions", "--script", "two-motions")

@@ -1,7 +1,7 @@
-"""When a synthetic face makes which expression: the pattern of the thesis's experiment 3.4.
+"""When a synthetic face makes which expression: the pattern of the thesis's experiment 3.4, or another.
 
-After a neutral beginning it deforms until two thirds of the recording are over, then only the head moves.
-Blinks and small movements of the eyes go on throughout.
+After a neutral beginning it deforms until two thirds of the recording are over, then only the head moves; or
+it makes the ``two_motions``. Blinks and small movements of the eyes go on throughout.
 """
 
 from __future__ import annotations
@@ -12,7 +12,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.synthesis.curves import minimum_jerk, pulse
+from posetrack_cli.head.synthesis.episode import Episode
 from posetrack_cli.head.synthesis.expressions import EXPRESSIONS
+from posetrack_cli.head.synthesis.options import TWO_MOTIONS, HeadSynthOptions
+from posetrack_cli.head.synthesis.two_motions import motions_interval, two_motions
 
 NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
 """The neutral beginning: so long, but at most this part of the recording."""
@@ -34,23 +37,6 @@ _FACES: tuple[dict[str, tuple[float, float]], ...] = (
     {"brows_up": (0.6, 1.0)},
     {"brows_down": (0.6, 1.0), "pucker": (0.0, 0.4)},
 )
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One expression: its name, greatest strength, begin, and how long it rises, stays and falls, s."""
-
-    name: str
-    strength: float
-    start: float
-    rise: float
-    hold: float
-    fall: float
-
-    @property
-    def end(self) -> float:
-        """When it is over, s."""
-        return self.start + self.rise + self.hold + self.fall
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +68,31 @@ class ExpressionScript:
         return gaze
 
 
-def make_script(duration_s: float, expressions: bool, rng: np.random.Generator) -> ExpressionScript:
+def make_script(options: HeadSynthOptions, rng: np.random.Generator) -> ExpressionScript:
     """Draw the expressions of a recording; without expressions the face keeps quite still."""
-    if not expressions:
+    if not options.expressions:
         return ExpressionScript((), np.zeros((0, 2)))
     deforming, blinking, looking = rng.spawn(3)
-    episodes = [*_deformations(duration_s, deforming), *_blinks(duration_s, blinking)]
+    duration_s = options.duration_s
+    drawn = two_motions if options.script == TWO_MOTIONS else _deformations
+    episodes = [*drawn(duration_s, deforming), *_blinks(duration_s, blinking)]
     return ExpressionScript(tuple(episodes), _gazes(duration_s, looking))
 
 
-def deforming_interval(duration_s: float) -> tuple[float, float]:
-    """Return from when until when a face deforms, s."""
+def deforming_interval(options: HeadSynthOptions) -> tuple[float, float] | None:
+    """Return from when until when a face deforms, s; None for never."""
+    if not options.expressions:
+        return None
+    of_script = motions_interval if options.script == TWO_MOTIONS else _free_interval
+    return of_script(options.duration_s)
+
+
+def _free_interval(duration_s: float) -> tuple[float, float]:
     return min(NEUTRAL_S, NEUTRAL_PART * duration_s), DEFORMING_PART * duration_s
 
 
 def _deformations(duration_s: float, rng: np.random.Generator) -> list[Episode]:
-    time, end = deforming_interval(duration_s)
+    time, end = _free_interval(duration_s)
     order: list[int] = []
     episodes: list[Episode] = []
     while True:

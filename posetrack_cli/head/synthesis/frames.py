@@ -102,7 +102,7 @@ def make_plan(options: HeadSynthOptions) -> Plan:
         stamps_ns=stamps,
         dropped=dropped & options.drops,
         movement=make_movement(options, moving),
-        script=make_script(options.duration_s, options.expressions, speaking),
+        script=make_script(options, speaking),
         passing=make_passing(options, passing),
         illumination=make_illumination(options, lighting),
         scenery=scenery,

@@ -14,6 +14,8 @@ from posetrack_cli.head.synthesis.options import HeadSynthOptions
 _D = float(np.pi / 180.0)
 MOST = np.array([45.0, 28.0, 55.0, 26.0 * _D, 11.0 * _D, 10.0 * _D])
 """How far the natural motion goes: x, y, z mm; yaw, pitch, roll rad."""
+SLIGHT = 0.2
+"""Factor on it of the slight motion."""
 FREQUENCIES_HZ = (0.08, 0.33)
 BEGIN_S = 1.5
 """Time in which the motion sets in: a recording begins with a head at rest that faces the camera."""
@@ -110,7 +112,8 @@ def turn_time() -> float:
 
 def make_movement(options: HeadSynthOptions, rng: np.random.Generator) -> Movement:
     """Return the way that the options ask for."""
-    sway = random_sway(MOST * _nearness(options), FREQUENCIES_HZ, rng)
+    most = MOST * _nearness(options) * (SLIGHT if options.motion == "slight" else 1.0)
+    sway = random_sway(most, FREQUENCIES_HZ, rng)
     turn = TURN_AT * options.duration_s if options.motion == "turn" else None
     origin = np.array([0.0, 0.0, options.distance_mm])
     return Movement(origin, None if options.motion == "still" else sway, options.speed, turn)

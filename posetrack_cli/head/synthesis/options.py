@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 from posetrack_cli.errors import UsageError
 
-MOTIONS = ("natural", "turn", "still")
+MOTIONS = ("natural", "slight", "turn", "still")
+FREE, TWO_MOTIONS = "free", "two-motions"
+SCRIPTS = (FREE, TWO_MOTIONS)
 LIGHTS = ("slow", "sudden", "steady")
 CAMERAS = (1, 2)
 MOST_FRAMES = 1_000_000
@@ -25,8 +27,11 @@ class HeadSynthOptions:
         frames: number of frames.
         fps: frame rate, Hz.
         seed: of everything random but the person.
-        expressions: whether the face deforms, in the first two thirds; whether it blinks and looks around.
-        motion: ``natural`` wandering of the head; ``turn`` also two sudden turns; ``still`` none.
+        expressions: whether the face deforms; whether it blinks and looks around.
+        script: how it deforms: ``free`` makes all expressions, in the first two thirds; ``two-motions`` only
+            those that models of faces are built from, mouth in width and face in length.
+        motion: ``natural`` wandering of the head; ``slight`` a fifth of it, facing the camera; ``turn`` also
+            two sudden turns; ``still`` none.
         speed: factor on the rate of the natural motion's time.
         light: ``slow`` drift, also a lamp switched in the middle (``sudden``), or ``steady``.
         occlusion: whether an object covers half the face for one second.
@@ -47,6 +52,7 @@ class HeadSynthOptions:
     fps: float = 30.0
     seed: int = 0
     expressions: bool = True
+    script: str = FREE
     motion: str = "natural"
     speed: float = 1.0
     light: str = "slow"
@@ -61,6 +67,8 @@ class HeadSynthOptions:
 
     def __post_init__(self) -> None:
         _check("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
+        _check("script", self.script, self.script in SCRIPTS, " or ".join(SCRIPTS))
+        _check("script", self.script, self.expressions or self.script == FREE, "a face with expressions")
         _check("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
         _check("cameras", self.cameras, self.cameras in CAMERAS, "1 or 2")
         for name in ("identity", "seed"):

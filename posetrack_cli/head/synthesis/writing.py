@@ -89,13 +89,13 @@ def write_synthetic(
 
 def synth_record(options: HeadSynthOptions, plan: Plan) -> dict[str, str]:
     """Return the metadata that tells how a recording was made, and when what happens in it."""
-    start, end = deforming_interval(options.duration_s)
+    deforming = deforming_interval(options)
     turn = plan.movement.turn_interval
     record = {
         "version": __version__,
         **{f.name: str(getattr(options, f.name)) for f in fields(options)},
         "neutral_shape_mm": _numbers(plan.person.points),
-        "deforming_s": _numbers((start, end)) if options.expressions else "",
+        "deforming_s": "" if deforming is None else _numbers(deforming),
         "turn_s": "" if turn is None else _numbers(turn),
         "occlusion_s": "" if plan.passing is None else _numbers(plan.passing.interval),
         **{f"looks.{f.name}": str(getattr(plan.identity.looks, f.name)) for f in fields(plan.identity.looks)},

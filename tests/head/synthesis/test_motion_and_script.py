@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry import rotations
+from posetrack_cli.head.face import BROWS, MOUTH
 from posetrack_cli.head.synthesis.curves import minimum_jerk, pulse, random_sway
 from posetrack_cli.head.synthesis.expression_script import deforming_interval, make_script
 from posetrack_cli.head.synthesis.expressions import BOTH_WAYS, EXPRESSIONS
+from posetrack_cli.head.synthesis.identity import Identity
 from posetrack_cli.head.synthesis.illumination import make_illumination
 from posetrack_cli.head.synthesis.movement import FACING, TURN_RAD_S, make_movement
 from posetrack_cli.head.synthesis.options import HeadSynthOptions
 from posetrack_cli.head.synthesis.passing import BEFORE_MM, STAY_S, make_passing
+from posetrack_cli.head.synthesis.person import make_person
+from posetrack_cli.head.synthesis.skin_grid import skin_grid
 
 MINUTE = HeadSynthOptions(frames=1800)
 seconds = np.arange(1800) / 30.0
@@ -48,7 +52,7 @@ def test_velocity_is_the_poses_derivative(motion: str) -> None:
     assert abs(turn @ poses[-1, 3:]) == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("motion", ["natural", "turn", "still"])
+@pytest.mark.parametrize("motion", ["natural", "slight", "turn", "still"])
 def test_a_recording_begins_at_rest_facing_the_camera(motion: str) -> None:
     options = replace(MINUTE, motion=motion, distance_mm=850.0)
     movement = make_movement(options, np.random.default_rng(3))
@@ -56,14 +60,16 @@ def test_a_recording_begins_at_rest_facing_the_camera(motion: str) -> None:
     np.testing.assert_allclose(first, [0.0, 0.0, 850.0, *FACING], atol=ROUNDING)
     np.testing.assert_allclose(movement.twists(np.zeros(1))[0], 0.0, atol=0.05)
     moved = np.abs(movement.poses(seconds) - first).max()
-    assert moved == 0.0 if motion == "still" else moved > 20.0
+    assert moved == 0.0 if motion == "still" else moved > (5.0 if motion == "slight" else 20.0)
 
 
 def test_deformations_take_two_thirds_and_leave_a_neutral_beginning() -> None:
-    script = make_script(60.0, True, np.random.default_rng(4))
+    script = make_script(MINUTE, np.random.default_rng(4))
     strengths = script.strengths(seconds)
-    start, end = deforming_interval(60.0)
-    assert (start, end) == (2.0, 40.0)
+    interval = deforming_interval(MINUTE)
+    assert interval is not None
+    start, end = interval
+    assert (start, end) == pytest.approx((2.0, 2.0 / 3.0 * MINUTE.duration_s))
     deforming = [k for k, name in enumerate(EXPRESSIONS) if name not in ("blink", "gaze")]
     outside = (seconds <= start) | (seconds >= end)
     np.testing.assert_allclose(strengths[outside][:, deforming], 0.0, atol=ROUNDING)
@@ -76,8 +82,39 @@ def test_deformations_take_two_thirds_and_leave_a_neutral_beginning() -> None:
 
 
 def test_without_expressions_nothing_deforms() -> None:
-    script = make_script(60.0, False, np.random.default_rng(4))
+    script = make_script(replace(MINUTE, expressions=False), np.random.default_rng(4))
     assert not script.strengths(seconds).any()
+
+
+def test_the_two_motions_change_one_distance_each() -> None:
+    """Width of the mouth, then from the brows to the mouth, each several times through a wide range."""
+    options = HeadSynthOptions(frames=420, script="two-motions", motion="slight")
+    script = make_script(options, np.random.default_rng(4))
+    times = np.arange(options.frames) / options.fps
+    interval = deforming_interval(options)
+    assert interval is not None
+    start, middle = interval[0], np.mean(interval)
+    person = make_person(Identity(), skin_grid())
+    shapes = np.array([person.shape(strengths) for strengths in script.strengths(times)])
+    width = np.linalg.norm(shapes[:, 5] - shapes[:, 4], axis=1)
+    length = np.linalg.norm(shapes[:, BROWS].mean(axis=1) - shapes[:, MOUTH].mean(axis=1), axis=1)
+    neutral, wide, tall = times < start, (times > start) & (times < middle), times > middle
+    assert start > 4.0 and np.ptp(width[neutral]) == np.ptp(length[neutral]) == 0.0
+    # at strengths of 0.8: smile 2 x 7.5 and pucker 2 x 5 mm, jaw 10 and brows 4.5 + 2.6 mm
+    assert np.ptp(width[wide]) > 0.8 * 25.0 and np.ptp(length[tall]) > 0.8 * 17.0
+    for values in (width[wide], length[tall]):
+        beyond = np.diff((values > np.quantile(values, 0.7)).astype(int))
+        assert (beyond == 1).sum() >= 2
+        rates = np.histogram((values - values.min()) / np.ptp(values), 5, (0.0, 1.0))[0]
+        assert rates.min() >= 5  # frames to take the shapes of even rates from
+
+
+def test_a_slight_motion_faces_the_camera() -> None:
+    movement = make_movement(replace(MINUTE, motion="slight"), np.random.default_rng(3))
+    poses = movement.poses(seconds)
+    turned = 2.0 * np.degrees(np.arccos(np.clip(np.abs(poses[:, 3:] @ FACING), 0.0, 1.0)))
+    assert 2.0 < turned.max() < 10.0
+    assert 5.0 < np.linalg.norm(poses[:, :3] - movement.origin, axis=1).max() < 20.0
 
 
 def test_an_object_covers_one_side_for_one_second() -> None:
