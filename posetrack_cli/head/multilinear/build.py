@@ -1,0 +1,114 @@
+"""From the shapes of several people to the separated model of identity and deformation (thesis, 4.2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.face import MEAN_SHAPE, MIRRORED
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.multilinear.tensor import Decomposition, hooi, singular_values
+
+PEOPLE, ACTIONS = 0, 1
+"""Modes of the data tensor (2S, A, K, 3)."""
+LEAST_DEVIATION = 1e-4
+"""Least standard deviation of a parameter, of its root mean square."""
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltModel:
+    """A model and what it was built from.
+
+    Attributes:
+        model: of which ``identities`` and ``deformations`` are parameters.
+        samples: (2S, A, K, 3) symmetric shapes, mm: those of the right halves, then those of the left.
+        identities: (2S, S') s of each sample, the rows of U_shape.
+        deformations: (A, A') a of each action, the rows of U_action.
+        spectra: singular values of the data tensor along people and actions, descending.
+    """
+
+    model: FaceModel
+    samples: FloatArray
+    identities: FloatArray
+    deformations: FloatArray
+    spectra: tuple[FloatArray, FloatArray]
+
+    def approximations(self) -> FloatArray:
+        """Return what the model makes of the samples (2S, A, K, 3), mm, (4.14)."""
+        return self.model.shapes(self.identities[:, None], self.deformations[None])
+
+
+def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) -> BuiltModel:
+    """Separate who a face is from what it does, (4.11)-(4.15).
+
+    Args:
+        shapes: (S, A, K, 3) of each person in each action, mm in the head's frame.
+        identity: S', at most 2S.
+        deformation: A', at most A.
+    """
+    samples = symmetric_halves(shapes).reshape(-1, *shapes.shape[1:])
+    mean = samples.mean(axis=(PEOPLE, ACTIONS))
+    tensor = samples - mean
+    found = _along_means(hooi(tensor, {PEOPLE: identity, ACTIONS: deformation}))
+    identities, deformations = found.bases[PEOPLE], found.bases[ACTIONS]
+    model = FaceModel(
+        mean,
+        np.moveaxis(found.core, (2, 3), (0, 1)),
+        identities.mean(axis=0),
+        _deviations(identities),
+        deformations.mean(axis=0),
+        _deviations(deformations),
+    )
+    spectra = (singular_values(tensor, PEOPLE), singular_values(tensor, ACTIONS))
+    return BuiltModel(model, samples, identities, deformations, spectra)
+
+
+def mirrored(shapes: FloatArray) -> FloatArray:
+    """Return shapes (..., K, 3) as a mirror shows them: left and right are exchanged."""
+    image: FloatArray = shapes[..., MIRRORED, :] * np.array([-1.0, 1.0, 1.0])
+    return image
+
+
+def symmetric_halves(shapes: FloatArray) -> FloatArray:
+    """Return the symmetric faces (2, ..., K, 3) of the right and of the left halves of shapes (..., K, 3)."""
+    images = mirrored(shapes)
+    right = (MEAN_SHAPE[:, 0] < 0.0)[:, None]
+    return np.stack([np.where(right, shapes, images), np.where(right, images, shapes)])
+
+
+def _deviations(rows: FloatArray) -> FloatArray:
+    least = LEAST_DEVIATION * np.sqrt(np.mean(rows**2, axis=0))
+    deviations: FloatArray = np.maximum(rows.std(axis=0), least)
+    return deviations
+
+
+def _along_means(found: Decomposition) -> Decomposition:
+    """The same decomposition with bases turned so that the rows' elements are not correlated **[ours]**.
+
+    A basis is free up to a rotation, which the core undoes. As its columns are orthonormal, its rows have
+    the covariance 1 / n - m m^T about their mean m: diagonal where m lies along the first axis. Then
+    the standard deviations say all that the first two moments can. The other axes are sorted by what they
+    carry.
+    """
+    core, bases = found.core, dict(found.bases)
+    for mode, basis in found.bases.items():
+        turn = _to_mean(basis, core, mode)
+        bases[mode] = basis @ turn
+        core = np.moveaxis(np.tensordot(turn, core, axes=(0, mode)), 0, mode)
+    return Decomposition(core, bases)
+
+
+def _to_mean(basis: FloatArray, core: FloatArray, mode: int) -> FloatArray:
+    """(J, J) orthonormal: the mean row's direction, then those that carry most of what is left."""
+    mean = basis.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    if length < np.sqrt(np.finfo(float).eps):
+        return np.eye(len(mean))
+    first = mean / length
+    rows = np.moveaxis(core, mode, 0).reshape(len(mean), -1)
+    rest = rows - np.outer(first, first @ rows)
+    others = np.linalg.svd(rest)[0][:, : len(mean) - 1]
+    signs = np.where(others[np.argmax(np.abs(others), axis=0), range(len(mean) - 1)] < 0.0, -1.0, 1.0)
+    return np.column_stack([first, others * signs])

@@ -1,0 +1,106 @@
+"""Files of the separated face model: an npz without pickle, and the model that is shipped."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.recording.output import whole_or_nothing
+
+FORMAT, VERSION = "posetrack.face_model", 1
+SHIPPED = Path(__file__).with_name("default.npz")
+"""Built by ``scripts/build-face-model`` from statistics of ICT-FaceKit (USC ICT, MIT licence)."""
+_HEADER = "header"
+
+
+def load_face_model(path: Path | None = None) -> FaceModel:
+    """Read a face model; none is the shipped one.
+
+    Raises:
+        UsageError: the file does not exist.
+        ResultError: it is no face model, or damaged.
+    """
+    path = SHIPPED if path is None else path
+    if not path.is_file():
+        raise UsageError("no such face model", where=path)
+    try:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as contents:
+            _check_header(json.loads(str(contents[_HEADER])))
+            return _checked({name: contents[name] for name in contents.files})
+    except PosetrackError:
+        raise
+    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
+        raise ResultError(
+            "is no face model",
+            where=path,
+            found=_said(error),
+            expected="what posetrack head build-model wrote",
+        ) from error
+
+
+def save_face_model(path: Path, model: FaceModel, source: str) -> None:
+    """Write a face model, whole or not at all; the same bytes for the same model.
+
+    Args:
+        path: the file.
+        model: to write.
+        source: what it was built from, in words, for the file's header.
+
+    Raises:
+        ResultError: it cannot be written.
+    """
+    header = {"format": FORMAT, "version": VERSION, "source": source, "points": list(POINT_NAMES)}
+    arrays = {name: getattr(model, name) for name in sorted(_shapes(0, 0))}
+    stream = BytesIO()
+    np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
+    with whole_or_nothing(path) as part:
+        part.write_bytes(stream.getvalue())
+
+
+def _shapes(identity: int, deformation: int) -> dict[str, tuple[int, ...]]:
+    return {
+        "mean": (POINT_COUNT, 3),
+        "core": (POINT_COUNT, 3, identity, deformation),
+        "identity_mean": (identity,),
+        "identity_deviations": (identity,),
+        "deformation_mean": (deformation,),
+        "deformation_deviations": (deformation,),
+    }
+
+
+def _check_header(header: Mapping[str, Any]) -> None:
+    if header.get("format") != FORMAT:
+        raise ValueError(f"format {header.get('format')}")
+    if header.get("version") != VERSION:
+        raise ValueError(f"version {header.get('version')} of the format")
+    if tuple(header.get("points", ())) != POINT_NAMES:
+        raise ValueError("other feature points")
+
+
+def _checked(arrays: Mapping[str, np.ndarray[Any, Any]]) -> FaceModel:
+    core = arrays["core"]
+    if core.ndim != 4 or 0 in core.shape:
+        raise ValueError(f"array 'core' of shape {core.shape}")
+    expected = _shapes(*core.shape[2:])
+    for name, shape in expected.items():
+        array = arrays[name]
+        if array.dtype.kind != "f" or array.shape != shape:
+            raise ValueError(f"array '{name}' as {array.dtype} {array.shape} beside 'core' of {core.shape}")
+        if not np.all(np.isfinite(array)):
+            raise ValueError(f"array '{name}' with values that are not finite")
+        if name.endswith("deviations") and np.any(array <= 0.0):
+            raise ValueError(f"array '{name}' with values that are not above 0")
+    return FaceModel(**{name: arrays[name].astype(np.float64) for name in expected})
+
+
+def _said(error: Exception) -> str:
+    """The error's words; a KeyError's are only a name."""
+    return f"no array {error}" if isinstance(error, KeyError) else str(error)
