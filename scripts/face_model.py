@@ -36,9 +36,12 @@ SIDEWAYS: Mapping[float, Expression] = {
 VERTICAL: Mapping[float, Expression] = {
     0.0: {"browDown": 1.0},
     0.25: NEUTRAL,
-    1.0: {"jawOpen": 1.0, "browInnerUp": 1.0},
+    0.5: {"browInnerUp": 1.0},
+    1.0: {"browInnerUp": 1.0, "jawOpen": 1.0},
 }
-"""Strengths of the published expressions at some rates of a motion; between them they change linearly."""
+"""Strengths of the published expressions at some rates of a motion; between them they change linearly.
+
+The brows go before the jaw, so that the model can tell one from the other."""
 RATES = np.linspace(0.0, 1.0, 5)
 
 
@@ -57,7 +60,7 @@ class Statistics:
     expressions: Mapping[str, FloatArray]
 
     def people(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draw neutral faces and their negatives (2 count, K, 3), mm, origin at the mean of the eye corners."""
+        """Draw neutral faces and their negatives (2 count, K, 3), mm, about the mean of the eye corners."""
         drawn = rng.standard_normal((count, len(self.modes)))
         people = self.mean + np.tensordot(np.concatenate([drawn, -drawn]), self.modes, axes=1)
         centred: FloatArray = people - people[:, EYES].mean(axis=1, keepdims=True)

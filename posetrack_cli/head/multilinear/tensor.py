@@ -71,8 +71,9 @@ def hooi(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
     """Return a better approximation of the same ranks, by alternating least squares.
 
     De Lathauwer et al., "On the best rank-1 and rank-(R1, R2, ..., RN) approximation of higher-order
-    tensors", 2000 (reference [23] of the thesis). Each basis in turn becomes the best one while the others are held, so that no sweep makes the
-    approximation worse and the first is no worse than ``truncated_svd``.
+    tensors", 2000 (reference [23] of the thesis). Each basis in turn becomes the best one while the others
+    are held, so that no sweep makes the approximation worse and the first is no worse than
+    ``truncated_svd``.
 
     Args:
         tensor: T.
@@ -92,7 +93,7 @@ def hooi(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
 
 def _leading(tensor: FloatArray, mode: int, rank: int) -> FloatArray:
     """The first left singular vectors (I_n, rank) along a mode; the largest entry of each is positive."""
-    vectors = np.linalg.svd(unfold(tensor, mode), full_matrices=False)[0][:, :rank]
+    vectors: FloatArray = np.linalg.svd(unfold(tensor, mode), full_matrices=False)[0][:, :rank]
     largest = np.take_along_axis(vectors, np.argmax(np.abs(vectors), axis=0)[None], axis=0)
     signed: FloatArray = vectors * np.where(largest < 0.0, -1.0, 1.0)
     return signed
