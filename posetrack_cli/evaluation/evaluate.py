@@ -39,6 +39,8 @@ AGAINST_TRUTH = ("accuracy", "velocity", "covariance")
 LONGEST_OFFSET_S = 1e10
 """What 64 bits of nanoseconds hold, nearly 300 years, is a little less."""
 SMOOTHED_NOTE = "the smoothed track: its estimates rest on later frames, too"
+PRIOR_NOTE = "one camera sees no scale: distance and size rest on what faces are like"
+GUESS_NOTE = "the camera was not calibrated: the focal length, and distance with it, is a guess"
 NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
 NO_DEPTH = "a head is tracked in grey images, which hold no depth to compare with"
 NO_IMAGES = "the recording has none of the result's frames"
@@ -53,8 +55,6 @@ WITHOUT_TRUTH = {
     "largest_gap_s": "fewer than two frames",
 }
 """Why these have no value, when they have none."""
-PRIOR_NOTE = "one camera sees no scale: distance and size rest on what faces are like"
-GUESS_NOTE = "the camera was not calibrated: the focal length, and distance with it, is a guess"
 
 
 @dataclass(frozen=True)

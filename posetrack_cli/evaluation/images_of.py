@@ -10,9 +10,10 @@ from typing import Any
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
-from posetrack_cli.evaluation.recording_of import found_beside
+from posetrack_cli.evaluation.recording_of import camera_of, found_beside
 from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.guess import guess_of_camera
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results.reader import Result
@@ -84,6 +85,8 @@ def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
         options["tolerance_ms"] = float(run["input.tolerance_ms"]) if "input.tolerance_ms" in run else None
     if "input.fps" in run:
         options["fps"] = float(run["input.fps"])
+    if run.get("intrinsics") == "guessed":
+        options["guess"] = guess_of_camera(camera_of(run))
     return options | {"mirror": run.get("input.mirror") == "true"}
 
 

@@ -114,9 +114,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise RecordingError("is not TOML", where=path, found=error) from error
 
 
-def no_intrinsics(where: object) -> RecordingError:
+class NotCalibratedError(RecordingError):
+    """Nothing tells a camera's intrinsics."""
+
+
+def no_intrinsics(where: object) -> NotCalibratedError:
     """Return the error for a recording without any camera, with what to write."""
-    return RecordingError(
+    return NotCalibratedError(
         "no intrinsics", where=where, hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {EXAMPLE}"
     )
 

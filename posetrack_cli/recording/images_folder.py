@@ -12,12 +12,13 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.grey import StoredKind, decode_as_stored, decode_grey, kind_of_image
+from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import files_digest, shown_name
 from posetrack_cli.recording.image_files import read_image
 from posetrack_cli.recording.image_folders import Stamped, find_folders, stamped_images, stamps_files
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage, StoredImages, match_images
-from posetrack_cli.recording.rig_file import Rig, load_rig, not_calibrated
+from posetrack_cli.recording.rig_file import Rig, found_rig, load_rig
 from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
 from posetrack_cli.recording.stored import UnreadableImageError
 
@@ -32,6 +33,7 @@ class ImagesFolderRecording(SeveralCamerasRecording):
         fps: frame rate, Hz; replaces timestamps.csv.
         mirror: replaces the camera file's value.
         tolerance_ms: largest difference of stamps within a frame.
+        guess: of the only camera, where it is not calibrated.
 
     Raises:
         RecordingError: if there are no images, no stamps, a camera is not calibrated or has no folder, or
@@ -49,16 +51,18 @@ class ImagesFolderRecording(SeveralCamerasRecording):
         fps: float | None = None,
         mirror: bool | None = None,
         tolerance_ms: float = DEFAULT_TOLERANCE_MS,
+        guess: Guess | None = None,
     ) -> None:
         folders = find_folders(path)
-        self._rig = _rig_of(path, folders, camera_file, cameras)
+        self._rig = _rig_of(path, folders, camera_file, cameras, guess)
         self._folders = _folders_of(path, self._rig, folders)
         self._fps = fps
         self._images = stamped_images(path, self._folders, fps)
         self._kinds = {name: _first_kind(self._rig, name, images) for name, images in self._folders.items()}
         self._mirror = self._rig.mirror if mirror is None else mirror
         self._windows = {name: self._rig.window(name, self._mirror) for name in self._folders}
-        super().__init__(path, self._windowed_cameras(), round(tolerance_ms * NS_PER_MS))
+        cameras_in_use, tolerance = self._windowed_cameras(), round(tolerance_ms * NS_PER_MS)
+        super().__init__(path, cameras_in_use, tolerance, is_guessed=self._rig.is_guessed)
         self._frame_count = sum(1 for _ in self.matched())
 
     @property
@@ -71,7 +75,8 @@ class ImagesFolderRecording(SeveralCamerasRecording):
         files = [(_label(name, image), image) for name, images in self._folders.items() for image in images]
         stamps = stamps_files(self._path, self._folders, self._fps)
         files += [(f"{number} {file.name}", file) for number, file in enumerate(stamps)]
-        size, digest = files_digest([*files, (CAMERA_FILE_NAME, self._rig.path)])
+        files += [] if self.is_guessed else [(CAMERA_FILE_NAME, self._rig.path)]
+        size, digest = files_digest(files)
         return {
             "name": shown_name(self._path.resolve()),
             "kind": "folder",
@@ -107,10 +112,21 @@ class ImagesFolderRecording(SeveralCamerasRecording):
 
 
 def _rig_of(
-    path: Path, folders: Mapping[str, object], camera_file: Path | None, names: Sequence[str] | None
+    path: Path,
+    folders: Mapping[str, object],
+    camera_file: Path | None,
+    names: Sequence[str] | None,
+    guess: Guess | None,
 ) -> Rig:
+    """Return the cameras to use; one of them if intrinsics may be guessed."""
+    rig = _named_rig(path, folders, found_rig(path, _camera_file(path, camera_file), folders, guess), names)
+    if guess is not None:
+        check_one_camera(path, rig.cameras)
+    return rig
+
+
+def _named_rig(path: Path, folders: Mapping[str, object], rig: Rig, names: Sequence[str] | None) -> Rig:
     """Return the cameras to use, by what the folders and the camera file are called."""
-    rig = load_rig(_camera_file(path, camera_file))
     if names is not None:
         return rig.chosen(names)
     _check_calibrated(path, rig, folders)
@@ -128,15 +144,15 @@ def _rig_of(
     return rig.chosen([name])
 
 
-def _camera_file(path: Path, given: Path | None) -> Path:
-    """The camera file given, the folder's own, or that of the recording the folder is a camera of."""
+def _camera_file(path: Path, given: Path | None) -> Path | None:
+    """The camera file given, the folder's own, or that of the recording the folder is a camera of, if any."""
     above = path.resolve().parent / CAMERA_FILE_NAME
     own = path / CAMERA_FILE_NAME
     if given is not None or own.exists():
         return given or own
     if above.exists() and path.resolve().name in load_rig(above).cameras:
         return above
-    raise not_calibrated(path)
+    return None
 
 
 def _folders_of(path: Path, rig: Rig, folders: Mapping[str, list[Path]]) -> dict[str, list[Path]]:

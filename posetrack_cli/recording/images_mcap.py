@@ -11,7 +11,9 @@ from typing import Any
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
+from posetrack_cli.recording.camera_file import NotCalibratedError
 from posetrack_cli.recording.depth import Window
+from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
@@ -25,10 +27,13 @@ from posetrack_cli.recording.mcap_cameras import (
 from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError, stamp_of
 from posetrack_cli.recording.mcap_grey import grey_of_message
 from posetrack_cli.recording.mcap_stream import check_mcap, read_messages
-from posetrack_cli.recording.mcap_topics import scan_topics
+from posetrack_cli.recording.mcap_topics import Topic, scan_topics
 from posetrack_cli.recording.mcap_truth import read_truth
 from posetrack_cli.recording.rig_file import Rig, load_rig
 from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
+
+FROM_FILE, FROM_MESSAGES, GUESSED = "camera file", "messages", "guessed"
+"""Where cameras are from."""
 
 
 class ImagesMcapRecording(SeveralCamerasRecording):
@@ -44,6 +49,7 @@ class ImagesMcapRecording(SeveralCamerasRecording):
         camera_file: replaces calibrations and transforms.
         mirror: flip left to right; replaces the camera file's value.
         tolerance_ms: largest difference of stamps within a frame.
+        guess: of the only camera, where it is not calibrated.
 
     Raises:
         RecordingError: if the file is no MCAP, if no topic or no calibration fits, or nothing tells where the
@@ -58,6 +64,7 @@ class ImagesMcapRecording(SeveralCamerasRecording):
         camera_file: Path | None = None,
         mirror: bool | None = None,
         tolerance_ms: float = DEFAULT_TOLERANCE_MS,
+        guess: Guess | None = None,
     ) -> None:
         check_mcap(path)
         topics = scan_topics(path)
@@ -65,18 +72,22 @@ class ImagesMcapRecording(SeveralCamerasRecording):
         rig = load_rig(camera_file) if camera_file is not None else None
         if rig is None:
             self._sources = distinct_names(find_sources(path, topics, cameras))
-            stored = cameras_of_messages(path, topics, self._sources)
+            stored, calibration = _cameras(path, topics, self._sources, guess)
         else:
             rig = rig if cameras is None else rig.chosen(cameras)
             self._sources = [_with_bits(s, rig) for s in sources_of_rig(path, topics, rig)]
             stored = list(rig.stored_cameras({source.name: source.size for source in self._sources}))
-        self._has_camera_file = rig is not None
+            calibration = FROM_FILE
+            if guess is not None:
+                check_one_camera(path, rig.cameras)
+        self._calibration = calibration
         self._mirror = bool(rig and rig.mirror) if mirror is None else mirror
         self._windows = [
             rig.window(source.name, self._mirror) if rig else Window(None, self._mirror)
             for source in self._sources
         ]
-        super().__init__(path, _windowed(self._windows, stored), round(tolerance_ms * NS_PER_MS))
+        cameras_in_use, tolerance = _windowed(self._windows, stored), round(tolerance_ms * NS_PER_MS)
+        super().__init__(path, cameras_in_use, tolerance, is_guessed=calibration == GUESSED)
 
     @property
     def frame_count(self) -> int | None:
@@ -95,7 +106,7 @@ class ImagesMcapRecording(SeveralCamerasRecording):
             "frames": "" if self.frame_count is None else str(self.frame_count),
             "cameras": ",".join(camera.name for camera in self._cameras),
             "topics": ",".join(source.topic.name for source in self._sources),
-            "calibration": "camera file" if self._has_camera_file else "messages",
+            "calibration": self._calibration,
             "stored": ", ".join(dict.fromkeys(source.kind.words for source in self._sources)),
             "mirror": str(self._mirror).lower(),
             "tolerance_ms": f"{self._tolerance_ns / NS_PER_MS:g}",
@@ -123,6 +134,20 @@ class ImagesMcapRecording(SeveralCamerasRecording):
                 yield StoredImage(stamp, where, partial(_grey, decoded, source, window, where))
         finally:
             losses.include(own.losses)  # every camera's pass meets the same damage
+
+
+def _cameras(
+    path: Path, topics: Mapping[str, Topic], sources: Sequence[Source], guess: Guess | None
+) -> tuple[list[Camera], str]:
+    """Return the cameras of stored images, and where they are from."""
+    if guess is not None:
+        check_one_camera(path, [source.name for source in sources])
+    try:
+        return cameras_of_messages(path, topics, sources), FROM_MESSAGES
+    except NotCalibratedError:
+        if guess is None:
+            raise
+    return [guess.stored_camera(*source.size, source.name) for source in sources], GUESSED
 
 
 def _grey(decoded: Any, source: Source, window: Window, where: str) -> ImageArray:

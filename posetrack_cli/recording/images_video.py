@@ -14,10 +14,11 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
+from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
-from posetrack_cli.recording.rig_file import Rig, load_rig, not_calibrated
+from posetrack_cli.recording.rig_file import Rig, found_rig
 from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
 from posetrack_cli.recording.stamps import NS_PER_S, stamp_at_rate, stamps_at_rate
 
@@ -34,6 +35,7 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         camera_file: its calibration; None for NAME.toml or camera.toml beside the video.
         fps: frame rate, Hz, in place of the video's own stamps.
         mirror: flip left to right; replaces the camera file's value.
+        guess: of the camera, where it is not calibrated.
 
     Raises:
         RecordingError: if it cannot be read, has no frame, or is not calibrated.
@@ -47,8 +49,9 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         camera_file: Path | None = None,
         fps: float | None = None,
         mirror: bool | None = None,
+        guess: Guess | None = None,
     ) -> None:
-        rig = _one_camera(load_rig(camera_file or _beside(path)), cameras)
+        rig = _one_camera(found_rig(path, camera_file or _beside(path), [""], guess), cameras)
         (self._name,) = rig.cameras
         self._rig_path = rig.path
         with opened(path) as video:
@@ -64,7 +67,7 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         self._mirror = rig.mirror if mirror is None else mirror
         self._window = rig.window(self._name, self._mirror)
         (stored,) = rig.stored_cameras({self._name: (self._kind.width, self._kind.height)})
-        super().__init__(path, [self._window.camera(stored)], 0)
+        super().__init__(path, [self._window.camera(stored)], 0, is_guessed=rig.is_guessed)
 
     @property
     def frame_count(self) -> int | None:
@@ -153,12 +156,10 @@ def opened(path: Path) -> Iterator[cv2.VideoCapture]:
         video.release()
 
 
-def _beside(path: Path) -> Path:
-    """The camera file that lies beside a video: NAME.toml, or camera.toml."""
-    for file in (path.with_suffix(".toml"), path.parent / CAMERA_FILE_NAME):
-        if file.exists():
-            return file
-    raise not_calibrated(path)
+def _beside(path: Path) -> Path | None:
+    """The camera file that lies beside a video: NAME.toml, or camera.toml; None for none."""
+    files = path.with_suffix(".toml"), path.parent / CAMERA_FILE_NAME
+    return next((file for file in files if file.exists()), None)
 
 
 def _one_camera(rig: Rig, cameras: Sequence[str] | None) -> Rig:

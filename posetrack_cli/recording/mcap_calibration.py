@@ -7,7 +7,7 @@ from typing import Any
 
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.camera_file import no_intrinsics
+from posetrack_cli.recording.camera_file import NotCalibratedError, no_intrinsics
 
 MODEL_NAMES = {
     "kannala_brandt": "equidistant",
@@ -21,13 +21,13 @@ def camera_from_message(decoded: Any, frame_id: str, topic: str) -> Camera:
     """Return the camera of a foxglove.CameraCalibration or a ROS CameraInfo (K or k, D or d).
 
     Raises:
-        RecordingError: if it is uncalibrated, which both mark by K[0] = 0.
+        NotCalibratedError: if it is uncalibrated, which both mark by K[0] = 0.
         PosetrackError: if its values cannot be used.
     """
     k = [float(value) for value in _field(decoded, "K")]
     d = [float(value) for value in _field(decoded, "D")]
     if len(k) != 9 or k[0] == 0.0:
-        raise RecordingError("camera is not calibrated", where=topic, found=f"K = {k}")
+        raise NotCalibratedError("camera is not calibrated", where=topic, found=f"K = {k}")
     model = str(decoded.distortion_model)
     return Camera(
         width=int(decoded.width),

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.folder import FolderRecording
+from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.mcap_records import MAGIC
-from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS
+from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
 from posetrack_cli.recording.stored import StoredRecording
 
 LONGEST_TOLERANCE_MS = 1000.0
@@ -75,7 +75,8 @@ def open_images(
     fps: float | None = None,
     mirror: bool | None = None,
     tolerance_ms: float | None = None,
-) -> Recording:
+    guess: Guess | None = None,
+) -> SeveralCamerasRecording:
     """Open grey images of one or more calibrated cameras: folders, an MCAP file or a video.
 
     Frames have uint8 images, None at the place of a camera that has none at that instant; colour is
@@ -89,6 +90,8 @@ def open_images(
         fps: frame rate, Hz, in place of timestamps.csv or a video's own stamps.
         mirror: flip images left to right.
         tolerance_ms: largest difference of stamps within a frame; 10 if None.
+        guess: for what needs one camera: what it is taken for where nothing tells its intrinsics; several
+            cameras are then refused.
 
     Raises:
         RecordingError: if it cannot be read, or its cameras are not calibrated.
@@ -101,19 +104,32 @@ def open_images(
         from posetrack_cli.recording.images_folder import ImagesFolderRecording
 
         return ImagesFolderRecording(
-            path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror, tolerance_ms=tolerance
+            path,
+            cameras=cameras,
+            camera_file=camera_file,
+            fps=fps,
+            mirror=mirror,
+            tolerance_ms=tolerance,
+            guess=guess,
         )
     if is_mcap(path):
         _refuse("an MCAP file", fps=fps)
         from posetrack_cli.recording.images_mcap import ImagesMcapRecording
 
         return ImagesMcapRecording(
-            path, cameras=cameras, camera_file=camera_file, mirror=mirror, tolerance_ms=tolerance
+            path,
+            cameras=cameras,
+            camera_file=camera_file,
+            mirror=mirror,
+            tolerance_ms=tolerance,
+            guess=guess,
         )
     _refuse("a video", tolerance_ms=tolerance_ms)
     from posetrack_cli.recording.images_video import ImagesVideoRecording
 
-    return ImagesVideoRecording(path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror)
+    return ImagesVideoRecording(
+        path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror, guess=guess
+    )
 
 
 def _tolerance(given: float | None) -> float:

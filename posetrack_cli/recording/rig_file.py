@@ -18,10 +18,12 @@ from posetrack_cli.recording.camera_file import (
     CAMERA_FILE_NAME,
     Finite,
     Intrinsics,
+    NotCalibratedError,
     checked_settings,
     read_toml,
 )
 from posetrack_cli.recording.depth import Window
+from posetrack_cli.recording.guess import Guess
 
 TABLE = "cameras"
 NEAREST_MM = 1.0
@@ -57,17 +59,22 @@ class LoneCamera(Intrinsics):
 
 @dataclass(frozen=True)
 class Rig:
-    """What a camera file says of all cameras.
+    """What a camera file says of all cameras, or what is guessed of one.
 
     Attributes:
-        path: the file.
+        path: the file; the recording where there is none.
         cameras: settings by name, the reference first; the name is empty where the file gives none.
         mirror: flip all images left to right.
     """
 
     path: Path
-    cameras: Mapping[str, RigCamera | LoneCamera]
+    cameras: Mapping[str, RigCamera | LoneCamera | Guess]
     mirror: bool = False
+
+    @property
+    def is_guessed(self) -> bool:
+        """Whether there is no camera file."""
+        return any(isinstance(camera, Guess) for camera in self.cameras.values())
 
     def chosen(self, names: Sequence[str]) -> Rig:
         """Return the rig of some of its cameras, in its own order.
@@ -77,9 +84,9 @@ class Rig:
         """
         for name in names:
             if name not in self.cameras:
-                raise RecordingError(
-                    f"no camera '{name}'", where=self.path, hint=nearest_name(name, self.cameras)
-                )
+                lone = "it is of one camera, which has no name: leave --cameras out"
+                hint = lone if "" in self.cameras else nearest_name(name, self.cameras)
+                raise RecordingError(f"no camera '{name}'", where=self.path, hint=hint)
         return Rig(self.path, {k: v for k, v in self.cameras.items() if k in names}, self.mirror)
 
     def window(self, name: str, mirror: bool) -> Window:
@@ -148,9 +155,29 @@ def load_rig(path: Path) -> Rig:
     return Rig(path, _reference_first(cameras, values, path), _mirror(values, path))
 
 
-def not_calibrated(where: object) -> RecordingError:
+def found_rig(path: Path, file: Path | None, names: Iterable[str], guess: Guess | None) -> Rig:
+    """Return what a recording's camera file says, or what is guessed where it has none.
+
+    Args:
+        path: the recording.
+        file: None for none.
+        names: of its cameras.
+        guess: of one camera; None if cameras must be calibrated.
+
+    Raises:
+        NotCalibratedError: there is neither file nor guess.
+        RecordingError: the file cannot be used.
+    """
+    if file is not None:
+        return load_rig(file)
+    if guess is None:
+        raise not_calibrated(path)
+    return Rig(path, dict.fromkeys(names, guess))
+
+
+def not_calibrated(where: object) -> NotCalibratedError:
     """Return the error for images without any camera file, with what to do."""
-    return RecordingError(
+    return NotCalibratedError(
         "cameras are not calibrated",
         where=where,
         expected=f"a {CAMERA_FILE_NAME} beside the images, or --camera",
@@ -210,8 +237,8 @@ def _key(name: str) -> str:
     return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _is_placeless(camera: RigCamera | LoneCamera) -> bool:
-    return isinstance(camera, LoneCamera) or (camera.rotation is None and camera.translation_mm is None)
+def _is_placeless(camera: RigCamera | LoneCamera | Guess) -> bool:
+    return not isinstance(camera, RigCamera) or (camera.rotation is None and camera.translation_mm is None)
 
 
 def _reference_first(

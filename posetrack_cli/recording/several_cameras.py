@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from posetrack_cli.arrays import ImageArray
@@ -26,11 +26,14 @@ class SeveralCamerasRecording(ABC):
         path: the file or folder.
         cameras: of the images as they are given out, the reference first.
         tolerance_ns: largest difference of stamps within a frame.
+        is_guessed: whether nothing told the intrinsics.
     """
 
-    def __init__(self, path: Path, cameras: Sequence[Camera], tolerance_ns: int) -> None:
+    def __init__(
+        self, path: Path, cameras: Sequence[Camera], tolerance_ns: int, *, is_guessed: bool = False
+    ) -> None:
         self._path, self._cameras = path, tuple(cameras)
-        self._tolerance_ns = tolerance_ns
+        self._tolerance_ns, self._is_guessed = tolerance_ns, is_guessed
         self._log = LossLog()
 
     @property
@@ -44,9 +47,23 @@ class SeveralCamerasRecording(ABC):
         return self._cameras
 
     @property
+    def is_guessed(self) -> bool:
+        """Whether the intrinsics are a ``Guess``."""
+        return self._is_guessed
+
+    @property
     def losses(self) -> tuple[Loss, ...]:
         """What the last pass over the frames had to skip."""
         return self._log.losses
+
+    @property
+    @abstractmethod
+    def frame_count(self) -> int | None:
+        """How many frames there are before reading, None when unknown."""
+
+    @abstractmethod
+    def identity(self) -> Mapping[str, str]:
+        """Name, kind, size and SHA-256 of the input, and how it was read."""
 
     def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
         """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""
