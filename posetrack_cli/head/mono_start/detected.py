@@ -1,0 +1,109 @@
+"""One frame's face as one camera's start uses it (thesis, 4.4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.features import FEATURE_SD, FEATURES
+from posetrack_cli.head.detection.points import FacePoints
+from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.mono_config import MonoStartSettings
+from posetrack_cli.head.mono_start.single import pose_of
+from posetrack_cli.head.mono_start.symmetry import slope_deviation
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.start.start import NO_FACE, NoStart
+
+EYE_DISTANCE_MM = 63.0
+SAME_FACE = 1.0
+"""A face that moved farther from one frame to the next, in eye distances, is another one."""
+MEAN_FACE_WEIGHTS = (FEATURE_SD.min() / FEATURE_SD) ** 2
+"""(K,) how well an average face's points tell where a face is: eyes best."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedFace:
+    """The ten points of one face in one frame.
+
+    Attributes:
+        stamp_ns: of the frame.
+        pixels: (K, 2) as recorded.
+        responses: (K,) 0 to 1, how much each place looks like its point; 1 where a person clicked.
+        score: 0 to 1, their mean.
+        eye_distance: pixels between the eyes' centres, as if the face looked at the camera.
+        pose: rough, of an average face.
+    """
+
+    stamp_ns: int
+    pixels: FloatArray
+    responses: FloatArray
+    score: float
+    eye_distance: float
+    pose: HeadPose
+
+
+def detect_face(
+    image: ImageArray,
+    stamp_ns: int,
+    camera: Camera,
+    detector: FaceDetector,
+    settings: MonoStartSettings,
+    choice: int = 0,
+    near: FloatArray | None = None,
+) -> DetectedFace | NoStart:
+    """Return a face of an image with its points, or why there is none.
+
+    Args:
+        image: (height, width) uint8.
+        stamp_ns: of the frame.
+        camera: that took it.
+        detector: of faces.
+        settings: which detections count.
+        choice: which face, 0 the largest in the image, 1 the next.
+        near: (K, 2) pixels of the face in an earlier frame. The face there is taken, whatever the choice: a
+            second person who comes nearer meanwhile does not take over.
+    """
+    detection = detector.detect(image)
+    faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
+    face = _chosen(faces, choice) if near is None else _same(faces, near)
+    if isinstance(face, str):
+        return NoStart(face, detection.best_score)
+    deviation = np.rad2deg(slope_deviation(face.pixels, camera))
+    if deviation > settings.slope_deg:
+        return NoStart(f"left and right points at slopes that differ by {deviation:.0f} deg", face.score)
+    return _detected(stamp_ns, face.pixels, face.responses, camera)
+
+
+def clicked_face(pixels: FloatArray, stamp_ns: int, camera: Camera) -> DetectedFace:
+    """Return the face whose ten points (K, 2) a person clicked; nobody asks whether they are symmetric."""
+    return _detected(stamp_ns, pixels, np.ones(POINT_COUNT), camera)
+
+
+def _chosen(faces: Sequence[FacePoints], choice: int) -> FacePoints | str:
+    if choice < len(faces):
+        return faces[choice]
+    return f"{len(faces)} face{'s' * (len(faces) > 1)}, not {choice + 1}" if faces else NO_FACE
+
+
+def _same(faces: Sequence[FacePoints], near: FloatArray) -> FacePoints | str:
+    if not faces:
+        return NO_FACE
+    middle = near.mean(axis=0)
+    ways = [np.hypot(*(face.pixels.mean(axis=0) - middle)) / _eye_distance(face) for face in faces]
+    nearest = int(np.argmin(ways))
+    return faces[nearest] if ways[nearest] <= SAME_FACE else "only faces elsewhere than before"
+
+
+def _eye_distance(face: FacePoints) -> float:
+    return EYE_DISTANCE_MM * face.pixels_per_mm
+
+
+def _detected(stamp_ns: int, pixels: FloatArray, responses: FloatArray, camera: Camera) -> DetectedFace:
+    pose, _ = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
+    distance = EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / max(pose.position[2], 1.0)
+    return DetectedFace(stamp_ns, pixels, responses, float(responses.mean()), float(distance), pose)
