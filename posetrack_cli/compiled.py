@@ -27,6 +27,7 @@ KERNEL_SOURCES = (
     "head/patches.py",
     "head/templates.py",
     "head/refinement/*.py",
+    "head/adjustment/solver/*.py",
 )
 """Files that compiled code is made of, constants included."""
 # No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in

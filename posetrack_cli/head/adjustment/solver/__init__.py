@@ -1,0 +1,1 @@
+"""The adjustment's inner loops, compiled: cost, Jacobian, Schur complement, bounded descent."""

@@ -1,0 +1,168 @@
+"""Levenberg-Marquardt within a box by projection, (4.23)-(4.28); compiled.
+
+Every iteration linearises once. Unknowns at a bound that the gradient pushes outwards are held; for the
+others the damped equations are solved and the step is projected onto the box. A step that does not lower F is
+halved along its projection, (4.28); if that fails too, steepest descent (scaled by the diagonal) is searched
+the same way. F, the true robust cost, never rises.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.head.adjustment.solver.cost import cost
+from posetrack_cli.head.adjustment.solver.elimination import Elimination, Held, make_elimination, solve
+from posetrack_cli.head.adjustment.solver.equations import Equations, linearise, make_equations, make_rows
+from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns
+
+DAMPING, LEAST_DAMPING = 1e-3, 1e-12
+EASIER, HARDER, STEEPEST = 0.1, 5.0, 100.0
+"""What the damping is multiplied by after a whole step, a shortened one, and one of steepest descent."""
+SHORTENED, TRIALS = 0.5, 12
+CONVERGED = 1e-13
+"""Relative decrease of F after which another step would only be rounding."""
+
+
+@kernel
+def adjust_in_stages(problem: Problem, boxes: Boxes, unknowns: Unknowns, iterations: int, shared: int) -> int:
+    """Adjust the poses, then all with the first shared unknowns; return how many steps were taken.
+
+    Where nothing is shared, and so in the first stage, every view descends on its own.
+    """
+    views, size = unknowns.local.shape
+    first = 0
+    for view in range(views):
+        part = Part(view, view + 1, POSE, 0)
+        first = max(first, descend(problem, boxes, unknowns, part, iterations))
+    if shared > 0:
+        return first + descend(problem, boxes, unknowns, Part(0, views, size, shared), iterations)
+    second = 0
+    for view in range(views):
+        part = Part(view, view + 1, size, 0)
+        second = max(second, descend(problem, boxes, unknowns, part, iterations))
+    return first + second
+
+
+@kernel
+def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iterations: int) -> int:
+    """Lower F over a part of the unknowns, written over; return how many steps were taken."""
+    equations, rows = make_equations(part), make_rows(problem)
+    room, held = make_elimination(equations), make_held(part)
+    trial = Unknowns(unknowns.local.copy(), unknowns.shared.copy())
+    now, damping = cost(problem, unknowns, part), DAMPING
+    for taken in range(iterations):
+        linearise(problem, unknowns, part, rows, equations)
+        hold(boxes, unknowns, part, equations, held)
+        below, factor = now, STEEPEST
+        if solve(equations, held, damping, room):
+            below, factor = search(problem, boxes, unknowns, trial, part, room, now)
+        if not below < now:
+            steepest(equations, held, room)
+            below, _ = search(problem, boxes, unknowns, trial, part, room, now)
+            factor = STEEPEST
+        if not below < now:
+            return taken
+        take(trial, part, unknowns)
+        damping = max(damping * factor, LEAST_DAMPING)
+        if now - below <= CONVERGED * now:
+            return taken + 1
+        now = below
+    return iterations
+
+
+@kernel
+def make_held(part: Part) -> Held:
+    """Return room for what is held."""
+    views = part.last - part.first
+    return Held(np.empty((views, part.local), dtype=np.bool_), np.empty(part.shared, dtype=np.bool_))
+
+
+@kernel
+def hold(boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, held: Held) -> None:
+    """Write which unknowns are at a bound, with F falling beyond it."""
+    for view in range(part.first, part.last):
+        i = view - part.first
+        _at_bounds(
+            boxes.local_lower[view],
+            boxes.local_upper[view],
+            unknowns.local[view],
+            equations.local_gradient[i],
+            held.local[i],
+        )
+    _at_bounds(
+        boxes.shared_lower, boxes.shared_upper, unknowns.shared, equations.shared_gradient, held.shared
+    )
+
+
+@inlined
+def _at_bounds(
+    lower: FloatArray, upper: FloatArray, values: FloatArray, gradient: FloatArray, out: BoolArray
+) -> None:
+    for j in range(len(out)):
+        below = values[j] <= lower[j] and gradient[j] > 0.0
+        out[j] = below or (values[j] >= upper[j] and gradient[j] < 0.0)
+
+
+@kernel
+def search(
+    problem: Problem,
+    boxes: Boxes,
+    unknowns: Unknowns,
+    trial: Unknowns,
+    part: Part,
+    step: Elimination,
+    now: float,
+) -> tuple[float, float]:
+    """Write the first of ever shorter projected steps that lowers F to the trial.
+
+    Returns:
+        F there, or ``now`` where none does; what to multiply the damping by.
+    """
+    length = 1.0
+    for _ in range(TRIALS):
+        project(boxes, unknowns, part, step, length, trial)
+        below = cost(problem, trial, part)
+        if below < now:
+            return below, EASIER if length == 1.0 else HARDER
+        length *= SHORTENED
+    return now, STEEPEST
+
+
+@kernel
+def project(
+    boxes: Boxes, unknowns: Unknowns, part: Part, step: Elimination, length: float, trial: Unknowns
+) -> None:
+    """Write P(x + length step), (4.27)."""
+    for view in range(part.first, part.last):
+        for a in range(part.local):
+            value = unknowns.local[view, a] + length * step.local[view - part.first, a]
+            trial.local[view, a] = min(max(value, boxes.local_lower[view, a]), boxes.local_upper[view, a])
+    for j in range(part.shared):
+        value = unknowns.shared[j] + length * step.shared[j]
+        trial.shared[j] = min(max(value, boxes.shared_lower[j]), boxes.shared_upper[j])
+
+
+@kernel
+def steepest(equations: Equations, held: Held, step: Elimination) -> None:
+    """Write the step of steepest descent in units of the diagonal."""
+    for view in range(len(step.local)):
+        for a in range(len(step.local[view])):
+            scale = equations.local[view, a, a]
+            free = scale > 0.0 and not held.local[view, a]
+            step.local[view, a] = -equations.local_gradient[view, a] / scale if free else 0.0
+    for j in range(len(step.shared)):
+        scale = equations.shared[j, j]
+        free = scale > 0.0 and not held.shared[j]
+        step.shared[j] = -equations.shared_gradient[j] / scale if free else 0.0
+
+
+@kernel
+def take(trial: Unknowns, part: Part, unknowns: Unknowns) -> None:
+    """Move to the trial."""
+    for view in range(part.first, part.last):
+        for a in range(part.local):
+            unknowns.local[view, a] = trial.local[view, a]
+    for j in range(part.shared):
+        unknowns.shared[j] = trial.shared[j]
