@@ -15,6 +15,8 @@ PEOPLE, ACTIONS = 0, 1
 """Modes of the data tensor (2S, A, K, 3)."""
 LEAST_DEVIATION = 1e-4
 """Least standard deviation of a parameter, of its root mean square."""
+NOTHING = 1e-9
+"""Singular values below this share of the largest are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +50,7 @@ def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) ->
         identity: S', at most 2S.
         deformation: A', at most A.
     """
-    samples = symmetric_halves(shapes).reshape(-1, *shapes.shape[1:])
-    mean = samples.mean(axis=(PEOPLE, ACTIONS))
-    tensor = samples - mean
+    samples, mean, tensor = _data(shapes)
     found = _along_means(hooi(tensor, {PEOPLE: identity, ACTIONS: deformation}))
     identities, deformations = found.bases[PEOPLE], found.bases[ACTIONS]
     model = FaceModel(
@@ -65,6 +65,12 @@ def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) ->
     return BuiltModel(model, samples, identities, deformations, spectra)
 
 
+def possible_ranks(shapes: FloatArray) -> tuple[int, int]:
+    """Return the most S' and A' that shapes (S, A, K, 3) have anything to say about."""
+    tensor = _data(shapes)[2]
+    return _rank(singular_values(tensor, PEOPLE)), _rank(singular_values(tensor, ACTIONS))
+
+
 def mirrored(shapes: FloatArray) -> FloatArray:
     """Return shapes (..., K, 3) as a mirror shows them: left and right are exchanged."""
     image: FloatArray = shapes[..., MIRRORED, :] * np.array([-1.0, 1.0, 1.0])
@@ -76,6 +82,17 @@ def symmetric_halves(shapes: FloatArray) -> FloatArray:
     images = mirrored(shapes)
     right = (MEAN_SHAPE[:, 0] < 0.0)[:, None]
     return np.stack([np.where(right, shapes, images), np.where(right, images, shapes)])
+
+
+def _data(shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Symmetric samples (2S, A, K, 3), their mean (K, 3), and the data tensor, the samples without it."""
+    samples = symmetric_halves(shapes).reshape(-1, *shapes.shape[1:])
+    mean: FloatArray = samples.mean(axis=(PEOPLE, ACTIONS))
+    return samples, mean, samples - mean
+
+
+def _rank(values: FloatArray) -> int:
+    return int(np.sum(values > NOTHING * values[0]))
 
 
 def _deviations(rows: FloatArray) -> FloatArray:

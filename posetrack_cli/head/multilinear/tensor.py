@@ -50,7 +50,7 @@ def mode_product(tensor: FloatArray, matrix: FloatArray, mode: int) -> FloatArra
 
 def singular_values(tensor: FloatArray, mode: int) -> FloatArray:
     """Return the singular values of a tensor along a mode, descending: how much each basis vector carries."""
-    values: FloatArray = np.linalg.svd(unfold(tensor, mode), compute_uv=False)
+    values: FloatArray = np.linalg.svd(unfold(tensor, mode), full_matrices=False)[1]
     return values
 
 

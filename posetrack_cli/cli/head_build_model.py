@@ -1,0 +1,163 @@
+"""``posetrack head build-model``: a face model for the one-camera tracker from stereo results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.arrays import FloatArray
+    from posetrack_cli.head.multilinear.face_model import FaceModel
+    from posetrack_cli.head.multilinear.learning import LearnedModel
+    from posetrack_cli.head.multilinear.observed_face import ObservedFace
+
+
+@click.command("build-model", short_help="Learn a face model for head mono from stereo results.")
+@click.argument("results", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    metavar="FACE.npz",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="File to write.",
+)
+@click.option(
+    "--identity",
+    type=click.IntRange(min=1, max=100),
+    default=10,
+    show_default=True,
+    help="Parameters of who a face is (S').",
+)
+@click.option(
+    "--deformation",
+    type=click.IntRange(min=1, max=10),
+    default=5,
+    show_default=True,
+    help="Parameters of what it does (A').",
+)
+@click.option(
+    "--picture",
+    metavar="FILE.png",
+    type=click.Path(path_type=Path),
+    help="Draw what the model knows: identities downwards, deformations across.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+def head_build_model(
+    results: tuple[Path, ...],
+    output: Path,
+    identity: int,
+    deformation: int,
+    picture: Path | None,
+    overwrite: bool,
+) -> None:
+    """Learn a face model from each RESULT of posetrack head stereo, one of each person.
+
+    In every recording the mouth should be made wide and narrow, and the whole face long and short, brows and
+    jaw together, each several times. Two people or more are needed; 10 identity parameters take five.
+    Use it with posetrack head mono RECORDING --set model.file=FACE.npz.
+    """
+    from posetrack_cli.head.multilinear.learning import learn_model
+    from posetrack_cli.head.multilinear.model_file import save_face_model
+    from posetrack_cli.head.multilinear.observed_face import read_face
+
+    _check_outputs(results, output, picture, overwrite=overwrite)
+    faces = [read_face(path) for path in results]
+    learned = learn_model(faces, identity, deformation)
+    _say_limits(learned, identity, deformation)
+    _show(learned)
+    model = learned.built.model
+    save_face_model(output, model, f"{len(faces)} results of posetrack head stereo")
+    if picture is not None:
+        _draw(model, picture)
+    click.echo(f"{output}: identity {model.identity_size}, deformation {model.deformation_size}")
+    _say_losses(faces)
+
+
+def _check_outputs(results: Sequence[Path], output: Path, picture: Path | None, *, overwrite: bool) -> None:
+    from posetrack_cli.recording.output import check_target
+
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise UsageError(
+            "picture is not named as a PNG file", where=picture, expected="a name that ends in .png"
+        )
+    if picture is not None and picture.resolve() == output.resolve():
+        raise UsageError("model and picture have the same name", where=output)
+    again = [path for number, path in enumerate(results) if path in results[:number]]
+    if again:
+        raise UsageError("result is named twice", where=again[0], expected="one result of each person")
+    for written in (output,) if picture is None else (output, picture):
+        for source in results:
+            check_target(written, overwrite=overwrite, source=source, source_name="result")
+
+
+def _say_limits(learned: LearnedModel, *asked: int) -> None:
+    people, names = len(learned.faces), ("identity", "deformation")
+    for name, wanted, possible in zip(names, asked, learned.possible, strict=True):
+        if wanted > possible:
+            click.echo(
+                f"{name}: {possible} instead of {wanted} parameters, as {people} people tell of no more",
+                err=True,
+            )
+
+
+def _show(learned: LearnedModel) -> None:
+    """Tables: people and their frames, what the model leaves, and what its parameters hold."""
+    from posetrack_cli.head.multilinear.quality import cumulative_contribution, distances_by_kind
+
+    _show_people(learned)
+    built = learned.built
+    errors = distances_by_kind(built.approximations() - built.samples)
+    click.echo("\n" + " " * 24 + "".join(f"{name:>10}" for name in errors))
+    click.echo(f"{'approximation, rms mm':<24}" + "".join(f"{error:>10.2f}" for error in errors.values()))
+    names = ("identity", "deformation")
+    sizes = (built.model.identity_size, built.model.deformation_size)
+    click.echo("\ncumulative contribution, % (kept | left out)")
+    for name, spectrum, size in zip(names, built.spectra, sizes, strict=True):
+        click.echo(f"{name:<24}{_shares(100.0 * cumulative_contribution(spectrum), size)}")
+
+
+def _show_people(learned: LearnedModel) -> None:
+    from posetrack_cli.head.multilinear.examples import MOTIONS, RATES
+
+    width = max(6, *(len(face.path.name) for face in learned.faces))
+    rates = "".join(f"{100 * rate:>5.0f}%" for rate in RATES)
+    click.echo(f"{'':<{width}}{'':>14}" + "".join(f"  {name:>{15 + len(rates)}}" for name in MOTIONS))
+    heads = f"  {'l, mm':>15}{rates}" * len(MOTIONS)
+    click.echo(f"{'person':<{width}}{'frames':>7}{'used':>7}{heads}")
+    for face, motions in zip(learned.faces, learned.examples, strict=True):
+        cells = (
+            f"  {f'{one.lowest:.1f} to {one.highest:.1f}':>15}"
+            + "".join(f"{count:>6}" for count in one.counts)
+            for one in motions
+        )
+        click.echo(f"{face.path.name:<{width}}{face.frames:>7}{len(face.shapes):>7}{''.join(cells)}")
+
+
+def _shares(percent: FloatArray, kept: int) -> str:
+    words = [f"{share:.1f}" for share in percent[: max(10, kept + 1)]]
+    return " ".join([*words[:kept], *(["|"] if kept < len(words) else []), *words[kept:]])
+
+
+def _draw(model: FaceModel, path: Path) -> None:
+    from posetrack_cli.evaluation.viewing.face_model_picture import face_model_picture
+    from posetrack_cli.evaluation.viewing.outputs import png_of
+    from posetrack_cli.recording.output import whole_or_nothing
+
+    with whole_or_nothing(path) as part:
+        part.write_bytes(png_of(face_model_picture(model)))
+
+
+def _say_losses(faces: Sequence[ObservedFace]) -> None:
+    from posetrack_cli.recording.losses import loss_line
+
+    lost = [face for face in faces if face.losses]
+    for face in lost:
+        click.echo(f"{face.path}: {loss_line(tuple(face.losses))}", err=True)
+    if lost:
+        click.get_current_context().exit(EXIT_DATA_LOST)
