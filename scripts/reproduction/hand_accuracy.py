@@ -5,9 +5,7 @@ Usage: scripts/reproduce hand-accuracy [-o out/hand-accuracy] [--seeds 20] [--ki
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,17 +13,16 @@ from pathlib import Path
 import click
 
 from posetrack_cli import __version__
-from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.evaluation.reports.json_report import finite
 from posetrack_cli.rendering.context import describe, open_context
 from reproduction.accuracy.filters import Filters
-from reproduction.accuracy.measuring import Measured, table
+from reproduction.accuracy.measuring import Measured
 from reproduction.accuracy.options import FIRST_SEED, Options, Part, Targets
 from reproduction.accuracy.other_hands import OtherHands
 from reproduction.accuracy.own_model import OwnModel
 from reproduction.accuracy.real import HeadMounted, Kinect
 from reproduction.accuracy.speed import Speed
 from reproduction.accuracy.tasks import Task
+from reproduction.closing import close_study, write_study
 from reproduction.processes import run_modules
 
 PARTS: tuple[Part, ...] = (Speed(), OwnModel(), Filters(), OtherHands(), Kinect(), HeadMounted())
@@ -100,10 +97,7 @@ def main(
     parts = [part for part in PARTS if not chosen or part.name in chosen]
     failures = [line for part in parts for line in _track(part, options)]
     _report(parts, options, failures)
-    click.echo(f"written: {output / 'report.md'}")
-    if failures:
-        click.echo(f"{len(failures)} recordings failed, first {failures[0]}", err=True)
-        sys.exit(EXIT_DATA_LOST)
+    close_study(output, failures)
 
 
 def _track(part: Part, options: Options) -> list[str]:
@@ -126,12 +120,9 @@ def _command(task: Task, options: Options) -> list[str]:
 
 def _report(parts: Sequence[Part], options: Options, failures: Sequence[str]) -> None:
     measured, targets = Measured(options.runs), Targets()
-    body = [line for part in parts for line in part.lines(options, measured, targets)]
-    lines = [*_head(options), *_summary(targets), *body, *_failed(failures)]
-    (options.output / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    found = {"targets": targets.rows, "figures": measured.everything, "failures": list(failures)}
-    text = json.dumps(finite(found), indent=1, ensure_ascii=False) + "\n"
-    (options.output / "accuracy.json").write_text(text, encoding="utf-8")
+    lines = (part.lines(options, measured, targets) for part in parts)
+    figures = options.output / "accuracy.json"
+    write_study(figures, _head(options), lines, targets, lambda: measured.everything, failures)
 
 
 def _head(options: Options) -> Iterable[str]:
@@ -147,19 +138,6 @@ def _head(options: Options) -> Iterable[str]:
         f"{os.cpu_count()} cores; renderer: {renderer}."
     )
     yield ""
-
-
-def _summary(targets: Targets) -> Iterable[str]:
-    yield "## Asked for and reached"
-    yield ""
-    yield from table(("", "asked for", "measured", ""), targets.rows)
-
-
-def _failed(failures: Sequence[str]) -> Iterable[str]:
-    if failures:
-        yield f"{len(failures)} recordings failed and are left out:"
-        yield ""
-        yield from (f"- {failure}" for failure in failures)
 
 
 if __name__ == "__main__":

@@ -5,19 +5,15 @@ Usage: scripts/reproduce stereo [-o out/stereo] [--heads FOLDER] [--identities 3
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import click
 
 from posetrack_cli import __version__
-from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.evaluation.reports.json_report import finite
-from reproduction.accuracy.measuring import table
 from reproduction.accuracy.options import FIRST_SEED, Targets
+from reproduction.closing import close_study, write_study
 from reproduction.heads.comparison import Comparison
 from reproduction.heads.conditions import CONDITIONS, Conditions
 from reproduction.heads.experiment import Experiment
@@ -116,10 +112,7 @@ def main(
     parts = [part for part in PARTS if not chosen or part.name in chosen]
     failures = [line for part in parts for line in _track(part, options, jobs)]
     _report(parts, options, failures)
-    click.echo(f"written: {output / 'report.md'}")
-    if failures:
-        click.echo(f"{len(failures)} recordings failed, first {failures[0]}", err=True)
-        sys.exit(EXIT_DATA_LOST)
+    close_study(output, failures)
 
 
 def _track(part: Part, options: Options, jobs: int) -> list[str]:
@@ -131,12 +124,9 @@ def _track(part: Part, options: Options, jobs: int) -> list[str]:
 
 def _report(parts: Sequence[Part], options: Options, failures: Sequence[str]) -> None:
     measured, targets = Measured(options.output), Targets()
-    body = [line for part in parts for line in part.lines(options, measured, targets)]
-    lines = [*_head(options), *_summary(targets), *body, *_failed(failures)]
-    (options.output / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    found = {"targets": targets.rows, "figures": measured.everything, "failures": list(failures)}
-    text = json.dumps(finite(found), indent=1, ensure_ascii=False) + "\n"
-    (options.output / "stereo.json").write_text(text, encoding="utf-8")
+    lines = (part.lines(options, measured, targets) for part in parts)
+    figures = options.output / "stereo.json"
+    write_study(figures, _head(options), lines, targets, lambda: measured.everything, failures)
 
 
 def _head(options: Options) -> Iterable[str]:
@@ -154,20 +144,6 @@ def _head(options: Options) -> Iterable[str]:
         "there are switches (`configs/head-stereo-paper.toml` says what is ours all the same)."
     )
     yield ""
-
-
-def _summary(targets: Targets) -> Iterable[str]:
-    if targets.rows:
-        yield "## Asked for and reached"
-        yield ""
-        yield from table(("", "asked for", "measured", ""), targets.rows)
-
-
-def _failed(failures: Sequence[str]) -> Iterable[str]:
-    if failures:
-        yield f"{len(failures)} recordings failed:"
-        yield ""
-        yield from (f"- {failure}" for failure in failures)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from posetrack_cli.recording.identity import files_digest
 
 RECORDING, CALIBRATED = "{recording}", "{calibrated}"
 """In an entrant's arguments: the recording's path, and that of the hand calibrated on it."""
-SOURCES = ("**/*.py", "**/shaders/*")
+SOURCES = ("**/*.py", "**/*.npz", "**/shaders/*")
 CONFIGURATIONS = Path(posetrack_cli.__file__).parents[1] / "configs"
 
 

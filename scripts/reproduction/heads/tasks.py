@@ -9,6 +9,7 @@ made with the same arguments is kept, too: a study that was stopped goes on wher
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -36,7 +37,7 @@ DRAWING = (
     "rendering/textured.py",
     "rendering/shaders/textured.*",
 )
-"""What a synthetic recording's images and truth come from, beside the mean face."""
+"""What a synthetic recording's images and truth come from, beside the average face."""
 ENTRANTS: dict[str, tuple[str, ...]] = {
     "deformable": (),
     "deformable-2": ("--passes", "2"),
@@ -163,8 +164,7 @@ def _result_stamp(task: Task, entrant: str) -> str:
 
 def _recording_stamp(task: Task) -> str:
     """What a recording depends on."""
-    face = [MEAN_SHAPE.tolist(), SHAPE_SD.tolist()]
-    return _stamp({"recording": task.synthetic, "face": face, "code": drawing_digest()})
+    return _stamp({"recording": task.synthetic, "code": drawing_digest()})
 
 
 def _stamp(values: Mapping[str, object]) -> str:
@@ -173,10 +173,12 @@ def _stamp(values: Mapping[str, object]) -> str:
 
 @cache
 def drawing_digest() -> str:
-    """SHA-256 over the sources that synthetic heads are drawn by."""
+    """SHA-256 over the sources that synthetic heads are drawn by, and the average face."""
     package = Path(posetrack_cli.__file__).parent
     files = sorted({path for pattern in DRAWING for path in package.glob(pattern) if path.is_file()})
-    return files_digest([(str(path.relative_to(package)), path) for path in files])[1]
+    sources = files_digest([(str(path.relative_to(package)), path) for path in files])[1]
+    face = json.dumps([MEAN_SHAPE.tolist(), SHAPE_SD.tolist()])
+    return hashlib.sha256(f"{sources}{face}".encode()).hexdigest()
 
 
 if __name__ == "__main__":
