@@ -56,15 +56,16 @@ def make_problem(
 
 def _rays(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return rays (n, K, 2) of pixels, and (n, K) which pixels have one."""
-    finite = np.isfinite(pixels).all(axis=-1)
+    finite = np.isfinite(pixels[..., 0]) & np.isfinite(pixels[..., 1])
     known = np.where(finite[..., None], pixels, [camera.cx, camera.cy])
     if not camera.is_distorted:
         return normalised_from_pixels(camera, known), finite
     with np.errstate(all="ignore"):
         rays = normalised_from_pixels(camera, known)
         back = pixels_from_normalised(camera, rays)
-        same = np.abs(back - known).max(axis=-1) < UNDISTORTED_PX
-        return rays, finite & same & (np.hypot(rays[..., 0], rays[..., 1]) < largest_radius(camera))
+        same: BoolArray = np.abs(back - known).max(axis=-1) < UNDISTORTED_PX
+        same &= np.hypot(rays[..., 0], rays[..., 1]) < largest_radius(camera)
+    return rays, finite & same
 
 
 def _scales(camera: Camera, rays: FloatArray, used: BoolArray, pixel_sd: FloatArray) -> FloatArray:

@@ -14,8 +14,14 @@ from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, deformation_b
 def cost(problem: Problem, unknowns: Unknowns, part: Part) -> float:
     """Return F over the views of the part; infinite if a point comes to lie behind the camera."""
     basis = np.empty((*problem.mean.shape, len(problem.deformation_centre)))
-    lengths = np.empty(len(problem.mean))
     deformation_basis(problem, unknowns.shared, basis)
+    return cost_with_basis(problem, unknowns, part, basis)
+
+
+@kernel
+def cost_with_basis(problem: Problem, unknowns: Unknowns, part: Part, basis: FloatArray) -> float:
+    """Return the same, with this person's deformation basis (K, 3, A) given."""
+    lengths = np.empty(len(problem.mean))
     total = prior_of_person(problem, unknowns.shared)
     for view in range(part.first, part.last):
         view_lengths(problem, unknowns, view, basis, lengths)

@@ -12,17 +12,24 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.adjustment.solver.cost import cost
+from posetrack_cli.head.adjustment.solver.cost import cost_with_basis
 from posetrack_cli.head.adjustment.solver.elimination import Elimination, Held, make_elimination, solve
-from posetrack_cli.head.adjustment.solver.equations import Equations, linearise, make_equations, make_rows
+from posetrack_cli.head.adjustment.solver.equations import (
+    Equations,
+    Rows,
+    linearise,
+    make_equations,
+    make_rows,
+)
 from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns
+from posetrack_cli.head.adjustment.solver.shape import deformation_basis
 
 DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 EASIER, HARDER, STEEPEST = 0.1, 5.0, 100.0
 """What the damping is multiplied by after a whole step, a shortened one, and one of steepest descent."""
 SHORTENED, TRIALS = 0.5, 12
 CONVERGED = 1e-13
-"""Relative decrease of F after which another step would only be rounding."""
+"""Share of F that a step must promise: less is rounding, a millionth of a standard deviation."""
 
 
 @kernel
@@ -51,25 +58,41 @@ def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iter
     equations, rows = make_equations(part), make_rows(problem)
     room, held = make_elimination(equations), make_held(part)
     trial = Unknowns(unknowns.local.copy(), unknowns.shared.copy())
-    now, damping = cost(problem, unknowns, part), DAMPING
+    deformation_basis(problem, unknowns.shared, rows.deformations)
+    now, damping = cost_with_basis(problem, unknowns, part, rows.deformations), DAMPING
     for taken in range(iterations):
         linearise(problem, unknowns, part, rows, equations)
         hold(boxes, unknowns, part, equations, held)
         below, factor = now, STEEPEST
         if solve(equations, held, damping, room):
-            below, factor = search(problem, boxes, unknowns, trial, part, room, now)
+            if -slope(boxes, unknowns, part, equations, room, trial) <= CONVERGED * now:
+                return taken
+            below, factor = search(problem, boxes, unknowns, trial, part, room, rows, now)
         if not below < now:
             steepest(equations, held, room)
-            below, _ = search(problem, boxes, unknowns, trial, part, room, now)
+            below, _ = search(problem, boxes, unknowns, trial, part, room, rows, now)
             factor = STEEPEST
         if not below < now:
             return taken
         take(trial, part, unknowns)
-        damping = max(damping * factor, LEAST_DAMPING)
-        if now - below <= CONVERGED * now:
-            return taken + 1
-        now = below
+        now, damping = below, max(damping * factor, LEAST_DAMPING)
     return iterations
+
+
+@kernel
+def slope(
+    boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, step: Elimination, trial: Unknowns
+) -> float:
+    """Return how much F would rise along the whole projected step if it were linear."""
+    project(boxes, unknowns, part, step, 1.0, trial)
+    rise = 0.0
+    for view in range(part.first, part.last):
+        for a in range(part.local):
+            change = trial.local[view, a] - unknowns.local[view, a]
+            rise += equations.local_gradient[view - part.first, a] * change
+    for j in range(part.shared):
+        rise += equations.shared_gradient[j] * (trial.shared[j] - unknowns.shared[j])
+    return rise
 
 
 @kernel
@@ -113,9 +136,10 @@ def search(
     trial: Unknowns,
     part: Part,
     step: Elimination,
+    rows: Rows,
     now: float,
 ) -> tuple[float, float]:
-    """Write the first of ever shorter projected steps that lowers F to the trial.
+    """Write the first of ever shorter projected steps that lowers F to the trial, and the basis there.
 
     Returns:
         F there, or ``now`` where none does; what to multiply the damping by.
@@ -123,7 +147,9 @@ def search(
     length = 1.0
     for _ in range(TRIALS):
         project(boxes, unknowns, part, step, length, trial)
-        below = cost(problem, trial, part)
+        if part.shared > 0:
+            deformation_basis(problem, trial.shared, rows.deformations)
+        below = cost_with_basis(problem, trial, part, rows.deformations)
         if below < now:
             return below, EASIER if length == 1.0 else HARDER
         length *= SHORTENED

@@ -16,7 +16,6 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
 from posetrack_cli.head.adjustment.solver.shape import (
     NEAREST_MM,
-    deformation_basis,
     identity_basis,
     place,
     residual,
@@ -94,9 +93,8 @@ def make_rows(problem: Problem) -> Rows:
 
 @kernel
 def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equations: Equations) -> None:
-    """Write the equations at the unknowns."""
+    """Write the equations at the unknowns, whose deformation basis stands in the rows."""
     begin(problem, unknowns, part, equations)
-    deformation_basis(problem, unknowns.shared, rows.deformations)
     for view in range(part.first, part.last):
         turn(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
         if part.shared > 0:

@@ -29,6 +29,7 @@ def identity_variances(problem: Problem, unknowns: Unknowns, part: Part, out: Fl
     equations, rows, held = make_equations(part), make_rows(problem), make_held(part)
     held.local[:], held.shared[:] = False, False
     room = make_elimination(equations)
+    deformation_basis(problem, unknowns.shared, rows.deformations)
     linearise(problem, unknowns, part, rows, equations)
     if reduce(equations, held, 0.0, room):
         inverse_diagonal(room.reduced, out)

@@ -74,7 +74,7 @@ class Boxes(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Which unknowns move: ``local`` first ones of each view first..last-1, and the ``shared`` first of all."""
+    """Which unknowns move: the first ``local`` of each view first..last-1, and the first ``shared``."""
 
     first: int
     last: int
