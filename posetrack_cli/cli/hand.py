@@ -11,6 +11,13 @@ from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.run_options import (
+    RUN_OPTIONS,
+    configuration_of,
+    finishing_options,
+    frame_options,
+    result_options,
+)
 from posetrack_cli.cli.running import close, kept, progress
 from posetrack_cli.cli.signals import stop_signals
 
@@ -43,20 +50,7 @@ hand.add_command(hand_synth)
 
 @hand.command("run", short_help="Track the hand in recorded depth.")
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Result to write, MCAP.")
-@click.option(
-    "--config",
-    "configs",
-    multiple=True,
-    help="TOML file, or a shipped name: hand (the defaults), hand-paper; repeatable, later ones override.",
-)
-@click.option(
-    "--set",
-    "settings",
-    metavar="KEY=VALUE",
-    multiple=True,
-    help="Set any key of the configuration, such as observation.sigma_mm=5; repeatable.",
-)
+@result_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
 @click.option(
     "--filter",
     "filter_kind",
@@ -83,7 +77,6 @@ hand.add_command(hand_synth)
 )
 @click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's.")
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
 @click.option(
     "--init",
     metavar="auto|center|FILE",
@@ -96,16 +89,10 @@ hand.add_command(hand_synth)
     help="First estimate the hand's size and proportions from its first seconds.  [default: no]",
 )
 @click.option("--smooth", is_flag=True, help="Also write the smoothed track, which knows the future.")
-@click.option("--start", type=click.IntRange(min=0), default=0, help="First frame.")
-@click.option("--end", type=click.IntRange(min=1), help="Frame to stop before.")
-@click.option("--stride", type=click.IntRange(min=1), default=1, help="Track every so many frames.")
+@frame_options
 @recording_options
 @click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
-@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing result.")
-@click.option(
-    "--timings", is_flag=True, help="Write each frame's milliseconds (bytes then differ from run to run)."
-)
+@finishing_options("an existing result")
 def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
 
@@ -136,8 +123,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
     config = _configuration(options)
     source = open_recording(recording, **opening_arguments(options))
-    names = ("output", "seed", "init", "start", "end", "stride", "resume", "overwrite", "timings", "smooth")
-    run_options = RunOptions(**{name: options[name] for name in names})
+    run_options = RunOptions(**{name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")})
     context = open_context(options["device"])
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], options["seed"], _say)
@@ -150,13 +136,10 @@ def _say(line: str) -> None:
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:
-    from posetrack_cli.configuration import find_configuration, load_settings, parse_assignments
     from posetrack_cli.hand.config import HandConfig
 
-    files = [find_configuration(name) for name in options["configs"]]
-    own = {key: options[name] for name, key in CONFIGURED.items() if options[name] is not None}
-    assigned = parse_assignments(options["settings"]) | own
-    config = load_settings(HandConfig, files, assigned)
-    if config.filter.kind != "pso" or options["particles"] is None:
+    config = configuration_of(HandConfig, options, CONFIGURED)
+    if config.filter.kind != "pso":
         return config
-    return load_settings(HandConfig, files, assigned | {"pso.particles": options["particles"]})  # a swarm's
+    swarms = {"swarm": options["particles"]}  # --particles says a swarm's, too
+    return configuration_of(HandConfig, options | swarms, CONFIGURED | {"swarm": "pso.particles"})

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+from posetrack_cli.cli.option_group import option_group
 
-OPTIONS = (
+recording_options = option_group(
     click.option("--topic", help="MCAP topic of the depth images; found by itself if only one fits."),
     click.option("--camera-topic", help="MCAP topic of the calibration; found by frame id or namespace."),
     click.option(
@@ -25,13 +25,6 @@ OPTIONS = (
     click.option("--mirror/--no-mirror", default=None, help="Flip images left to right, or do not."),
 )
 NAMES = ("topic", "camera_topic", "camera_file", "fps", "depth_unit_mm", "missing", "mirror")
-
-
-def recording_options(command: Command) -> Command:
-    """Add the options to a command; its function receives them as keyword arguments."""
-    for option in reversed(OPTIONS):
-        command = option(command)
-    return command
 
 
 def opening_arguments(options: Mapping[str, Any]) -> dict[str, Any]:

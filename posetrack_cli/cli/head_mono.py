@@ -1,0 +1,151 @@
+"""``posetrack head mono``: pose and face deformation from one camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.cli.head_options import (
+    CONFIGURED,
+    head_run_options,
+    learning_options,
+    particle_option,
+    start_options,
+    track_head,
+)
+from posetrack_cli.cli.image_options import image_arguments, one_camera_options
+from posetrack_cli.cli.run_options import configuration_of, finishing_options, frame_options, result_options
+from posetrack_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from posetrack_cli.head.model_file import Learned
+    from posetrack_cli.head.mono_config import HeadMonoConfig
+    from posetrack_cli.head.protocol import HeadTracker
+    from posetrack_cli.head.run import HeadRun, HeadRunOptions
+    from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
+    from posetrack_cli.tracking.run import Report
+
+OWN_CONFIGURED = {"adjust": "adjustment.when", "face_model": "model.file"}
+
+
+@click.command("mono", short_help="Track a head in the images of one camera.")
+@click.argument("recording", type=click.Path(path_type=Path))
+@result_options("head-mono (the defaults), head-mono-paper", "adjustment.views=10")
+@particle_option(750)
+@click.option(
+    "--adjust",
+    type=click.Choice(["always", "start", "never"]),
+    help="When the person's face is adjusted to the images: after every frame that allows it, only at the "
+    "start, or never (an average face).  [default: always]",
+)
+@click.option(
+    "--face-model",
+    metavar="FILE.npz",
+    help="Faces that there are, as head build-model writes it.  [default: shipped]",
+)
+@learning_options(passes=2)
+@click.option(
+    "--face",
+    metavar="N",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Which of several faces in the first frames; 1 is the largest.",
+)
+@start_options
+@frame_options
+@one_camera_options
+@click.option(
+    "--fov",
+    metavar="DEG",
+    type=float,
+    help="Field of view along the image's longer side, where no calibration tells the focal length.  "
+    "[default: 53, a guess]",
+)
+@finishing_options("an existing result, and an existing model")
+def head_mono(recording: Path, **options: Any) -> None:
+    """Track the head in RECORDING: a video, a folder of images or an MCAP file.
+
+    The face is found by itself, any person's; who it is and how it deforms is adjusted to the images within a
+    model of faces. The result is MCAP with pose, velocity, ten points, deformation and identity. One camera
+    sees no scale: distance and size rest on what faces are like, and on the focal length, which is guessed
+    where neither recording nor --camera tells it. The same input, configuration and seed give the same bytes.
+    """
+    from posetrack_cli.head.mono_config import HeadMonoConfig
+
+    source = _opened(recording, options)
+    config = configuration_of(HeadMonoConfig, options, CONFIGURED | OWN_CONFIGURED)
+    chosen, face = head_run_options(options), options["face"]
+    track_head(source, chosen, lambda first_pass: _run(source, config, chosen, face, first_pass))
+
+
+def _opened(recording: Path, options: dict[str, Any]) -> SeveralCamerasRecording:
+    """The recording of one camera; says so where its intrinsics are a guess."""
+    from posetrack_cli.recording.guess import Guess, guess_of_field
+    from posetrack_cli.recording.opening import open_images
+
+    fov = options["fov"]
+    guess = Guess() if fov is None else guess_of_field(fov)
+    source = open_images(recording, **image_arguments(options), guess=guess)
+    focal = f"{source.cameras[0].fx:.0f} px"
+    if source.is_guessed:
+        by = "--fov" if fov is not None else "a field of view of 53 degrees, --fov says another"
+        click.echo(
+            f"{recording}: no calibration: focal length taken for {focal} ({by}); distances are a guess",
+            err=True,
+        )
+    elif fov is not None:
+        raise UsageError(
+            "--fov does not apply to a calibrated camera", where=recording, found=focal, hint="leave it out"
+        )
+    return source
+
+
+def _run(
+    source: SeveralCamerasRecording,
+    config: HeadMonoConfig,
+    options: HeadRunOptions,
+    face: int,
+    first_pass: Report,
+) -> HeadRun:
+    """Everything that can be refused is refused here, before the first frame."""
+    from posetrack_cli.head.mono_subject import mono_subject
+    from posetrack_cli.head.mono_tracker import make_mono_tracker
+    from posetrack_cli.head.multilinear.model_file import load_face_model
+    from posetrack_cli.head.run import HeadRun
+
+    (camera,) = source.cameras
+    file = None if config.model.file is None else Path(config.model.file)
+    clicked = None if options.init is None else Path(options.init)
+
+    def make_tracker(known: Learned | None) -> HeadTracker[Any]:
+        return make_mono_tracker(config, camera, known, face=face - 1, clicked=clicked)
+
+    return HeadRun(
+        source,
+        config,
+        options,
+        name="head-mono",
+        subject=mono_subject(camera.name, load_face_model(file)),
+        flush_frames=config.output.flush_frames,
+        make_tracker=make_tracker,
+        first_pass=first_pass,
+        stated=_stated(source, file, face),
+    )
+
+
+def _stated(source: SeveralCamerasRecording, face_model: Path | None, face: int) -> dict[str, str]:
+    """What the run record says besides: what the result rests on that is not in the images."""
+    from posetrack_cli.recording.identity import file_digest, shown_name
+
+    stated = {
+        "scale": "prior",
+        "intrinsics": "guessed" if source.is_guessed else "given",
+        "face": str(face),
+        "face_model": "shipped",
+    }
+    if face_model is None:
+        return stated
+    return stated | {"face_model": shown_name(face_model), "face_model.sha256": file_digest(face_model)[1]}

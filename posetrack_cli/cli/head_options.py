@@ -1,0 +1,110 @@
+"""Options of the commands that track heads, and what these do alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.cli.compiling import compiling_said
+from posetrack_cli.cli.option_group import Command, option_group
+from posetrack_cli.cli.run_options import RUN_OPTIONS
+from posetrack_cli.cli.running import close, kept, progress
+from posetrack_cli.cli.signals import stop_signals
+
+if TYPE_CHECKING:
+    from posetrack_cli.head.run import HeadRun, HeadRunOptions
+    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.tracking.run import Report
+
+CONFIGURED = {
+    "particles": "particles.count",
+    "detector": "start.detection.detector",
+    "detector_model": "start.detection.model",
+}
+"""Configuration keys that options stand for."""
+HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "passes", "load_model", "save_model")
+
+
+def particle_option(default: int) -> Callable[[Command], Command]:
+    """Return what adds --particles to a command."""
+    return option_group(
+        click.option(
+            "--particles",
+            type=click.IntRange(min=1),
+            help=f"Number of particles.  [default: {default}]",
+        )
+    )
+
+
+def learning_options(passes: int) -> Callable[[Command], Command]:
+    """Return what adds --passes, by default so many, --save-model and --load-model to a command."""
+    return option_group(
+        click.option(
+            "--passes",
+            type=click.IntRange(1, 2),
+            default=passes,
+            show_default=True,
+            help="Track twice: the second pass, which is the result, begins with what the first has learned.",
+        ),
+        click.option(
+            "--save-model",
+            metavar="FILE.npz",
+            type=click.Path(path_type=Path),
+            help="Write what was learned.",
+        ),
+        click.option(
+            "--load-model",
+            metavar="FILE",
+            type=click.Path(path_type=Path),
+            help="Begin with what an earlier run of the same person learned: its --save-model or result.",
+        ),
+    )
+
+
+start_options = option_group(
+    click.option("--detector", type=click.Choice(["haar", "yunet"]), help="Face detector.  [default: haar]"),
+    click.option(
+        "--detector-model",
+        metavar="FILE.onnx",
+        help="The model of --detector yunet, such as face_detection_yunet_2023mar.onnx of OpenCV's model "
+        "zoo.",
+    ),
+    click.option(
+        "--init",
+        metavar="auto|FILE.csv",
+        default="auto",
+        show_default=True,
+        help="Start: find the face, or a table camera,point,x,y of points clicked in the first frame.",
+    ),
+)
+
+
+def head_run_options(options: Mapping[str, Any]) -> HeadRunOptions:
+    """Return what a run depends on besides recording and configuration."""
+    from posetrack_cli.head.run import HeadRunOptions
+
+    init = None if options["init"] == "auto" else options["init"]
+    return HeadRunOptions(**{name: options[name] for name in HEAD_RUN_OPTIONS}, init=init)
+
+
+def track_head(source: Recording, options: HeadRunOptions, made: Callable[[Report], HeadRun]) -> None:
+    """Track with a bar for each pass, tell how it closed, and set the exit code.
+
+    Args:
+        source: the recording.
+        options: of the run.
+        made: makes the run, given what reports its first pass; refuses all that can be refused before it.
+    """
+    from posetrack_cli.tracking.options import frames_ahead
+
+    names = ("head",) if options.passes == 1 else ("pass 1", "pass 2")
+    with compiling_said(), stop_signals() as stopped, kept(options.output), ExitStack() as stack:
+        total = frames_ahead(source, options)
+        bars = (progress(total, options.start, options.stride, name) for name in names)
+        reports = [stack.enter_context(bar) for bar in bars]
+        outcome = made(reports[0]).track(reports[-1], stopped)
+    close(source.path, options.output, outcome, options.passes)
