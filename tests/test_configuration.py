@@ -18,6 +18,7 @@ from posetrack_cli.configuration import (
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.mono_config import HeadMonoConfig
 
 
 class Inner(Settings):
@@ -217,18 +218,22 @@ def test_the_shipped_hand_configurations_state_every_default() -> None:
     assert set(leaves(HandConfig().model_dump())) - optional == set(stated) - optional
 
 
-def test_the_shipped_head_configuration_states_every_default() -> None:
-    path, defaults = find_configuration("head-stereo"), HeadStereoConfig()
-    assert load_settings(HeadStereoConfig, path, {}) == defaults
+HEADS = {"head-stereo": HeadStereoConfig, "head-mono": HeadMonoConfig}
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_the_shipped_head_configurations_state_every_default(name: str) -> None:
+    path, defaults = find_configuration(name), HEADS[name]()
+    assert load_settings(HEADS[name], path, {}) == defaults
     optional = {key for key, value in leaves(defaults.model_dump()).items() if value is None}
     assert set(leaves(defaults.model_dump())) - optional == set(leaves(tomllib_of(path)))
 
 
 def test_every_shipped_configuration_can_be_loaded() -> None:
-    shipped = list(find_configuration("hand").parent.glob("*.toml"))
-    assert {path.name.split("-")[0].removesuffix(".toml") for path in shipped} == {"hand", "head"}
-    for path in shipped:
-        load_settings(HandConfig if path.name.startswith("hand") else HeadStereoConfig, path, {})
+    kinds: dict[str, type[Settings]] = {"hand": HandConfig, **HEADS}
+    for path in find_configuration("hand").parent.glob("*.toml"):
+        (kind,) = (kinds[name] for name in kinds if path.stem == name or path.stem.startswith(f"{name}-"))
+        load_settings(kind, path, {})
 
 
 def tomllib_of(path: Path) -> dict[str, object]:
