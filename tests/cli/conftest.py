@@ -8,6 +8,7 @@ for folder in (
     HERE,
     HERE.parent / "evaluation",
     HERE.parent / "results",
+    HERE.parent / "head" / "multilinear",
     HERE.parent / "recording",
     HERE.parent / "recording" / "calibration",
 ):  # their support modules are shared by the tests of this folder

@@ -76,7 +76,9 @@ def _shapes(identity: int, deformation: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _check_header(header: Mapping[str, Any]) -> None:
+def _check_header(header: Any) -> None:
+    if not isinstance(header, dict):
+        raise ValueError(f"a header that is a {type(header).__name__}")
     if header.get("format") != FORMAT:
         raise ValueError(f"format {header.get('format')}")
     if header.get("version") != VERSION:
