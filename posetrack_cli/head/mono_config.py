@@ -29,16 +29,17 @@ class MonoStartSettings(Settings):
     It is found when it was detected in ``frames`` frames (n). A detection is rejected where the slopes of the
     K/2 segments between left and right points differ by more than ``slope_deg`` (standard deviation). The
     frames lie no more than ``span_s`` apart, so that a face seen now and then is not made one **[ours]**.
-    Points count as detected with ``pixel_sd`` times the noise of tracked ones, and the adjusted points must
-    lie within ``residual`` (root mean square, of the eyes' distance in the image) of the detected **[ours]**.
+    Points count as detected with ``pixel_sd`` times the noise of tracked ones. They must lie within
+    ``residual`` (root mean square, of the eyes' distance in the image) of an average face's, and once
+    adjusted of the person's **[ours]**.
     """
 
     detection: DetectionSettings = DetectionSettings()
     frames: Annotated[int, Field(ge=1, le=30)] = 5
-    slope_deg: Positive = 8.0
+    slope_deg: Positive = 4.0
     span_s: Positive = 2.0
     pixel_sd: Positive = 2.0
-    residual: Positive = 0.08
+    residual: Positive = 0.12
 
 
 class FaceModelSettings(Settings):

@@ -14,7 +14,7 @@ from posetrack_cli.head.detection.features import FEATURE_SD, FEATURES
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.mono_config import MonoStartSettings
-from posetrack_cli.head.mono_start.single import pose_of
+from posetrack_cli.head.mono_start.single import NEAREST_MM, pose_of
 from posetrack_cli.head.mono_start.symmetry import slope_deviation
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.start.start import NO_FACE, NoStart
@@ -37,6 +37,7 @@ class DetectedFace:
         score: 0 to 1, their mean.
         eye_distance: pixels between the eyes' centres, as if the face looked at the camera.
         pose: rough, of an average face.
+        misfit: weighted root mean square of how far the points lie from the average face's, eye distances.
     """
 
     stamp_ns: int
@@ -45,6 +46,7 @@ class DetectedFace:
     score: float
     eye_distance: float
     pose: HeadPose
+    misfit: float
 
 
 def detect_face(
@@ -104,6 +106,9 @@ def _eye_distance(face: FacePoints) -> float:
 
 
 def _detected(stamp_ns: int, pixels: FloatArray, responses: FloatArray, camera: Camera) -> DetectedFace:
-    pose, _ = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
-    distance = EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / max(pose.position[2], 1.0)
-    return DetectedFace(stamp_ns, pixels, responses, float(responses.mean()), float(distance), pose)
+    pose, rms_px = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
+    depth = max(float(pose.position[2]), NEAREST_MM)
+    distance = float(EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / depth)
+    return DetectedFace(
+        stamp_ns, pixels, responses, float(responses.mean()), distance, pose, rms_px / distance
+    )

@@ -15,18 +15,15 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import (
-    normalised_from_pixels,
-    pixels_and_jacobian,
-    pixels_from_normalised,
-)
+from posetrack_cli.geometry.distortion import distortion_jacobian
+from posetrack_cli.geometry.projection import normalised_from_pixels
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.pose import POSE_SIZE, HeadPose
 
 LEAST_POINTS = 4
 MOST_STEPS = 30
 # A step is the last that lowers the cost by less than this part of it, or than this many squared pixels.
-CONVERGED, CONVERGED_PX2 = 1e-5, 1e-8
+ROUGHLY, CONVERGED, CONVERGED_PX2 = 1e-3, 1e-6, 1e-9
 FIRST_DAMPING, MORE_DAMPING, LESS_DAMPING = 1e-4, 10.0, 0.1
 MOST_DAMPING = 1e6
 NEAREST_MM = 10.0
@@ -36,14 +33,24 @@ HUBER = 2.0
 LEAST_ERROR_PX = 0.05
 # The median length of a normal vector in two dimensions, in standard deviations of a coordinate.
 MEDIAN_LENGTH = 1.177
+# Poses nearer to each other than this, mm and rad, are one.
+ONE_POSE = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """The points that count: pixels (n, 2), square roots of weights (n,), shape (n, 3)."""
+    """The points that count.
 
-    camera: Camera
-    pixels: FloatArray
+    Attributes:
+        places: (n, 2) normalised coordinates.
+        scales: (n, 2, 2) roots of weights times pixels per normalised coordinate, lens included: an error's
+            length is in pixels as recorded, to first order.
+        roots: (n,) of the weights, the largest 1.
+        shape: (n, 3) mm.
+    """
+
+    places: FloatArray
+    scales: FloatArray
     roots: FloatArray
     shape: FloatArray
 
@@ -54,7 +61,7 @@ def pose_of(
     """Return the pose that lays a shape's projection on pixels, and how far off the points remain.
 
     Minimises sum_k h(w_k |m_k - P(R M_k + t)|^2), h Huber's function with its bound from the median error, by
-    Levenberg and Marquardt's method through the lens.
+    Levenberg and Marquardt's method. The lens is taken as linear about each pixel.
 
     Args:
         pixels: (K, 2) as recorded.
@@ -71,12 +78,21 @@ def pose_of(
     used = (weights > 0.0) & np.isfinite(pixels).all(axis=1)
     if used.sum() < LEAST_POINTS:
         raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
-    seen = _Seen(camera, pixels[used], np.sqrt(weights[used] / weights[used].max()), shape[used])
-    first = [_descended(seen, start, np.inf) for start in _starts(seen)]
-    bound = _bound(seen, min(first, key=lambda one: one[1])[0])
-    pose, _ = min((_descended(seen, one, bound) for one, _ in first), key=lambda one: one[1])
-    lengths = _lengths(seen, pose)
-    return pose, float(np.sqrt(np.sum(lengths**2) / np.sum(seen.roots**2)))
+    seen = _seen(pixels[used], weights[used] / weights[used].max(), camera, shape[used])
+    poses = [_descended(seen, start, np.inf, ROUGHLY) for start in _starts(seen)]
+    poses.sort(key=lambda pose: _cost(_lengths(seen, pose), np.inf))
+    different = np.any(np.abs(poses[0].difference(poses[1])) > ONE_POSE)
+    bound = _bound(seen, poses[0])
+    finals = [_descended(seen, pose, bound, CONVERGED) for pose in (poses if different else poses[:1])]
+    best = min(finals, key=lambda pose: _cost(_lengths(seen, pose), bound))
+    return best, float(np.sqrt(np.sum(_lengths(seen, best) ** 2) / np.sum(seen.roots**2)))
+
+
+def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
+    places, roots = normalised_from_pixels(camera, pixels), np.sqrt(weights)
+    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
+    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
+    return _Seen(places, roots[:, None, None] * scales, roots, shape)
 
 
 def _starts(seen: _Seen) -> tuple[HeadPose, HeadPose]:
@@ -84,7 +100,7 @@ def _starts(seen: _Seen) -> tuple[HeadPose, HeadPose]:
 
     Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
     """
-    rays = np.column_stack([normalised_from_pixels(seen.camera, seen.pixels), np.ones(len(seen.pixels))])
+    rays = np.column_stack([seen.places, np.ones(len(seen.places))])
     towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
     turn = _turned_to_z(towards)
     turned = rays @ turn.T
@@ -105,62 +121,65 @@ def _pose(rotation: FloatArray, position: FloatArray) -> HeadPose:
 
 
 def _turned_to_z(direction: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) that takes a unit vector with z > 0 to the z axis, without a turn about it."""
+    """Return the smallest rotation (3, 3) that takes a unit vector with z > 0 to the z axis."""
     x, y, z = direction
-    axis = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [x, y, z]])
-    axis[:2, :2] -= np.outer(direction[:2], direction[:2]) / (1.0 + z)
-    return axis
+    rotation = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [x, y, z]])
+    rotation[:2, :2] -= np.outer(direction[:2], direction[:2]) / (1.0 + z)
+    return rotation
 
 
-def _descended(seen: _Seen, pose: HeadPose, bound: float) -> tuple[HeadPose, float]:
-    """Return the pose of least cost near a start, and its cost."""
-    cost, damping = _cost(_lengths(seen, pose), bound), FIRST_DAMPING
-    matrix, vector = _normal_equations(seen, pose, bound)
+def _descended(seen: _Seen, pose: HeadPose, bound: float, tolerance: float) -> HeadPose:
+    """Return the pose of least cost near a start."""
+    damping = FIRST_DAMPING
+    lengths, matrix, vector = _normal_equations(seen, pose, bound)
+    cost = _cost(lengths, bound)
     for _ in range(MOST_STEPS):
-        damped = matrix + damping * np.diag(np.diagonal(matrix))
-        step = np.asarray(np.linalg.solve(damped, vector), dtype=np.float64)
-        moved = pose.moved(step)
+        small = tolerance * cost + CONVERGED_PX2
+        step = np.linalg.solve(matrix + damping * np.diag(np.diagonal(matrix)), vector)
+        moved = pose.moved(np.asarray(step, dtype=np.float64))
         lower = _cost(_lengths(seen, moved), bound)
         if lower < cost:
-            done = cost - lower <= CONVERGED * cost + CONVERGED_PX2
-            pose, cost, damping = moved, lower, LESS_DAMPING * damping
-            if done:
+            pose, gained, cost, damping = moved, cost - lower, lower, LESS_DAMPING * damping
+            if gained <= small:
                 break
-            matrix, vector = _normal_equations(seen, pose, bound)
-        elif damping > MOST_DAMPING or step @ vector <= CONVERGED * cost + CONVERGED_PX2:
+            _, matrix, vector = _normal_equations(seen, pose, bound)
+        elif damping > MOST_DAMPING or step @ vector <= small:
             break
         else:
             damping *= MORE_DAMPING
-    return pose, cost
+    return pose
 
 
-def _normal_equations(seen: _Seen, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray]:
-    """Return J^T W J (6, 6) and J^T W e (6,) in the pose's tangent vector."""
-    points = pose.points(seen.shape)
-    pixels, by_point = pixels_and_jacobian(seen.camera, points)
-    lengths = np.linalg.norm(seen.roots[:, None] * (seen.pixels - pixels), axis=1)
-    roots = seen.roots * np.sqrt(bound / np.maximum(lengths, bound)) if np.isfinite(bound) else seen.roots
-    arms = points - pose.position
-    jacobian = np.empty((*by_point.shape[:2], POSE_SIZE))
-    jacobian[..., :3] = by_point
-    jacobian[..., 3:] = np.cross(arms[:, None], by_point)
+def _normal_equations(seen: _Seen, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the errors' lengths (n,), J^T W J (6, 6) and J^T W e (6,) in the pose's tangent vector."""
+    arms = seen.shape @ pose.rotation.T
+    x, y, z = (arms + pose.position).T
+    u, v = x / z, y / z
+    errors = np.einsum("kij,kj->ki", seen.scales, seen.places - np.stack([u, v], axis=1))
+    lengths = np.sqrt(np.sum(errors**2, axis=1))
+    roots = np.sqrt(bound / np.maximum(lengths, bound)) if np.isfinite(bound) else np.ones_like(lengths)
+    a, b, c = arms.T
+    none = np.zeros_like(z)
+    moving = [[none + 1.0, none, -u, -u * b, c + u * a, -b], [none, none + 1.0, -v, -c - v * b, v * a, a]]
+    jacobian = np.einsum("kij,jnk->kin", seen.scales, np.array(moving) / z)
     rows = (roots[:, None, None] * jacobian).reshape(-1, POSE_SIZE)
-    errors = (roots[:, None] * (seen.pixels - pixels)).ravel()
-    return rows.T @ rows, rows.T @ errors
+    return lengths, rows.T @ rows, rows.T @ (roots[:, None] * errors).ravel()
 
 
 def _lengths(seen: _Seen, pose: HeadPose) -> FloatArray:
     """Return the weighted lengths (n,) of the points' errors; infinite where one is not before the camera."""
-    points = pose.points(seen.shape)
+    points = seen.shape @ pose.rotation.T + pose.position
     if points[:, 2].min() < NEAREST_MM:
         return np.full(len(points), np.inf)
-    pixels = pixels_from_normalised(seen.camera, points[:, :2] / points[:, 2:])
-    lengths: FloatArray = np.linalg.norm(seen.roots[:, None] * (seen.pixels - pixels), axis=1)
+    errors = np.einsum("kij,kj->ki", seen.scales, seen.places - points[:, :2] / points[:, 2:])
+    lengths: FloatArray = np.sqrt(np.sum(errors**2, axis=1))
     return lengths
 
 
 def _cost(lengths: FloatArray, bound: float) -> float:
     """Return half a sum of squares, beyond the bound growing only as the length does."""
+    if not np.all(np.isfinite(lengths)):
+        return np.inf
     small = np.minimum(lengths, bound)
     return float(np.sum(small * (lengths - 0.5 * small)))
 

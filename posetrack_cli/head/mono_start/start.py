@@ -13,8 +13,7 @@ from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.views import Adjusted, Person, PointView
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.mono_start.detected import MEAN_FACE_WEIGHTS, DetectedFace
-from posetrack_cli.head.mono_start.single import pose_of
+from posetrack_cli.head.mono_start.detected import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.start.start import NO_FACE, NoStart
@@ -49,8 +48,9 @@ def begin(
 ) -> MonoStart | NoStart:
     """Return the head whose points were found in one frame or more, or why they are no head's.
 
-    The adjustment begins with the mean person and with the pose that each frame's points alone give the mean
-    face **[ours]**; the thesis's begins with a face in the middle of the image that looks at the camera.
+    The adjustment begins with the mean person and with the pose that each frame's points alone give an
+    average face **[ours]**; the thesis's begins with a face in the middle of the image that looks at the
+    camera. Points are compared with a face's before it, too: constant offsets would make any points a face's.
 
     Args:
         detected: of one face, in the order of time.
@@ -61,8 +61,11 @@ def begin(
     if not detected:
         return NoStart(NO_FACE)
     score = float(np.mean([face.score for face in detected]))
+    misfit = float(np.median([face.misfit for face in detected]))
+    if misfit > settings.start.residual:
+        return NoStart(_unlike(misfit), score)
     adjusted = adjust(
-        [_view(face, camera, model, settings.start.pixel_sd) for face in detected],
+        [_view(face, model, settings.start.pixel_sd) for face in detected],
         Person(model.identity_mean, np.zeros((POINT_COUNT, 3))),
         model,
         camera,
@@ -78,12 +81,10 @@ def begin(
     return MonoStart(adjusted.views, adjusted.person, detected[0].pixels, residual, score, adjusted)
 
 
-def _view(face: DetectedFace, camera: Camera, model: FaceModel, pixel_sd: float) -> PointView:
+def _view(face: DetectedFace, model: FaceModel, pixel_sd: float) -> PointView:
     """Return a frame as the adjustment takes it: detected points count less than tracked ones."""
-    mean = model.of_person(model.identity_mean).mean
-    pose, _ = pose_of(face.pixels, MEAN_FACE_WEIGHTS, camera, mean)
     weights = np.full(POINT_COUNT, min(pixel_sd**-2, 1.0))
-    return PointView(face.stamp_ns, face.pixels, weights, pose, model.deformation_mean)
+    return PointView(face.stamp_ns, face.pixels, weights, face.pose, model.deformation_mean)
 
 
 def _residual(adjusted: Adjusted, detected: Sequence[DetectedFace]) -> float:
@@ -101,5 +102,9 @@ def _implausible(poses: Sequence[HeadPose], residual: float, most: float) -> str
         if pose.facing @ pose.position >= 0.0:
             return "a face that looks away from the camera"
     if not residual <= most:
-        return f"points {residual:.2f} eye distances from a face's"
+        return _unlike(residual)
     return ""
+
+
+def _unlike(distance: float) -> str:
+    return f"points {distance:.2f} eye distances from a face's"
