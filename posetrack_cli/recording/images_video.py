@@ -24,6 +24,9 @@ from posetrack_cli.recording.stamps import NS_PER_S, stamp_at_rate, stamps_at_ra
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 QUIET = "-8"
+MOST_FAILURES = 300
+"""Frames in a row that cannot be decoded; after more of them nothing that can be is looked for."""
+UNDECODABLE, MISSING = "video frame cannot be decoded", "video frame missing"
 
 
 class ImagesVideoRecording(SeveralCamerasRecording):
@@ -57,10 +60,7 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         with opened(path) as video:
             self._count = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0) or None
             self._rate = float(video.get(cv2.CAP_PROP_FPS))
-            is_read, image = video.read()
-        if not is_read:
-            raise RecordingError("video has no frame that can be decoded", where=path)
-        self._kind = kind_of_image(image, path)
+            self._kind = kind_of_image(_first_image(video, path), path)
         self._fps = fps
         if fps is not None:
             stamps_at_rate(0, fps)  # refuses what is no rate
@@ -93,24 +93,45 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         return [self._stream(losses)]
 
     def _stream(self, losses: LossLog) -> Iterator[StoredImage | None]:
-        """Yield the frames, decoded: a video cannot go back to one that was passed."""
-        latest, index = -1, 0
+        """Yield the frames, decoded: a video cannot go back to one that was passed.
+
+        Behind frames that cannot be decoded those that can are looked for.
+        """
+        index, failed, latest, reached = 0, 0, -1, -1
         with opened(self._path) as video:
-            while True:
+            while failed <= self._failures_allowed(index):
                 is_read, image = video.read()
                 if not is_read:
-                    break
-                latest = self._stamp(video, index, latest)
+                    failed += 1
+                    continue
+                for lost in range(index, index + failed):
+                    losses.add(UNDECODABLE, f"frame {lost}")
+                index, failed, reached = index + failed, 0, _position_ns(video)
+                latest = self._stamp(reached, index, latest)
                 yield StoredImage(latest, f"video frame {index}", partial(self._grey, image, index))
                 index += 1
-        if self._count is not None and index < self._count:
-            losses.add("video ends early", f"frame {index} of {self._count}")
+        for lost in range(index, self._end(index, reached)):
+            losses.add(MISSING, f"frame {lost} of {self._count}")
 
-    def _stamp(self, video: cv2.VideoCapture, index: int, latest: int) -> int:
+    def _failures_allowed(self, index: int) -> int:
+        return 0 if self._count is None else min(self._count - index, MOST_FAILURES)
+
+    def _end(self, index: int, reached: int) -> int:
+        """Return how many frames there should have been, where ``index`` of them came up to ``reached``, ns.
+
+        Some videos tell a duration, of which OpenCV makes a number of frames at an even rate. So fewer that
+        fill the duration are all there are.
+        """
+        if self._count is None:
+            return index
+        period_ns = NS_PER_S / self._rate if self._rate > 0 else 0.0
+        is_full = period_ns > 0 and reached + 1.5 * period_ns >= self._count * period_ns
+        return index if is_full else self._count
+
+    def _stamp(self, own: int, index: int, latest: int) -> int:
         """Return when a frame was taken, ns: by the rate given, or as the video says, or by its rate."""
         if self._fps is not None:
             return stamp_at_rate(index, self._fps)
-        own = round(video.get(cv2.CAP_PROP_POS_MSEC) * NS_PER_MS)
         if own > latest:
             return own
         return latest + round(NS_PER_S / self._rate) if self._rate > 0 else latest + 1
@@ -118,6 +139,19 @@ class ImagesVideoRecording(SeveralCamerasRecording):
     def _grey(self, image: ImageArray, index: int) -> ImageArray:
         check_size(image, self._kind, f"{self._path}, frame {index}")
         return self._window.apply(grey_of(image, self._kind.bits))
+
+
+def _position_ns(video: cv2.VideoCapture) -> int:
+    """The stamp of the frame that was read last, as the video tells it."""
+    return round(video.get(cv2.CAP_PROP_POS_MSEC) * NS_PER_MS)
+
+
+def _first_image(video: cv2.VideoCapture, path: Path) -> ImageArray:
+    for _ in range(MOST_FAILURES):
+        is_read, image = video.read()
+        if is_read:
+            return image
+    raise RecordingError("video has no frame that can be decoded", where=path)
 
 
 def is_video(path: Path) -> bool:
