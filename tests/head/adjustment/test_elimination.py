@@ -1,0 +1,66 @@
+"""Eliminating the views gives the dense solution."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import case_of, dense, equations_at, somewhere
+
+from posetrack_cli.head.adjustment.solver.elimination import (
+    Held,
+    factorise,
+    inverse_diagonal,
+    make_elimination,
+    reduce,
+    solve,
+)
+from posetrack_cli.head.adjustment.solver.problem import Part
+
+ROUNDING = 1e-9
+"""eps times the condition number of the equations in units of their diagonal, some 1e5, and to spare."""
+
+
+def held_of(equations, share, seed=6):
+    rng = np.random.default_rng(seed)
+    return Held(
+        rng.uniform(size=equations.local_gradient.shape) < share,
+        rng.uniform(size=equations.shared_gradient.shape) < share,
+    )
+
+
+def joined_step(room):
+    return np.concatenate([room.local.ravel(), room.shared])
+
+
+@pytest.mark.parametrize("shared", [0, 10, 40])
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_step_is_that_of_the_dense_equations(shared, damping, share):
+    case = case_of()
+    equations = equations_at(case.problem, somewhere(case), Part(0, 3, 11, shared))
+    held, room = held_of(equations, share), make_elimination(equations)
+    assert solve(equations, held, damping, room)
+    matrix, gradient = dense(equations)
+    matrix += damping * np.diag(np.diag(matrix))
+    free = ~np.concatenate([held.local.ravel(), held.shared])
+    wanted = np.zeros(len(gradient))
+    wanted[free] = np.linalg.solve(matrix[np.ix_(free, free)], -gradient[free])
+    scale = np.sqrt(np.diag(matrix))
+    found = joined_step(room)
+    np.testing.assert_allclose(found * scale, wanted * scale, atol=ROUNDING * np.abs(wanted * scale).max())
+
+
+def test_variances_are_the_dense_inverse_s():
+    case = case_of()
+    equations = equations_at(case.problem, somewhere(case), case.everything)
+    room, found = make_elimination(equations), np.empty(10)
+    assert reduce(equations, held_of(equations, 0.0), 0.0, room)
+    inverse_diagonal(room.reduced, found)
+    wanted = np.diag(np.linalg.inv(dense(equations)[0]))[33:43]
+    np.testing.assert_allclose(found, wanted, rtol=1e-7)
+
+
+def test_a_matrix_that_is_not_positive_has_no_factor():
+    assert factorise(np.array([[4.0, 0.0], [2.0, 1.1]]))
+    assert not factorise(np.array([[4.0, 0.0], [2.0, 0.9]]))
+    assert not factorise(np.array([[np.nan]]))
