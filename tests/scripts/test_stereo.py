@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from heads_support import CAMERAS, FRAME_NS, heads_folder, judged, pose
 
 from posetrack_cli.cli.head_stereo import head_stereo
 from posetrack_cli.cli.head_synth import head_synth
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face import MEAN_SHAPE, MOUTH, POINT_NAMES
-from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.subject import HeadNumbers, head_subject
 from posetrack_cli.head.synthesis.folder_writing import SYNTH_RECORD
 from posetrack_cli.recording.mcap_sink import McapSink
@@ -31,20 +28,6 @@ from reproduction.heads.options import Options
 from reproduction.heads.tasks import ENTRANTS, Task, is_current, run_task
 from reproduction.stereo import PARTS
 
-FRAME_NS = 33_333_333
-CAMERAS = (
-    Camera(64, 48, 90.0, 90.0, 31.5, 23.5, name="left"),
-    Camera(
-        64,
-        48,
-        90.0,
-        90.0,
-        31.5,
-        23.5,
-        name="right",
-        camera_T_reference=((1.0, 0.0, 0.0, -120.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
-    ),
-)
 ROUNDED_MM = 1e-4  # the truth's CSV has five digits after the point
 
 
@@ -57,22 +40,6 @@ class MadeUp(Measured):
 
     def figures(self, task: Task, entrant: str) -> Figures:
         return self._made_up.get((task.name, entrant), {})
-
-
-def judged(targets: Targets) -> dict[str, tuple[str, str]]:
-    return {what: (measured, said) for what, _, measured, said in targets.rows}
-
-
-def heads_folder(tmp_path: Path, *names: str) -> Path:
-    lens = {"width": 64, "height": 48, "K": [[90, 0, 31], [0, 90, 23], [0, 0, 1]], "distortion": [0] * 5}
-    placed = lens | {"R_from_left": np.eye(3).tolist(), "t_from_left_mm": [0, 0, 0]}
-    for name in names:
-        folder = tmp_path / "heads" / name
-        folder.mkdir(parents=True)
-        calibration = {"fps": 25, "cameras": {"left": placed, "right": placed}}
-        (folder / "calibration.json").write_text(json.dumps(calibration))
-        (folder / "truth.csv").write_text("t_s\n")
-    return tmp_path / "heads"
 
 
 def every_task(options: Options) -> list[Task]:
@@ -169,11 +136,6 @@ def test_an_entrant_that_fails_keeps_no_other_from_it(
     with pytest.raises(PosetrackError, match="a: failed: rigid"):
         run_task(task, tmp_path)
     assert is_current(task, "deformable", tmp_path) and not is_current(task, "rigid", tmp_path)
-
-
-def pose(index: int) -> HeadPose:
-    turn = np.radians([3.0 * np.sin(index), 5.0 * np.cos(2 * index), 10.0 * np.sin(0.5 * index)])
-    return HeadPose(np.array([2.0 * index, -index, 700.0 + index]), head_quaternion_from_roll_pitch_yaw(turn))
 
 
 def true_shape(index: int) -> np.ndarray:
