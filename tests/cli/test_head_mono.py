@@ -1,0 +1,351 @@
+"""``posetrack head mono``: what it reads and refuses, what it says of a guess, and what it writes."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.cli.main import run
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.model_file import model_bytes
+from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.mono_subject import mono_subject
+from posetrack_cli.head.mono_tracker import make_mono_tracker
+from posetrack_cli.head.multilinear.model_file import load_face_model
+from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.results import load_arrays, read_result
+from posetrack_cli.tracking.options import RunOutcome
+
+FRAMES = 12
+SEED = ("--frames", str(FRAMES), "--seed", "3", "--cameras", "1")
+CAMERA = Camera(160, 120, 250.0, 250.0, 79.5, 59.5)
+GUESSED = "no calibration: focal length taken for {} px (a field of view of 53 degrees, --fov says another)"
+
+
+def mono(recording: Path, output: Path, *arguments: object) -> int:
+    asked = ["head", "mono", str(recording), "-o", str(output), "--particles", "100"]
+    return run([*asked, *map(str, arguments)])
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """What was said on standard error."""
+    return capsys.readouterr().err.splitlines()
+
+
+def write_noise(folder: Path, names: tuple[str, ...] = ("",), frames: int = 3) -> Path:
+    """Images of noise in which no face is, of one camera or more."""
+    rng = np.random.default_rng(0)
+    for name in names:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        for index in range(frames):
+            image = rng.integers(90, 110, (CAMERA.height, CAMERA.width), dtype=np.uint8)
+            cv2.imwrite(str(folder / name / f"{index:06d}.png"), image)
+    return folder
+
+
+def write_video(path: Path, images: list[np.ndarray]) -> Path:
+    height, width = images[0].shape
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (width, height))
+    for image in images:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("passes", ["1", "2"])
+def test_no_face_is_one_line_with_frames_and_score(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], passes: str
+) -> None:
+    recording = write_noise(tmp_path / "noise")
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--passes", passes) == 1
+    guessed, told = lines(capsys)
+    assert GUESSED.format(160) in guessed
+    assert "no face found, found 3 frames searched, best score 0.00" in told
+    assert [path.name for path in tmp_path.iterdir()] == ["noise"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (["--detector", "yunet"], 2, "--detector-model"),
+        (["--set", "adjustment.view=3"], 2, "views"),
+        (["--face-model", "nowhere.npz"], 2, "no such face model"),
+        (["--load-model", "nowhere.npz"], 2, "no such model file"),
+        (["--init", "nowhere.csv"], 2, "nowhere.csv: clicked points not found"),
+        (["--start", "9"], 2, "no frame to track, found 3 frames"),
+        (["--fov", "200"], 2, "--fov cannot be used, found 200, expected degrees from 1 to 170"),
+        (["--fov", "60"], 2, "--fov does not apply to a calibrated camera, found 250 px; leave it out"),
+        (["--cameras", "left"], 1, "no camera 'left'"),
+        (["--camera", "nowhere.toml"], 1, "nowhere.toml: cannot be read"),
+        (["--resume"], 1, "no unfinished result to resume"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_meant_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, expected: str
+) -> None:
+    recording = write_noise(tmp_path / "noise")
+    (recording / "camera.toml").write_text("fx = 250.0\nfy = 250.0\ncx = 79.5\ncy = 59.5\n")
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", *arguments) == code
+    (told,) = lines(capsys)
+    assert expected in told
+    assert [path.name for path in tmp_path.iterdir()] == ["noise"]
+
+
+def test_a_recording_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert mono(tmp_path / "nowhere.mp4", tmp_path / "r.mcap") == 1
+    assert lines(capsys) == [f"posetrack: {tmp_path / 'nowhere.mp4'}: no such file or folder"]
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_several_cameras_are_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], calibrated: bool
+) -> None:
+    recording = write_noise(tmp_path / "two", ("left", "right"))
+    if calibrated:
+        aside = ((1.0, 0.0, 0.0, -120.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+        cameras = [
+            Camera(160, 120, 250.0, 250.0, 79.5, 59.5, name=name, camera_T_reference=place)
+            for name, place in (("left", Camera.camera_T_reference), ("right", aside))
+        ]
+        (recording / "camera.toml").write_text(camera_file_text(cameras))
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30") == 2
+    (told,) = lines(capsys)
+    assert "several cameras, one can be used, found left, right; choose one with --cameras" in told
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--cameras", "right") == 1
+    assert "no face found" in lines(capsys)[-1]
+
+
+def test_a_model_that_stereo_learned_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, model = write_noise(tmp_path / "noise"), tmp_path / "stereo.npz"
+    model.write_bytes(model_bytes({}, [CAMERA], "head-stereo"))
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--load-model", model) == 2
+    expected = "model was learned by another tracker, found head-stereo, expected head-mono"
+    assert expected in lines(capsys)[-1]
+    assert not list(tmp_path.glob("r.mcap*"))
+
+
+def test_a_video_that_cannot_be_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "face.mp4"
+    path.write_bytes(b"\0\0\0\x18ftypisom no more")
+    assert mono(path, tmp_path / "r.mcap") == 1
+    assert lines(capsys) == [f"posetrack: {path}: is no video that can be read"]
+
+
+# On a made recording
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A synthetic head, with its truth."""
+    path = tmp_path_factory.mktemp("made") / "head.mcap"
+    assert run(["head", "synth", "-o", str(path), *SEED]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def images(made: Path) -> list[np.ndarray]:
+    return [frame.images[0] for frame in open_images(made).frames()]
+
+
+@pytest.fixture(scope="module")
+def video(made: Path, images: list[np.ndarray]) -> Path:
+    """The same as a video of which nothing tells the focal length."""
+    return write_video(made.with_name("head.avi"), images)
+
+
+@pytest.fixture(scope="module")
+def tracked(made: Path) -> Path:
+    path = made.with_name("tracked.mcap")
+    assert mono(made, path, "--passes", "1", "--save-model", made.with_name("face.npz")) == 0
+    return path
+
+
+def table(path: Path) -> dict[str, float]:
+    """Means of a result's figures after one rigid offset."""
+    report = path.with_suffix(".json")
+    assert run(["eval", str(path), "--align", "rigid", "--json", str(report), "--overwrite"]) == 0
+    (found,) = json.loads(report.read_text())["results"]
+    values = found["metrics"].items()
+    return {name: value["value"] if "value" in value else value["mean"] for name, value in values}
+
+
+def test_a_made_head_is_tracked_and_measured_against_its_own_truth(tracked: Path) -> None:
+    found = table(tracked)
+    assert (found["frames"], found["lost"], found["matched"]) == (FRAMES, 0, FRAMES)
+    assert found["position_mm"] < 8.0 and found["rotation_deg"] < 2.5  # a few frames see little of a face
+    result = read_result(tracked)
+    assert result.finished
+    assert result.truth_topics
+    assert {"identity_1", "identity_spread_1"} < set(result.numbers())
+    assert [channel.topic for _, channel in result.channels][:2] == [
+        "/camera/annotations",
+        "/camera/calibration",
+    ]
+
+
+def test_the_record_says_what_one_camera_cannot_know(
+    tracked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stated = {"tracker": "head-mono", "scale": "prior", "intrinsics": "given", "face": "1"}
+    record = read_result(tracked).run
+    assert {key: record[key] for key in stated} == stated
+    assert record["face_model"] == "shipped"
+    assert run(["eval", str(tracked)]) == 0
+    assert "one camera sees no scale" in capsys.readouterr().out
+
+
+def test_a_folder_with_its_camera_file_is_as_good(made: Path, tracked: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    assert run(["head", "synth", "-o", str(folder), *SEED]) == 0
+    assert mono(folder, tmp_path / "r.mcap", "--passes", "1") == 0
+    mine, theirs = load_arrays(tmp_path / "r.mcap"), load_arrays(tracked)
+    for name in mine:
+        np.testing.assert_array_equal(mine[name], theirs[name], err_msg=name)
+
+
+def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert mono(video, tmp_path / "r.mcap", "--passes", "1") == 0
+    assert lines(capsys) == [f"{video}: {GUESSED.format(640)}; distances are a guess"]
+    result = read_result(tmp_path / "r.mcap")
+    assert (result.run["intrinsics"], result.camera().fx) == ("guessed", 640.0)
+    status = load_arrays(result.path)["status"]
+    assert len(status) == FRAMES and not np.any(status == "lost")
+    assert run(["view", str(result.path), "--recording", str(video), "-o", str(tmp_path / "sheet.png")]) == 0
+    assert run(["eval", str(result.path), "--recording", str(video), "--html", str(tmp_path / "r.html")]) == 0
+    assert "the camera was not calibrated" in (tmp_path / "r.html").read_text()
+    assert run(["export", str(result.path), "-o", str(tmp_path / "r.csv")]) == 0
+    assert "identity_10" in (tmp_path / "r.csv").read_text()
+
+
+def test_a_focal_length_that_is_given_is_taken(made: Path, video: Path, tmp_path: Path) -> None:
+    """A field of view of the made camera's 1000 px gives its distances, and so does a camera file."""
+    fov = 2 * np.degrees(np.arctan(320 / 1000))
+    assert mono(video, tmp_path / "fov.mcap", "--passes", "1", "--fov", fov) == 0
+    (tmp_path / "mine.toml").write_text("fx = 1000.0\nfy = 1000.0\ncx = 319.5\ncy = 239.5\n")
+    assert mono(video, tmp_path / "toml.mcap", "--passes", "1", "--camera", tmp_path / "mine.toml") == 0
+    results = [read_result(tmp_path / name) for name in ("fov.mcap", "toml.mcap")]
+    assert [result.run["intrinsics"] for result in results] == ["guessed", "given"]
+    assert [result.camera().fx for result in results] == pytest.approx([1000.0, 1000.0])
+
+
+def test_the_same_options_give_the_same_bytes_and_others_do_not(made: Path, tracked: Path) -> None:
+    again, other = made.with_name("again.mcap"), made.with_name("other.mcap")
+    assert mono(made, again, "--passes", "1") == mono(made, other, "--passes", "1", "--seed", "1") == 0
+    assert filecmp.cmp(tracked, again, shallow=False)
+    assert not filecmp.cmp(tracked, other, shallow=False)
+
+
+def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: Path, tracked: Path) -> None:
+    twice, loaded = made.with_name("twice.mcap"), made.with_name("loaded.mcap")
+    assert mono(made, twice) == 0
+    assert mono(made, loaded, "--passes", "1", "--load-model", made.with_name("face.npz")) == 0
+    mine, theirs, once = (load_arrays(path) for path in (twice, loaded, tracked))
+    for name in mine:
+        np.testing.assert_array_equal(mine[name], theirs[name], err_msg=name)
+    assert np.any(mine["position"] != once["position"])
+    assert read_result(twice).run["passes"] == "2"
+    shutil.copy(tracked, made.with_name("model.mcap"))  # a result serves as a model, too
+    assert mono(made, made.with_name("r.mcap"), "--passes", "1", "--load-model", tracked) == 0
+    np.testing.assert_array_equal(load_arrays(made.with_name("r.mcap"))["position"], mine["position"])
+
+
+@pytest.mark.parametrize("when", ["start", "never"])
+def test_a_person_need_not_be_adjusted(made: Path, tracked: Path, tmp_path: Path, when: str) -> None:
+    assert mono(made, tmp_path / "r.mcap", "--passes", "1", "--adjust", when) == 0
+    identities = read_result(tmp_path / "r.mcap").numbers()["identity_1"]
+    known = identities[np.isfinite(identities)]
+    assert len(known) and np.all(known == known[0])
+    adjusted = read_result(tracked).numbers()["identity_1"]
+    assert len(set(adjusted[np.isfinite(adjusted)])) > 1
+
+
+def test_a_second_face_that_is_not_there_is_one_line(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert mono(made, tmp_path / "r.mcap", "--face", "2") == 1
+    (told,) = lines(capsys)
+    assert f"no face found, found {FRAMES} frames searched" in told and "1 face, not 2" in told
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_smaller_of_two_faces_can_be_asked_for(images: list[np.ndarray], tmp_path: Path) -> None:
+    """Beside the face stands the same one at 0.6 of its size."""
+    both = [np.hstack([image, np.zeros_like(image)]) for image in images]
+    for image, whole in zip(images, both, strict=True):
+        small = cv2.resize(image, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+        whole[: small.shape[0], 640 : 640 + small.shape[1]] = small
+    video = write_video(tmp_path / "both.avi", both)
+    distances = []
+    for face in (1, 2):
+        assert mono(video, tmp_path / f"{face}.mcap", "--passes", "1", "--face", face) == 0
+        result = load_arrays(tmp_path / f"{face}.mcap")
+        assert not np.any(result["status"] == "lost")
+        assert np.all(np.sign(result["position"][:, 0]) == (-1.0 if face == 1 else 1.0))
+        distances.append(float(np.median(result["position"][:, 2])))
+    assert distances[1] / distances[0] == pytest.approx(1 / 0.6, rel=0.1)
+
+
+def test_a_video_that_was_cut_is_tracked_as_far_as_it_goes(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.avi"
+    data = video.read_bytes()
+    cut.write_bytes(data[: len(data) * 3 // 4])
+    assert mono(cut, tmp_path / "r.mcap", "--passes", "2") == 3
+    count = len(load_arrays(tmp_path / "r.mcap")["status"])
+    assert 5 < count < FRAMES
+    missing = f"video frame missing: {FRAMES - count}, first frame {count} of {FRAMES}"
+    assert lines(capsys)[-1] == f"{cut}: {missing}"
+
+
+def test_clicked_points_begin_a_run(made: Path, tracked: Path, tmp_path: Path) -> None:
+    camera, first = read_result(tracked).camera(), load_arrays(tracked)["points"][0]
+    pixels = camera.pixels_from_points(first)[0].round().tolist()
+    rows = [f"{camera.name},{name},{x},{y}" for name, (x, y) in zip(POINT_NAMES, pixels, strict=True)]
+    (tmp_path / "clicked.csv").write_text("\n".join(["camera,point,x,y", *rows]))
+    assert mono(made, tmp_path / "r.mcap", "--passes", "1", "--init", tmp_path / "clicked.csv") == 0
+    record = read_result(tmp_path / "r.mcap").run
+    assert record["init"] == "clicked.csv" and len(record["init.sha256"]) == 64
+    assert table(tmp_path / "r.mcap")["rotation_deg"] < 3.0
+
+
+@pytest.mark.parametrize(("passes", "frames"), [(1, 3), (1, 7), (2, 14)])
+def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
+    made: Path, tmp_path: Path, passes: int, frames: int
+) -> None:
+    """Stopped while the face is collected, in the first pass, and in the second."""
+    config = HeadMonoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 2}})
+    source = open_images(made)
+    (camera,) = source.cameras
+
+    def track(name: str, stop_after: int = 0, *, resume: bool = False) -> RunOutcome:
+        asked = iter(range(1, 1000))
+        return HeadRun(
+            source,
+            config,
+            HeadRunOptions(tmp_path / name, passes=passes, resume=resume),
+            name="head-mono",
+            subject=mono_subject(camera.name, load_face_model()),
+            flush_frames=config.output.flush_frames,
+            make_tracker=lambda known: make_mono_tracker(config, camera, known),
+        ).track(lambda estimate: None, lambda: next(asked) == stop_after)
+
+    track("whole.mcap")
+    assert track("cut.mcap", frames).stopped
+    assert track("cut.mcap", resume=True).tracked < FRAMES * passes
+    assert filecmp.cmp(tmp_path / "whole.mcap", tmp_path / "cut.mcap", shallow=False)
