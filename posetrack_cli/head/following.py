@@ -11,7 +11,7 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import ParticleSettings, RefinementSettings
 from posetrack_cli.head.keyframes import chosen
-from posetrack_cli.head.motion import predicted_pose, velocity_between
+from posetrack_cli.head.motion import FRAME_S, predicted_pose, velocity_between
 from posetrack_cli.head.particle_scores import Observation
 from posetrack_cli.head.particles import HeadFilter, HeadParticles
 from posetrack_cli.head.pose import POSE_SIZE, HeadPose
@@ -176,6 +176,30 @@ class Follower:
         projection = project(self._cameras, pose.points(shape))
         patches, known = warped(chosen(sets, pose.facing)[-1], tangents(projection, pose))
         return Observation(images, template_images(patches), visibility(projection, pose) * known)
+
+
+def begun(following: Following, size: int, score: float, pixels: FloatArray) -> Followed:
+    """What the frame says in which a head was first found.
+
+    Args:
+        following: the head, at rest.
+        size: B, of a face that is not known to deform yet.
+        score: of the start.
+        pixels: (C, K, 2) where its points were found.
+    """
+    nothing, particles = np.zeros(size), following.particles
+    return Followed(
+        following,
+        coefficients=nothing,
+        coefficient_rate=nothing,
+        variance=particles.variance(),
+        dt=FRAME_S,
+        correlations=np.full(len(following.shape), score),
+        weights=np.full(len(following.shape), score),
+        score=score,
+        pixels=pixels,
+        effective_sample_size=float(len(particles.weights)),
+    )
 
 
 def agreement(correlations: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:

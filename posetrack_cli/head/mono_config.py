@@ -75,7 +75,7 @@ class AdjustmentSettings(Settings):
     """
 
     when: Literal["always", "start", "never"] = "always"
-    views: Annotated[int, Field(ge=2, le=200)] = 5
+    views: Annotated[int, Field(ge=2, le=200)] = 12
     iterations: Count = 5
     start_iterations: Count = 10
     average: Count = 15
@@ -83,7 +83,7 @@ class AdjustmentSettings(Settings):
     pose_rad: Triple = (0.2, 0.2, 0.1)
     deformation: Positive = 1.0
     identity: Positive = 0.5
-    bound: Positive = 2.0
+    bound: Positive = 2.5
     prior: NotNegative = 2.0
     offsets: bool = True
     offset_mm: OffsetSettings = OffsetSettings()

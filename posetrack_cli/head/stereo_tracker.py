@@ -14,7 +14,7 @@ from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.following import Followed, Follower, Following, Images
+from posetrack_cli.head.following import Followed, Follower, Following, Images, begun
 from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
 from posetrack_cli.head.motion import FRAME_S
@@ -204,7 +204,7 @@ class StereoTracker:
         reference = take_templates(frame.images, self._cameras, found.pose, shape)
         following = self._follower.begin(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
         state = replace(state, face=face, sets=(reference,), following=following)
-        followed = started(following, found, face)
+        followed = begun(following, face.model.size, found.score, found.pixels)
         return state, tracked(frame, followed, face, Status.TRACKING, self._config)
 
 
@@ -229,23 +229,6 @@ def make_stereo_tracker(
         return find_start(images, cameras, detector, config.start)
 
     return StereoTracker(config, cameras, find, known)
-
-
-def started(following: Following, found: Start, face: FaceLearning) -> Followed:
-    """What the frame says in which a head was first found."""
-    nothing, particles = np.zeros(face.model.size), following.particles
-    return Followed(
-        following,
-        coefficients=nothing,
-        coefficient_rate=nothing,
-        variance=particles.variance(),
-        dt=FRAME_S,
-        correlations=np.full(len(found.shape), found.score),
-        weights=np.full(len(found.shape), found.score),
-        score=found.score,
-        pixels=found.pixels,
-        effective_sample_size=float(len(particles.weights)),
-    )
 
 
 def _found(face: FaceLearning | None) -> FaceLearning:

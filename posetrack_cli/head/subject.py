@@ -20,8 +20,14 @@ COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
 
 
-def head_subject(camera_frame: str, components: int) -> Subject:
-    """Return the subject of a head whose face deforms in so many components (B; 0 of a rigid one)."""
+def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | None = None) -> Subject:
+    """Return the subject of a head whose face deforms in so many components (B; 0 of a rigid one).
+
+    Args:
+        camera_frame: that its pose is relative to.
+        components: B.
+        numbers: names of the further numbers; those of the stereo tracker without.
+    """
     return Subject(
         HEAD,
         camera_frame,
@@ -30,7 +36,7 @@ def head_subject(camera_frame: str, components: int) -> Subject:
         point_parents=(-1,) * POINT_COUNT,
         colour=COLOUR,
         lines=LINES,
-        number_names=number_names(components),
+        number_names=number_names(components) if numbers is None else numbers,
     )
 
 

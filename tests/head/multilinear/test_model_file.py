@@ -12,7 +12,7 @@ import pytest
 from face_people import acting, people
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.head.face import MEAN_SHAPE, POINT_NAMES
+from posetrack_cli.head.face import EYES, MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.head.multilinear.build import build_model, mirrored
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.multilinear.model_file import SHIPPED, load_face_model, save_face_model
@@ -62,9 +62,9 @@ def test_the_shipped_model_is_a_face() -> None:
     model = load_face_model()
     assert (model.identity_size, model.deformation_size) == (10, 5)
     face = model.shapes(model.identity_mean, model.deformation_mean)
-    assert (
-        np.linalg.norm(face - MEAN_SHAPE, axis=-1).max() < 8.0
-    )  # at mean deformation the mouth is half open
+    # at mean deformation the mouth is half open; features lie up to 13 mm from the landmarks
+    assert np.linalg.norm(face - MEAN_SHAPE, axis=-1).max() < 15.0
+    assert np.linalg.norm((face - MEAN_SHAPE)[EYES], axis=-1).max() < 5.0
     np.testing.assert_allclose(mirrored(face), face, atol=1e-6)  # its arrays are rounded
     with np.load(SHIPPED, allow_pickle=False) as contents:
         assert "ICT-FaceKit" in json.loads(str(contents["header"]))["source"]

@@ -1,0 +1,170 @@
+"""A one-camera tracker's state, also as arrays and whole numbers: for checkpoints and second passes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.head.following import Following
+from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.mono_start.detected import DetectedFace
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.person import KnownPerson
+from posetrack_cli.head.person_arrays import check_people, people_of, people_parts
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.start.search import Search
+from posetrack_cli.head.state_arrays import (
+    Arrays,
+    Numbers,
+    following_of,
+    following_parts,
+    search_of,
+    search_parts,
+    template_parts,
+    templates_of,
+)
+from posetrack_cli.head.templates import TemplateSet
+
+
+@dataclass(frozen=True, eq=False)
+class MonoState:
+    """What a one-camera tracker knows after a frame.
+
+    Attributes:
+        people: who was seen so far; empty before a head is first found.
+        current: index of the one who is followed.
+        following: the head when it was last tracked; None before.
+        lost: frames in a row, up to the last one, in which it was not.
+        strange: how often since then a face was found that looks like none of the people.
+        detected: frames with a face that is to be found in more of them, in the order of time.
+        reference: templates of the first of these.
+        clicked: points of the first frame that are to be begun with.
+        search: what looking for a face came to before one was first found.
+        changes: (stamp, ns, and index of the person) of every change to another person.
+    """
+
+    people: tuple[KnownPerson, ...] = ()
+    current: int = 0
+    following: Following | None = None
+    lost: int = 0
+    strange: int = 0
+    detected: tuple[DetectedFace, ...] = ()
+    reference: TemplateSet | None = None
+    clicked: DetectedFace | None = None
+    search: Search = field(default_factory=Search)
+    changes: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def person(self) -> KnownPerson:
+        """The person who is followed."""
+        return self.people[self.current]
+
+    def with_person(self, person: KnownPerson) -> MonoState:
+        """Return the state in which more is known of the person followed."""
+        people = (*self.people[: self.current], person, *self.people[self.current + 1 :])
+        return replace(self, people=people)
+
+    def turned_to(self, index: int, stamp_ns: int) -> MonoState:
+        """Return the state that follows another of the people, or still the same."""
+        if index == self.current:
+            return self
+        return replace(self, current=index, changes=(*self.changes, (stamp_ns, index)))
+
+    def with_new(self, person: KnownPerson, following: Following, stamp_ns: int) -> MonoState:
+        """Return the state that follows a head that was just found."""
+        index = len(self.people)
+        changes = self.changes if index == 0 else (*self.changes, (stamp_ns, index))
+        return MonoState((*self.people, person), index, following, search=self.search, changes=changes)
+
+    def seen(self, face: DetectedFace, templates: TemplateSet) -> MonoState:
+        """Return the state with another frame with a face."""
+        reference = templates if self.reference is None else self.reference
+        return replace(self, detected=(*self.detected, face), reference=reference)
+
+    def not_before(self, stamp_ns: int) -> MonoState:
+        """Return the state without frames that were taken earlier: then the search begins anew."""
+        if self.detected and self.detected[0].stamp_ns < stamp_ns:
+            return replace(self, detected=(), reference=None)
+        return self
+
+    def anew(self) -> MonoState:
+        """Return the state without the frames collected: they begin no head."""
+        return replace(self, detected=(), reference=None)
+
+
+def parts_of(state: MonoState) -> tuple[Arrays, Numbers]:
+    """Take a state apart."""
+    arrays: Arrays = search_parts(state.search) | people_parts(state.people)
+    arrays["changes"] = np.array(state.changes, dtype=np.int64).reshape(-1, 2)
+    arrays |= _detected_parts("detected", state.detected)
+    arrays |= _detected_parts("clicked", () if state.clicked is None else (state.clicked,))
+    numbers: Numbers = {"lost": state.lost, "strange": state.strange, "current": state.current}
+    if state.reference is not None:
+        arrays |= template_parts("reference", [state.reference])
+    if state.following is not None:
+        numbers["stamp_ns"] = state.following.stamp_ns
+        arrays |= following_parts(state.following)
+    return arrays, numbers
+
+
+def state_of(
+    arrays: Mapping[str, np.ndarray[Any, Any]],
+    numbers: Mapping[str, int],
+    model: FaceModel,
+    settings: AdjustmentSettings,
+) -> MonoState:
+    """Put a state together from what ``parts_of`` made of it; of nothing, the state before a first frame."""
+    if "search.best" not in arrays:
+        return MonoState()
+    clicked = _detected_of(arrays, "clicked")
+    return MonoState(
+        people_of(arrays, model, settings),
+        numbers["current"],
+        following_of(arrays, numbers["stamp_ns"]) if "stamp_ns" in numbers else None,
+        numbers["lost"],
+        numbers["strange"],
+        _detected_of(arrays, "detected"),
+        templates_of(arrays, "reference")[0] if "reference.seen" in arrays else None,
+        clicked[0] if clicked else None,
+        search_of(arrays),
+        tuple((int(stamp), int(who)) for stamp, who in arrays["changes"]),
+    )
+
+
+def known_state(
+    learned: Mapping[str, np.ndarray[Any, Any]], model: FaceModel, settings: AdjustmentSettings
+) -> MonoState:
+    """Return the state that begins with people whom another tracker has learned.
+
+    Raises:
+        ResultError: arrays are missing, or not what a one-camera tracker with this face model learns.
+    """
+    check_people(learned, model)
+    return MonoState(people_of(learned, model, settings))
+
+
+def _detected_parts(prefix: str, faces: Sequence[DetectedFace]) -> Arrays:
+    if not faces:
+        return {}
+    return {
+        f"{prefix}.stamps": np.array([face.stamp_ns for face in faces]),
+        f"{prefix}.pixels": np.stack([face.pixels for face in faces]),
+        f"{prefix}.responses": np.stack([face.responses for face in faces]),
+        f"{prefix}.single": np.array([(face.score, face.eye_distance) for face in faces]),
+        f"{prefix}.positions": np.stack([face.pose.position for face in faces]),
+        f"{prefix}.quaternions": np.stack([face.pose.quaternion for face in faces]),
+    }
+
+
+def _detected_of(arrays: Mapping[str, np.ndarray[Any, Any]], prefix: str) -> tuple[DetectedFace, ...]:
+    names = ("stamps", "pixels", "responses", "single", "positions", "quaternions")
+    columns = [arrays.get(f"{prefix}.{name}", ()) for name in names]
+    return tuple(
+        DetectedFace(
+            int(stamp), pixels, responses, float(single[0]), float(single[1]), HeadPose(position, quaternion)
+        )
+        for stamp, pixels, responses, single, position, quaternion in zip(*columns, strict=True)
+    )
