@@ -59,24 +59,29 @@ def random_pose(rng: np.random.Generator) -> HeadPose:
 
 
 def random_bundle(
-    seed: int, count: int = 5, camera: Camera = CAMERA, offset_mm: float = 0.0, model: FaceModel | None = None
+    seed: int,
+    count: int = 5,
+    camera: Camera = CAMERA,
+    offset_mm: float = 0.0,
+    model: FaceModel | None = None,
+    spread: float = 1.8,
 ) -> Bundle:
-    """Views of a random person, without noise."""
+    """Views of a random person, without noise; parameters are normal, clipped to ``spread`` deviations."""
     rng = np.random.default_rng(seed)
     model = random_model(seed) if model is None else model
-    identity = model.identity_mean + np.clip(rng.normal(size=model.identity_size), -1.8, 1.8) * (
+    identity = model.identity_mean + np.clip(rng.normal(size=model.identity_size), -spread, spread) * (
         model.identity_deviations
     )
     person = Person(identity, offset_mm * rng.normal(size=(10, 3)))
-    views = tuple(random_view(rng, model, person, camera, i) for i in range(count))
+    views = tuple(random_view(rng, model, person, camera, i, spread) for i in range(count))
     return Bundle(model, camera, views, person)
 
 
 def random_view(
-    rng: np.random.Generator, model: FaceModel, person: Person, camera: Camera, index: int
+    rng: np.random.Generator, model: FaceModel, person: Person, camera: Camera, index: int, spread: float
 ) -> PointView:
     """One view of a person, its points where they are seen."""
-    whitened = np.clip(rng.normal(size=model.deformation_size), -1.8, 1.8)
+    whitened = np.clip(rng.normal(size=model.deformation_size), -spread, spread)
     deformation = model.deformation_mean + whitened * model.deformation_deviations
     pose = random_pose(rng)
     points = pose.points(model.shapes(person.identity, deformation) + person.offsets)
