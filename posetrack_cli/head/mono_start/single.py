@@ -28,9 +28,13 @@ FIRST_DAMPING, MORE_DAMPING, LESS_DAMPING = 1e-4, 10.0, 0.1
 MOST_DAMPING = 1e6
 NEAREST_MM = 10.0
 """No point of a face comes nearer to the camera's plane."""
+FARTHEST_MM = 1e6
+"""Where a descent begins at most: points in one place look like a face at infinity."""
 HUBER = 2.0
 """Influence of a point is bounded at so many standard deviations of a coordinate's error."""
 LEAST_ERROR_PX = 0.05
+# How large an error is shows once its influence is bounded: the bound is estimated again while it falls.
+ROUNDS, SETTLED = 4, 0.8
 # The median length of a normal vector in two dimensions, in standard deviations of a coordinate.
 MEDIAN_LENGTH = 1.177
 # Poses nearer to each other than this, mm and rad, are one.
@@ -65,7 +69,7 @@ def pose_of(
 
     Args:
         pixels: (K, 2) as recorded.
-        weights: (K,) relative; points of weight 0 or without a finite pixel are left out.
+        weights: (K,) relative; points of weight 0, without a pixel or beyond what the lens sees do not count.
         camera: that sees them, in its own axes.
         shape: (K, 3) in the head's frame, mm.
 
@@ -75,16 +79,21 @@ def pose_of(
     Raises:
         ValueError: fewer than four points count.
     """
-    used = (weights > 0.0) & np.isfinite(pixels).all(axis=1)
+    used = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
     if used.sum() < LEAST_POINTS:
         raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
     seen = _seen(pixels[used], weights[used] / weights[used].max(), camera, shape[used])
     poses = [_descended(seen, start, np.inf, ROUGHLY) for start in _starts(seen)]
     poses.sort(key=lambda pose: _cost(_lengths(seen, pose), np.inf))
-    different = np.any(np.abs(poses[0].difference(poses[1])) > ONE_POSE)
-    bound = _bound(seen, poses[0])
-    finals = [_descended(seen, pose, bound, CONVERGED) for pose in (poses if different else poses[:1])]
-    best = min(finals, key=lambda pose: _cost(_lengths(seen, pose), bound))
+    if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
+        poses = poses[:1]
+    for _ in range(ROUNDS):
+        bound = _bound(seen, poses[0])
+        poses = [_descended(seen, pose, bound, ROUGHLY) for pose in poses]
+        poses.sort(key=lambda pose: _cost(_lengths(seen, pose), bound))
+        if _bound(seen, poses[0]) >= SETTLED * bound:
+            break
+    best = _descended(seen, poses[0], bound, CONVERGED)
     return best, float(np.sqrt(np.sum(_lengths(seen, best) ** 2) / np.sum(seen.roots**2)))
 
 
@@ -110,7 +119,7 @@ def _starts(seen: _Seen) -> tuple[HeadPose, HeadPose]:
     u, values, vt = np.linalg.svd(solution[:3].T, full_matrices=False)
     rows = u @ vt
     rotation = turn.T @ np.vstack([rows, np.cross(rows[0], rows[1])])
-    position = turn.T @ np.append(solution[3], 1.0) / values.mean()
+    position = turn.T @ np.append(solution[3], 1.0) / max(float(values.mean()), 1.0 / FARTHEST_MM)
     mirror = np.eye(3) - 2.0 * np.outer(towards, towards)
     mirrored = mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
     return _pose(rotation, position), _pose(mirrored, position)
@@ -135,8 +144,8 @@ def _descended(seen: _Seen, pose: HeadPose, bound: float, tolerance: float) -> H
     cost = _cost(lengths, bound)
     for _ in range(MOST_STEPS):
         small = tolerance * cost + CONVERGED_PX2
-        step = np.linalg.solve(matrix + damping * np.diag(np.diagonal(matrix)), vector)
-        moved = pose.moved(np.asarray(step, dtype=np.float64))
+        step = _solved(matrix, damping, vector)
+        moved = pose.moved(step)
         lower = _cost(_lengths(seen, moved), bound)
         if lower < cost:
             pose, gained, cost, damping = moved, cost - lower, lower, LESS_DAMPING * damping
@@ -148,6 +157,16 @@ def _descended(seen: _Seen, pose: HeadPose, bound: float, tolerance: float) -> H
         else:
             damping *= MORE_DAMPING
     return pose
+
+
+def _solved(matrix: FloatArray, damping: float, vector: FloatArray) -> FloatArray:
+    """Return the damped step; least squares where points in one place or on one line tell no more."""
+    damped = matrix + damping * np.diag(np.diagonal(matrix))
+    try:
+        step = np.linalg.solve(damped, vector)
+    except np.linalg.LinAlgError:
+        step, *_ = np.linalg.lstsq(damped, vector)
+    return np.asarray(step, dtype=np.float64)
 
 
 def _normal_equations(seen: _Seen, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray, FloatArray]:
