@@ -62,6 +62,13 @@ class MonoState:
         """The person who is followed."""
         return self.people[self.current]
 
+    @property
+    def first_templates(self) -> TemplateSet:
+        """Templates of the first frame in which a face was detected."""
+        if self.reference is None:
+            raise RuntimeError("no face was detected yet")  # a state that the tracker never asks so
+        return self.reference
+
     def with_person(self, person: KnownPerson) -> MonoState:
         """Return the state in which more is known of the person followed."""
         people = (*self.people[: self.current], person, *self.people[self.current + 1 :])
@@ -153,7 +160,7 @@ def _detected_parts(prefix: str, faces: Sequence[DetectedFace]) -> Arrays:
         f"{prefix}.stamps": np.array([face.stamp_ns for face in faces]),
         f"{prefix}.pixels": np.stack([face.pixels for face in faces]),
         f"{prefix}.responses": np.stack([face.responses for face in faces]),
-        f"{prefix}.single": np.array([(face.score, face.eye_distance) for face in faces]),
+        f"{prefix}.single": np.array([(face.score, face.eye_distance, face.misfit) for face in faces]),
         f"{prefix}.positions": np.stack([face.pose.position for face in faces]),
         f"{prefix}.quaternions": np.stack([face.pose.quaternion for face in faces]),
     }
@@ -163,8 +170,8 @@ def _detected_of(arrays: Mapping[str, np.ndarray[Any, Any]], prefix: str) -> tup
     names = ("stamps", "pixels", "responses", "single", "positions", "quaternions")
     columns = [arrays.get(f"{prefix}.{name}", ()) for name in names]
     return tuple(
-        DetectedFace(
-            int(stamp), pixels, responses, float(single[0]), float(single[1]), HeadPose(position, quaternion)
+        DetectedFace(int(stamp), pixels, responses, score, distance, HeadPose(position, quaternion), misfit)
+        for stamp, pixels, responses, (score, distance, misfit), position, quaternion in zip(
+            *columns, strict=True
         )
-        for stamp, pixels, responses, single, position, quaternion in zip(*columns, strict=True)
     )

@@ -13,15 +13,15 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import normalised_from_pixels
 from posetrack_cli.head.adjustment.views import PointView
-from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.estimates import followed_estimate, searched_estimate
 from posetrack_cli.head.following import Followed, Follower, Following, begun
 from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import off_axis_deg
 from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.mono_start.detected import DetectedFace, clicked_face, detect_face
+from posetrack_cli.head.mono_finder import MonoFinder
+from posetrack_cli.head.mono_start.detected import DetectedFace, clicked_face
 from posetrack_cli.head.mono_start.single import pose_of
-from posetrack_cli.head.mono_start.start import MonoStart, begin
+from posetrack_cli.head.mono_start.start import MonoStart
 from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, state_of
 from posetrack_cli.head.mono_subject import MonoNumbers
 from posetrack_cli.head.motion import FRAME_S, velocity_between
@@ -34,7 +34,6 @@ from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.start.clicked import read_clicked
 from posetrack_cli.head.start.start import NoStart
-from posetrack_cli.head.templates import TemplateSet, take_templates, tangents
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -71,9 +70,8 @@ class MonoTracker:
         clicked: FloatArray | None = None,
         known: Mapping[str, np.ndarray[Any, Any]] | None = None,
     ) -> None:
-        self._config, self._camera, self._model = config, camera, model
-        self._choice, self._clicked = choice, clicked
-        self._detector = FaceDetector(config.start.detection)
+        self._config, self._camera, self._model, self._clicked = config, camera, model, clicked
+        self._finder = MonoFinder(config, camera, model, choice)
         self._follower = Follower(config.particles, config.refinement, (camera,))
         self._known = MonoState() if known is None else known_state(known, model, config.adjustment)
 
@@ -203,7 +201,7 @@ class MonoTracker:
 
     def _search(self, state: MonoState, frame: Frame, rng: np.random.Generator) -> tuple[MonoState, Estimate]:
         """Look for a face that is known already; it must then look as it did."""
-        found = self._detected(frame, self._last_seen(state, frame))
+        found = self._finder.detect(frame, self._last_seen(state, frame))
         if isinstance(found, NoStart):
             searched = state.search.failed(found) if state.following is None else state.search
             return self._lost(replace(state, search=searched), frame)
@@ -245,17 +243,10 @@ class MonoTracker:
         following = state.following
         if following is None or frame.stamp_ns - following.stamp_ns > FORGOTTEN_S * 1e9:
             return None
-        return project((self._camera,), following.pose.points(following.shape)).pixels[0]
+        pixels: FloatArray = project((self._camera,), following.pose.points(following.shape)).pixels[0]
+        return pixels
 
     # A head that was never found
-
-    def _detected(self, frame: Frame, near: FloatArray | None) -> DetectedFace | NoStart:
-        (image,) = frame.images
-        if image is None:
-            return NoStart("no image")
-        return detect_face(
-            image, frame.stamp_ns, self._camera, self._detector, self._config.start, self._choice, near
-        )
 
     def _first_search(
         self, state: MonoState, frame: Frame, rng: np.random.Generator
@@ -267,27 +258,20 @@ class MonoTracker:
         if state.clicked is not None:
             return self._begun_with(replace(state, clicked=None), (state.clicked,), frame, rng)
         state = state.not_before(frame.stamp_ns - round(self._config.start.span_s * 1e9))
-        found = self._detected(frame, state.detected[-1].pixels if state.detected else None)
-        alone = found if isinstance(found, NoStart) else self._start_from((found,))
+        found = self._finder.detect(frame, state.detected[-1].pixels if state.detected else None)
+        alone = found if isinstance(found, NoStart) else self._finder.begin((found,))
         if isinstance(alone, NoStart):
             return self._not_found(state, alone, frame)
         if isinstance(found, NoStart):
             raise RuntimeError("no face was found, and yet one began")  # never: alone is found's failure
-        state = state.seen(found, self._templates(frame, found, alone))
+        state = state.seen(found, self._finder.templates(frame, found, alone))
         if len(state.detected) < self._config.start.frames:
             followed = self._resting(frame, found, alone, rng)
             return state, self._tracked_estimate(frame, state, followed, Status.TRACKING)
-        start = self._start_from(state.detected)
+        start = self._finder.begin(state.detected)
         if isinstance(start, NoStart):
             return self._not_found(state.anew(), start, frame)
         return self._found(state, start, frame, rng)
-
-    def _start_from(self, detected: tuple[DetectedFace, ...]) -> MonoStart | NoStart:
-        return begin(detected, self._camera, self._model, self._config)
-
-    def _templates(self, frame: Frame, found: DetectedFace, start: MonoStart) -> TemplateSet:
-        mean = self._model.of_person(start.person.identity, start.person.offsets).mean
-        return take_templates(frame.images, (self._camera,), start.views[-1].pose, mean, found.pixels[None])
 
     def _not_found(self, state: MonoState, failure: NoStart, frame: Frame) -> tuple[MonoState, Estimate]:
         state = replace(state, search=state.search.failed(failure), lost=state.lost + 1)
@@ -297,32 +281,26 @@ class MonoTracker:
         self, state: MonoState, detected: tuple[DetectedFace, ...], frame: Frame, rng: np.random.Generator
     ) -> tuple[MonoState, Estimate]:
         """Begin at once, from points that a person clicked."""
-        start = self._start_from(detected)
+        start = self._finder.begin(detected)
         if isinstance(start, NoStart):
             raise NoFaceError(
                 "clicked points begin no head",
                 found=start.reason,
                 hint="were they clicked in the first frame that is tracked? right is the subject's right",
             )
-        state = state.seen(detected[-1], self._templates(frame, detected[-1], start))
+        state = state.seen(detected[-1], self._finder.templates(frame, detected[-1], start))
         return self._found(state, start, frame, rng)
 
     def _found(
         self, state: MonoState, start: MonoStart, frame: Frame, rng: np.random.Generator
     ) -> tuple[MonoState, Estimate]:
         """Begin to follow a head; its reference is what the first of the frames showed."""
-        shape = self._model.of_person(start.person.identity, start.person.offsets).mean
-        reference = self._laid(state.reference, start.views[0].pose, shape)
+        reference = self._finder.reference(state.first_templates, start)
         person = new_person(start.person, reference, self._model, self._config.adjustment)
         followed = self._resting(frame, state.detected[-1], start, rng)
         status = Status.REINITIALISED if state.people else Status.TRACKING
         after = state.with_new(person, followed.following, frame.stamp_ns)
         return after, self._tracked_estimate(frame, after, followed, status)
-
-    def _laid(self, templates: TemplateSet, pose: HeadPose, shape: FloatArray) -> TemplateSet:
-        """Templates whose head was found to lie otherwise than when they were taken."""
-        projection = project((self._camera,), pose.points(shape))
-        return replace(templates, tangents=tangents(projection, pose), facing=pose.facing)
 
     def _resting(
         self, frame: Frame, found: DetectedFace, start: MonoStart, rng: np.random.Generator
@@ -330,7 +308,7 @@ class MonoTracker:
         """What a frame says in which a face was detected that is not followed yet."""
         view, shape = start.views[-1], self._model.of_person(start.person.identity, start.person.offsets)
         own = self._on_rays(view.pose, shape.mean, found.pixels)
-        seen = self._templates(frame, found, start)
+        seen = self._finder.templates(frame, found, start)
         following = self._follower.begin(frame.stamp_ns, view.pose, own, shape, rng, seen)
         return begun(following, shape.size, found.score, found.pixels[None])
 

@@ -96,7 +96,7 @@ class HeadRun(Run):
         self._learned: Learned = {}  # in the first of two passes, once the second has begun
         self._name, load = name, options.load_model
         self.tracker = make_tracker(None) if load is None else self._knowing(load)
-        self._record = head_record(name, recording, config, options) | stated
+        self._record = {**head_record(name, recording, config, options), **stated}
 
     def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
         """Track every frame; see ``Run.track``.
