@@ -13,7 +13,7 @@ import numpy as np
 from benchmarking.rows import Row
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
-HELPS = ((), ("head", "stereo"))
+HELPS = ((), ("head", "stereo"), ("head", "mono"))
 
 # A child's ru_maxrss begins at the size of whoever forked it, so a small process has to do that.
 _LAUNCHER = """

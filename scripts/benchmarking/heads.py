@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from benchmarking.commands import peak_memory
+from benchmarking.head_walker import SETTLING, HeadWalker
 from benchmarking.lengths import Lengths
+from benchmarking.one_camera import one_camera
 from benchmarking.recordings import link_head_recording, there_and_back
 from benchmarking.rows import Row, median_ms, median_of_pairs
 from posetrack_cli.configuration import load_settings
@@ -24,10 +25,9 @@ from posetrack_cli.head.stereo_tracker import make_stereo_tracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.synthesis.options import HeadSynthOptions
 from posetrack_cli.head.synthesis.writing import write_synthetic
-from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.opening import open_images
-from posetrack_cli.results.estimate import Estimate, Status
-from stepping import FRAME_NS, in_turn
+from posetrack_cli.results.estimate import Estimate
+from stepping import in_turn
 
 FEW, MANY = 1000, 5000
 FPS = 30.0
@@ -35,46 +35,12 @@ TRACKING_MS = 1e3 / 150.0
 FILES_MS = 1e3 / 60.0
 INDEPENDENT = 1.25
 """Five times the particles may cost a quarter more."""
-SETTLING = 5
-"""Steps left out before times are taken: the search for the face, and caches."""
 
 
-class HeadWalker:
-    """A head tracker that is timed step by step.
-
-    Args:
-        config: of the tracker.
-        cameras: of the recording.
-        known: what another tracker has learned of the face.
-    """
-
-    def __init__(
-        self, config: HeadStereoConfig, cameras: Sequence[Camera], known: Learned | None = None
-    ) -> None:
-        self._tracker = make_stereo_tracker(config, cameras, known)
-        self._rng = np.random.default_rng(0)
-        self._state: Any = None
-        self.lost = self.deformations = 0
-
-    def step(self, index: int, shown: Any) -> float:
-        """Track one frame of images; return the seconds it took."""
-        frame = Frame(index, (index + 1) * FRAME_NS, shown)
-        if self._state is None:
-            self._state = self._tracker.start(frame, self._rng)
-        began = time.perf_counter()
-        self._state, estimate = self._tracker.step(self._state, frame, self._rng)
-        seconds = time.perf_counter() - began
-        self.lost += estimate.status == Status.LOST
-        self.deformations = deformations_of(estimate)
-        return seconds
-
-    def learned(self) -> Learned:
-        """Return what another tracker can begin with."""
-        return self._tracker.learned(self._state)
-
-
-def deformations_of(estimate: Estimate) -> int:
-    """How many components a head's model had in a frame."""
+def deformations_of(estimate: Estimate | None) -> int:
+    """How many components a learnt head's model had in a frame."""
+    if estimate is None:
+        return 0
     components = len(estimate.shape)
     numbers = np.array([]) if estimate.numbers is None else estimate.numbers
     return int(np.isfinite(numbers[:components]).sum())  # eigenvalues come first
@@ -90,6 +56,7 @@ def heads(lengths: Lengths) -> Iterator[Row]:
         yield from file_to_file(folder, lengths.head_steps)
         command = ["head", "stereo", str(folder / "long"), "--fps", str(FPS)]
         yield from peak_memory("head stereo", command, lengths.head_memory, folder)
+        yield from one_camera(folder, lengths)
 
 
 def configuration(particles: int, **model: float) -> HeadStereoConfig:
@@ -108,18 +75,20 @@ def tracking_alone(path: Path, steps: int) -> Iterator[Row]:
     shown = [images[index] for index in there_and_back(len(images), steps)]
     known = learnt_face(recording.cameras, shown)
     walkers = {
-        (count, learnt): HeadWalker(configuration(count), recording.cameras, known if learnt else None)
+        (count, learnt): HeadWalker(
+            make_stereo_tracker(configuration(count), recording.cameras, known if learnt else None)
+        )
         for count in (FEW, MANY)
         for learnt in (False, True)
     }
     yield from tracking_rows(in_turn(walkers, shown, SETTLING))
-    yield Row("  deformations of the learnt face", walkers[FEW, True].deformations, "")
+    yield Row("  deformations of the learnt face", deformations_of(walkers[FEW, True].last), "")
     yield Row("  frames in which a head was lost", sum(walker.lost for walker in walkers.values()), "", 0.0)
 
 
 def learnt_face(cameras: Sequence[Camera], shown: Sequence[Any]) -> Learned:
     """What a tracker learns with gates wide open, for a short recording has no expressions to speak of."""
-    walker = HeadWalker(configuration(FEW, rigid_frames=10, least_mm=0.1), cameras)
+    walker = HeadWalker(make_stereo_tracker(configuration(FEW, rigid_frames=10, least_mm=0.1), cameras))
     for index, images in enumerate(shown):
         walker.step(index, images)
     return walker.learned()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,25 @@ import pytest
 from click.testing import CliRunner
 
 import benchmarks
-from benchmarking import commands
+from benchmarking import commands, one_camera
 from benchmarking.clocks import Clocks, clocked
 from benchmarking.commands import peak_memory, usage_of
+from benchmarking.head_walker import HeadWalker
 from benchmarking.heads import FEW, MANY, deformations_of, tracking_rows
 from benchmarking.recordings import link_head_recording, there_and_back, write_hand_recording
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
+from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.hand.synthesis.sensor import CAMERA
+from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.views import Person
+from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.subject import HeadNumbers
 from posetrack_cli.head.synthesis.options import HeadSynthOptions
 from posetrack_cli.head.synthesis.rig import make_cameras
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_images, open_recording
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import Estimate, Status
@@ -171,11 +180,40 @@ def test_rows_of_heads_are_of_the_right_trackers() -> None:
     assert ratio.value == pytest.approx(1.2)
 
 
-@pytest.mark.parametrize("learnt", [0, 2, 5])
-def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
-    numbers = HeadNumbers(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
+def test_rows_of_one_camera_are_of_the_right_trackers() -> None:
+    times = {"start": [0.002, 0.002, 0.006], "always": [0.003, 0.003, 0.009]}
+    alone, rate, adjusting, _, ratio = one_camera.tracking_rows(times)
+    assert (alone.value, rate.value, adjusting.value) == pytest.approx((2.0, 500.0, 3.0))
+    assert (alone.target, adjusting.target) == (3.0, 6.0)
+    assert ratio.value == pytest.approx(1.5)
+
+
+def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
+    """After ten steps of each stage most of what the start is off by has gone."""
+    model, settings = load_face_model(None), HeadMonoConfig().adjustment
+    camera = make_cameras(HeadSynthOptions(frames=1))[0]
+    views = one_camera.seen_views(model, camera, 5)
+    person = Person(model.identity_mean, np.zeros_like(model.mean))
+    found = adjust(views, person, model, camera, settings, iterations=10, wide=True)
+    assert np.sqrt(np.mean(found.residuals**2)) < 3.0 * one_camera.NOISE_PX
+    start = [
+        np.linalg.norm(pixels_from_points(camera, v.pose.points(model.mean))[0] - v.pixels, axis=1)
+        for v in views
+    ]
+    assert np.sqrt(np.mean(np.square(start))) > 4.0 * one_camera.NOISE_PX
+
+
+def test_a_video_shows_the_images(tmp_path: Path) -> None:
+    images = [np.full((48, 64), value, np.uint8) for value in (40, 90, 140)]
+    one_camera.write_video(tmp_path / "v.mp4", images)
+    frames = list(open_images(tmp_path / "v.mp4", guess=Guess()).frames())
+    means = [float(image.mean()) for frame in frames for image in frame.images if image is not None]
+    assert means == pytest.approx([40.0, 90.0, 140.0], abs=4.0)  # what MPEG-4 leaves of an even grey
+
+
+def nothing_seen() -> Estimate:
     nothing = np.zeros(6)
-    estimate = Estimate(
+    return Estimate(
         frame_index=0,
         stamp_ns=1,
         status=Status.TRACKING,
@@ -191,9 +229,31 @@ def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
         effective_sample_size=1.0,
         resampled=True,
         cost=None,
-        numbers=numbers,
     )
-    assert deformations_of(estimate) == learnt
+
+
+class Looking:
+    """A head tracker that loses every third frame."""
+
+    def start(self, frame: Frame, rng: np.random.Generator) -> int:
+        return 10
+
+    def step(self, state: int, frame: Frame, rng: np.random.Generator) -> tuple[int, Any]:
+        status = Status.LOST if frame.index % 3 == 2 else Status.TRACKING
+        return state + 1, replace(nothing_seen(), frame_index=state, status=status)
+
+
+def test_a_walker_steps_and_counts_lost_frames() -> None:
+    walker = HeadWalker(Looking())  # type: ignore[arg-type]
+    assert all(walker.step(index, (None,)) >= 0.0 for index in range(7))
+    assert walker.lost == 2 and walker.last is not None and walker.last.frame_index == 16
+
+
+@pytest.mark.parametrize("learnt", [0, 2, 5])
+def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
+    numbers = HeadNumbers(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
+    assert deformations_of(replace(nothing_seen(), numbers=numbers)) == learnt
+    assert deformations_of(None) == 0
 
 
 def test_a_part_by_itself_is_printed_and_written(tmp_path: Path) -> None:
@@ -204,7 +264,8 @@ def test_a_part_by_itself_is_printed_and_written(tmp_path: Path) -> None:
     written = json.loads(out.read_text())
     assert written["machine"]["length"] == "quick"
     names = [row["name"] for row in written["rows"]]
-    assert names == ["posetrack --help, CPU time", "posetrack head stereo --help, CPU time"]
+    commands_ = ("posetrack", "posetrack head stereo", "posetrack head mono")
+    assert names == [f"{command} --help, CPU time" for command in commands_]
     assert all(
         row["value"] > 0.0 and name in result.output for row, name in zip(written["rows"], names, strict=True)
     )

@@ -273,7 +273,7 @@ def still(frames: int, rng: np.random.Generator | None = None) -> Track:
 def test_jitter_is_the_noise_on_steady_motion() -> None:
     frames = 4000
     track = still(frames, np.random.default_rng(1))
-    moving = replace(track, position=track.position + np.outer(np.arange(frames), [0.5, -0.2, 1.0]))  # type: ignore[operator]
+    moving = replace(track, position=track.position + np.outer(np.arange(frames), [0.5, -0.2, 1.0]))
     found = clips.jitter(moving)
     # second differences of neighbours are correlated by -2/3 and 1/6: some 0.4 of them are independent
     tolerance = 4.0 / np.sqrt(2.0 * 0.4 * frames)

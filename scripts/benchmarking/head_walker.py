@@ -1,0 +1,47 @@
+"""A head tracker that is timed step by step."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.head.model_file import Learned
+from posetrack_cli.head.protocol import HeadTracker
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.estimate import Estimate, Status
+from stepping import FRAME_NS
+
+SETTLING = 10
+"""Steps left out before times are taken: the search for the face, and caches."""
+
+
+class HeadWalker:
+    """A head tracker that is timed step by step.
+
+    Args:
+        tracker: of one camera or more.
+    """
+
+    def __init__(self, tracker: HeadTracker[Any]) -> None:
+        self._tracker = tracker
+        self._rng = np.random.default_rng(0)
+        self._state: Any = None
+        self.lost = 0
+        self.last: Estimate | None = None
+
+    def step(self, index: int, shown: Any) -> float:
+        """Track one frame of images; return the seconds it took."""
+        frame = Frame(index, (index + 1) * FRAME_NS, shown)
+        if self._state is None:
+            self._state = self._tracker.start(frame, self._rng)
+        began = time.perf_counter()
+        self._state, self.last = self._tracker.step(self._state, frame, self._rng)
+        seconds = time.perf_counter() - began
+        self.lost += self.last.status == Status.LOST
+        return seconds
+
+    def learned(self) -> Learned:
+        """Return what another tracker can begin with."""
+        return self._tracker.learned(self._state)
