@@ -64,7 +64,9 @@ def one_camera(folder: Path, lengths: Lengths) -> Iterator[Row]:
     write_video(video, [image for (image,) in shown if image is not None])
     yield from file_to_file(video, folder)
     command = ["head", "mono", str(folder / "long"), "--fps", str(FPS), "--cameras", *ALONE]
-    yield from peak_memory("head mono", command, lengths.head_memory, folder)
+    results = folder / "results"
+    results.mkdir()
+    yield from peak_memory("head mono", command, lengths.head_memory, results)
 
 
 def configuration(when: str) -> HeadMonoConfig:
