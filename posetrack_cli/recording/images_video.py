@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -184,10 +185,26 @@ def opened(path: Path) -> Iterator[cv2.VideoCapture]:
     video = _capture(path)
     try:
         if not video.isOpened():
-            raise RecordingError("is no video that can be read", where=path)
+            found = "an MP4 file that ends before its index" if _lacks_index(path) else ""
+            raise RecordingError("is no video that can be read", where=path, found=found)
         yield video
     finally:
         video.release()
+
+
+def _lacks_index(path: Path) -> bool:
+    """Whether a file is MP4 (ISO/IEC 14496-12) but for ``moov``, which recorders write last."""
+    kinds = []
+    with path.open("rb") as file:
+        while len(header := file.read(8)) == 8:
+            size, kind = struct.unpack(">I4s", header)
+            kinds.append(kind)
+            if size == 1 and len(longer := file.read(8)) == 8:
+                size = struct.unpack(">Q", longer)[0] - 8
+            if size < 8:
+                break
+            file.seek(size - 8, os.SEEK_CUR)
+    return kinds[:1] == [b"ftyp"] and b"moov" not in kinds
 
 
 def _beside(path: Path) -> Path | None:

@@ -141,7 +141,8 @@ def test_a_video_that_cannot_be_opened(tmp_path: Path, capsys: pytest.CaptureFix
     path = tmp_path / "face.mp4"
     path.write_bytes(b"\0\0\0\x18ftypisom no more")
     assert mono(path, tmp_path / "r.mcap") == 1
-    assert lines(capsys) == [f"posetrack: {path}: is no video that can be read"]
+    told = "is no video that can be read, found an MP4 file that ends before its index"
+    assert lines(capsys) == [f"posetrack: {path}: {told}"]
 
 
 # On a made recording
