@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from reproduction.accuracy.measuring import number, table
 from reproduction.accuracy.options import Targets
 from reproduction.one_camera import population
 from reproduction.one_camera.entrants import POPULATION
-from reproduction.one_camera.measuring import Figures, Measured
+from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.tables import COLUMNS, EXPLAINED, mean_row
 from reproduction.steps import Chain
@@ -56,7 +56,7 @@ PAIRS = (
     Pair("A-paper", "A", "as printed → default, A, one pass"),
     Pair("C-paper", "A-paper", "as printed: adjusted at the start → always"),
 )
-REFERENCES = ((False, "as measured"), (True, "depth factor removed"))
+WAYS: Mapping[Removed, str] = {"offset": "as measured", "factor": "depth factor removed"}
 
 
 class Population:
@@ -77,33 +77,31 @@ class Population:
             f"recordings, the latest first frame, the sum of wrong frames. {EXPLAINED}"
         )
         yield ""
-        for scaled, title in REFERENCES:
+        for removed, title in WAYS.items():
             yield f"### {title.capitalize()}"
             yield ""
             rows = (
                 mean_row(entrant.title, found)
                 for entrant in POPULATION
-                if (found := figures_of(options, entrant.name, measured, scaled))
+                if (found := figures_of(options, entrant.name, measured, removed))
             )
             yield from table(("", *COLUMNS), rows)
         yield from _pairs(options, measured, targets)
 
 
-def figures_of(options: Options, entrant: str, measured: Measured, scaled: bool) -> list[Figures]:
+def figures_of(options: Options, entrant: str, measured: Measured, removed: Removed) -> list[Figures]:
     """The figures of each person that has some, against the truth."""
     results = (population.mono_result(options, person, entrant) for person in options.persons)
-    found = (measured.figures(result, scaled=scaled) for result in results)
+    found = (measured.figures(result, removed=removed) for result in results)
     return [figures for figures in found if "x_mm" in figures]
 
 
-def pairs_of(
-    options: Options, pair: Pair, metric: str, measured: Measured, *, scaled: bool = False
-) -> FloatArray:
+def pairs_of(options: Options, pair: Pair, metric: str, measured: Measured) -> FloatArray:
     """A figure of both for each person that has both, (n, 2)."""
     rows = []
     for person in options.persons:
         results = (population.mono_result(options, person, name) for name in (pair.first, pair.second))
-        both = [measured.figures(result, scaled=scaled) for result in results]
+        both = [measured.figures(result) for result in results]
         if all(metric in figures for figures in both):
             rows.append([figures[metric] for figures in both])
     return np.array(rows).reshape(-1, 2)

@@ -33,7 +33,7 @@ def points_over_time(path: Path, one: Compared) -> None:
     with plt.rc_context(STYLE):
         figure, panel = plt.subplots(figsize=(7.2, 3.0))
         lines = {
-            "after one constant rigid offset, as in the thesis": (one.points_mm, "#0072b2"),
+            "after one constant rigid movement": (one.points_mm, "#0072b2"),
             "after each point's constant offset, too": (one.shapes_mm, "#d55e00"),
         }
         for label, (errors, colour) in lines.items():
@@ -41,7 +41,14 @@ def points_over_time(path: Path, one: Compared) -> None:
             panel.plot(frames_of(one), mean, color=colour, lw=0.9, label=f"{label}: {np.nanmean(mean):.2f}")
         panel.axhline(THESIS_POINTS_MM, color="#888888", lw=0.8, ls="--")
         at = (frames_of(one)[-1], THESIS_POINTS_MM)
-        panel.annotate("thesis, mean", at, (0, 3), textcoords="offset points", ha="right", fontsize=8)
+        panel.annotate(
+            f"thesis, mean: {THESIS_POINTS_MM}",
+            at,
+            (0, 3),
+            textcoords="offset points",
+            ha="right",
+            fontsize=8,
+        )
         panel.set_ylim(0.0, None)
         panel.set_xlabel("frame")
         panel.set_ylabel("mean error of points, mm")

@@ -1,4 +1,9 @@
-"""How far one camera's result is from a reference: two cameras' result, or the truth."""
+"""How far one camera's result is from a reference: two cameras' result, or the truth.
+
+Where a head's frame sits is a convention, so one constant rigid offset of it is removed, and said to be. As
+it brings the positions nearest, it takes in what is constant of an error in depth. The points in head
+coordinates are therefore compared after a constant rigid movement of their own.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,25 +26,35 @@ from posetrack_cli.evaluation.metrics.pose_errors import distances, euler_errors
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.poses import in_object
+from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 
 WRONG_MM, WRONG_DEG = 60.0, 15.0
 """[ours] A pose that is off by more, scale apart, is no head that is tracked: about one and a half times the
 greatest errors of experiment B, mean and two standard deviations."""
 KEPT_RESULTS = 4
+Removed = Literal["nothing", "offset", "factor"]
+"""What is removed of the difference: nothing, one constant rigid offset, or also one common factor on all
+lengths, which one camera cannot see."""
+SAID: Mapping[Removed, str] = {
+    "nothing": "nothing removed",
+    "offset": "one rigid offset removed",
+    "factor": "one rigid offset and one depth factor removed",
+}
 Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A result beside a reference, in M frames, after one constant rigid offset of the head's frame.
+    """A result beside a reference, in M frames.
 
     Attributes:
-        track, reference: (M,) rows of the result, aligned, and of the reference.
+        track, reference: (M,) rows of the result, without what is removed, and of the reference.
         tracked: (M,) whether the tracker says that it has the head.
         pose: (M, 6) absolute errors, mm and deg, in the order of ``HEAD_POSE``.
         position_mm, rotation_deg: (M,) lengths of the whole errors.
-        points_mm: (M, K) distances of the points in head coordinates.
-        shapes_mm: (M, K) the same after each point's own constant offset.
+        points_mm: (M, K) distances of the points in head coordinates, after the one constant rigid movement
+            that makes them least.
+        shapes_mm: (M, K) the same after each point's own constant offset, too.
         factor: what all lengths of the result were multiplied by; 1 as measured.
         frames: M.
     """
@@ -66,13 +81,13 @@ class Compared:
         return wrong
 
 
-def compare(result: Path, reference: Path | None, *, scaled: bool = False) -> Compared:
+def compare(result: Path, reference: Path | None, removed: Removed = "offset") -> Compared:
     """Compare a result with a reference.
 
     Args:
         result: of ``posetrack head mono``.
         reference: a result, whose estimates are taken, or a file of truth; None for the truth it carries.
-        scaled: whether one common factor on all lengths is removed, too: one camera cannot see it.
+        removed: of their difference.
 
     Raises:
         PosetrackError: a file cannot be read, or there is no reference.
@@ -81,8 +96,11 @@ def compare(result: Path, reference: Path | None, *, scaled: bool = False) -> Co
     mine, theirs, pairs = evaluation.track, evaluation.truth, evaluation.pairs
     if theirs is None or pairs is None or not len(pairs.estimate):
         raise ResultError("has no truth in common with what it is compared with", where=result)
-    factor = common_factor(mine, theirs, pairs) if scaled else 1.0
-    return _compared(_multiplied(mine, factor), theirs, pairs, factor)
+    factor = common_factor(mine, theirs, pairs) if removed == "factor" else 1.0
+    track = _multiplied(mine, factor)
+    if removed != "nothing":
+        track, _ = remove_constant_offset(track, theirs, pairs)
+    return _compared(rows_of(track, pairs.estimate), rows_of(theirs, pairs.truth), factor)
 
 
 @lru_cache(maxsize=KEPT_RESULTS)
@@ -90,24 +108,33 @@ def _evaluated(result: Path, reference: Path | None) -> Evaluation:
     return evaluate(result, EvalOptions(truth=reference))
 
 
-def _compared(mine: Track, theirs: Track, pairs: Pairs, factor: float) -> Compared:
-    aligned, _ = remove_constant_offset(mine, theirs, pairs)
-    shaped, _ = remove_constant_offset(mine, theirs, pairs, points=True)
-    track, reference = rows_of(aligned, pairs.estimate), rows_of(theirs, pairs.truth)
+def _compared(track: Track, reference: Track, factor: float) -> Compared:
+    tracked = np.ones(len(track), dtype=np.bool_) if track.lost is None else ~track.lost
     position, quaternion = pose_of(track)
     true_position, true_quaternion = pose_of(reference)
-    true_shape = in_head(reference)
+    shape, true_shape = in_head(track), in_head(reference)
+    counted = tracked if tracked.any() else ~tracked
+    moved = _moved_onto(shape, true_shape, counted)
+    offsets = (true_shape - moved)[counted].mean(axis=0)
     return Compared(
         track=track,
         reference=reference,
-        tracked=np.ones(len(track), dtype=np.bool_) if track.lost is None else ~track.lost,
+        tracked=tracked,
         pose=np.hstack([np.abs(position - true_position), euler_errors_deg(quaternion, true_quaternion)]),
         position_mm=distances(position, true_position),
         rotation_deg=rotation_errors_deg(quaternion, true_quaternion),
-        points_mm=distances(in_head(track), true_shape),
-        shapes_mm=distances(in_head(rows_of(shaped, pairs.estimate)), true_shape),
+        points_mm=distances(moved, true_shape),
+        shapes_mm=distances(moved + offsets, true_shape),
         factor=factor,
     )
+
+
+def _moved_onto(shape: FloatArray, true_shape: FloatArray, counted: BoolArray) -> FloatArray:
+    """Shapes (M, K, 3) after one constant rigid movement, the best over the frames that count."""
+    weights = np.repeat(counted.astype(np.float64), shape.shape[1])
+    rotation, translation = rigid_alignment(shape.reshape(-1, 3), true_shape.reshape(-1, 3), weights)
+    moved: FloatArray = shape @ rotation.T + translation
+    return moved
 
 
 def common_factor(track: Track, reference: Track, pairs: Pairs) -> float:
@@ -184,22 +211,22 @@ class Measured:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._known: dict[tuple[str, str, bool], Figures] = {}
+        self._known: dict[tuple[str, str, Removed], Figures] = {}
 
-    def figures(self, result: str, reference: str = "", *, scaled: bool = False) -> Figures:
+    def figures(self, result: str, reference: str = "", removed: Removed = "offset") -> Figures:
         """The figures of a result, none where it is missing.
 
         Args:
             result: path below the folder.
             reference: path, below the folder or absolute; empty for the truth that the result carries.
-            scaled: see ``compare``.
+            removed: of their difference.
         """
-        key = (result, reference, scaled)
+        key = (result, reference, removed)
         if key not in self._known:
             paths = [self.folder / name for name in (result, reference) if name]
             if not all(path.exists() for path in paths):
                 return {}
-            self._known[key] = figures_of(compare(paths[0], paths[1] if reference else None, scaled=scaled))
+            self._known[key] = figures_of(compare(paths[0], paths[1] if reference else None, removed))
         return self._known[key]
 
     @property
@@ -208,9 +235,9 @@ class Measured:
         return {_named(*key): figures for key, figures in sorted(self._known.items())}
 
 
-def _named(result: str, reference: str, scaled: bool) -> str:
+def _named(result: str, reference: str, removed: Removed) -> str:
     against = Path(reference).name if reference else "the truth"
-    return f"{Path(result).stem} against {against}{', one factor removed' if scaled else ''}"
+    return f"{Path(result).stem} against {against}, {SAID[removed]}"
 
 
 def values_of(found: Iterable[Figures], name: str) -> FloatArray:

@@ -107,10 +107,10 @@ def _crop(panel: Any, camera: Camera, track: Track, row: int) -> None:
     low, high = points.min(axis=0) - MARGIN_MM, points.max(axis=0) + MARGIN_MM
     middle = points[:, 2].mean()
     corners = _pixels(camera, np.array([[low[0], low[1], middle], [high[0], high[1], middle]]))
+    corners = np.clip(corners, 0.0, [camera.width - 1.0, camera.height - 1.0])
     panel.set_xlim(*corners[:, 0])
     panel.set_ylim(*corners[::-1, 1])
-    panel.set_xticks([])
-    panel.set_yticks([])
+    panel.set_axis_off()
 
 
 def _from_the_side(panel: Any, tracks: Mapping[str, Track], row: int) -> None:

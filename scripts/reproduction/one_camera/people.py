@@ -12,7 +12,7 @@ from reproduction.heads.people import persons_in
 from reproduction.heads.tasks import CALIBRATION, TRUTH
 from reproduction.heads_data import camera_file_text, frame_rate
 from reproduction.one_camera.entrants import PEOPLE
-from reproduction.one_camera.measuring import Figures, Measured
+from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.population import CAMERA, TRACKED
 from reproduction.one_camera.tables import COLUMNS, EXPLAINED, THESIS, mean_row
@@ -52,9 +52,7 @@ class People:
             yield ""
             found = {entrant.name: _figures(folder, entrant.name, measured) for entrant in PEOPLE}
             yield from table((*("as measured", *COLUMNS), "ms"), _rows(found))
-            scaled = {
-                entrant.name: _figures(folder, entrant.name, measured, scaled=True) for entrant in PEOPLE
-            }
+            scaled = {entrant.name: _figures(folder, entrant.name, measured, "factor") for entrant in PEOPLE}
             yield from table((*("depth factor removed", *COLUMNS), "factor"), _rows(scaled, "factor"))
             judge(folder.name, found, targets)
 
@@ -82,8 +80,8 @@ def _chain(options: Options, folder: Path) -> Chain:
     return Chain(folder.name, TRACKED, tuple(steps))
 
 
-def _figures(folder: Path, entrant: str, measured: Measured, *, scaled: bool = False) -> Figures:
-    return measured.figures(result_of(folder.name, entrant), str(folder / TRUTH), scaled=scaled)
+def _figures(folder: Path, entrant: str, measured: Measured, removed: Removed = "offset") -> Figures:
+    return measured.figures(result_of(folder.name, entrant), str(folder / TRUTH), removed)
 
 
 def _rows(found: dict[str, Figures], last: str = "ms") -> Iterator[list[str]]:
