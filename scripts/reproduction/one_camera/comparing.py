@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from reproduction.one_camera import population
 from reproduction.one_camera.entrants import POPULATION
 from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
-from reproduction.one_camera.tables import COLUMNS, EXPLAINED, mean_row
+from reproduction.one_camera.tables import COLUMNS, EXPLAINED, WAYS, mean_row
 from reproduction.steps import Chain
 
 METRICS = {
@@ -56,7 +56,6 @@ PAIRS = (
     Pair("A-paper", "A", "as printed → default, A, one pass"),
     Pair("C-paper", "A-paper", "as printed: adjusted at the start → always"),
 )
-WAYS: Mapping[Removed, str] = {"offset": "as measured", "factor": "depth factor removed"}
 
 
 class Population:

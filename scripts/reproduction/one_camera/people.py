@@ -15,7 +15,7 @@ from reproduction.one_camera.entrants import PEOPLE
 from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.population import CAMERA, TRACKED
-from reproduction.one_camera.tables import COLUMNS, EXPLAINED, THESIS, mean_row
+from reproduction.one_camera.tables import COLUMNS, EXPLAINED, THESIS, WAYS, mean_row
 from reproduction.steps import Chain, Step
 
 AIM = dict(zip(HEAD_POSE, (1.3, 1.6, 4.8, 0.22, 1.2, 1.2), strict=True))
@@ -50,10 +50,9 @@ class People:
         for folder in folders:
             yield f"### {folder.name}"
             yield ""
+            for removed, title in WAYS.items():
+                yield from table((title, *COLUMNS, "factor", "ms"), _rows(folder, measured, removed))
             found = {entrant.name: _figures(folder, entrant.name, measured) for entrant in PEOPLE}
-            yield from table((*("as measured", *COLUMNS), "ms"), _rows(found))
-            scaled = {entrant.name: _figures(folder, entrant.name, measured, "factor") for entrant in PEOPLE}
-            yield from table((*("depth factor removed", *COLUMNS), "factor"), _rows(scaled, "factor"))
             judge(folder.name, found, targets)
 
 
@@ -84,16 +83,16 @@ def _figures(folder: Path, entrant: str, measured: Measured, removed: Removed = 
     return measured.figures(result_of(folder.name, entrant), str(folder / TRUTH), removed)
 
 
-def _rows(found: dict[str, Figures], last: str = "ms") -> Iterator[list[str]]:
+def _rows(folder: Path, measured: Measured, removed: Removed) -> Iterator[list[str]]:
     """The thesis's row, then a row for each entrant that has a result."""
-    yield ["thesis, table 4.2", *map(number, THESIS["B"][0]), *["-"] * 4]
-    yield ["aim: half of table 4.1", *map(number, AIM.values()), *["-"] * 4]
+    yield ["thesis, table 4.2", *map(number, THESIS["B"][0]), *["-"] * 5]
+    yield ["aim: half of table 4.1", *map(number, AIM.values()), *["-"] * 5]
     for entrant in PEOPLE:
-        figures = found[entrant.name]
+        figures = _figures(folder, entrant.name, measured, removed)
         if "x_mm" in figures:
-            value = figures.get(last)
-            told = "-" if value is None else number(value, 4 if last == "factor" else 1)
-            yield [*mean_row(entrant.title, [figures]), told]
+            factor = number(figures["factor"], 4) if removed == "factor" else "-"
+            told = [factor, number(figures["ms"], 1) if "ms" in figures else "-"]
+            yield [*mean_row(entrant.title, [figures]), *told]
 
 
 def judge(person: str, found: dict[str, Figures], targets: Targets) -> None:
