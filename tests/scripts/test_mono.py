@@ -242,6 +242,13 @@ def test_ways_to_adjust_are_compared_person_by_person(tmp_path: Path) -> None:
     assert f"| {always} | position, mm | 2.50 → 1.25 | 6 of 6 | -1.25 [-1." in text
 
 
+def test_too_few_persons_tell_nothing(tmp_path: Path) -> None:
+    options, targets = Options(tmp_path, people=3), Targets()
+    found = made_up(lambda name, k: {"position_mm": 1.0 + k + len(name), "rotation_deg": 1.0}, options)
+    assert list(comparing.Population().lines(options, found, targets))
+    assert {said for _, _, _, said in targets.rows} == {"not measured"}
+
+
 def test_targets_of_persons_are_judged(tmp_path: Path) -> None:
     targets = Targets()
     good = dict(zip(HEAD_POSE, (1.0, 1.0, 5.0, 0.1, 1.1, 1.1), strict=True))

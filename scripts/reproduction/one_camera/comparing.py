@@ -155,4 +155,5 @@ def _judge(options: Options, pair: Pair, metric: str, measured: Measured, target
         return
     said = paired(values[:, 0], values[:, 1])
     shown = f"{number(said.mean_first)} → {number(said.mean_second)}, {_lower(values)}, p {said.p_value:.3g}"
-    targets.add(what, asked, shown, bool(said.difference < 0 and said.p_value < SIGNIFICANCE))
+    better = bool(said.difference < 0 and said.p_value < SIGNIFICANCE)
+    targets.add(what, asked, shown, None if said.note else better)  # too few pairs can tell nothing

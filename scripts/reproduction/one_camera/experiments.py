@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
 from reproduction.accuracy.measuring import number
@@ -182,10 +181,9 @@ def _pictures(options: Options, person: int) -> Iterator[str]:
     figures.poses_over_time(out / "figure4.13.png", _chosen(compared, "A", "B"))
     figures.poses_over_time(out / "figure4.14.png", _chosen(compared, "A", "C"))
     for number_, text in _CAPTIONS.items():
-        path = Path(f"figure{number_}.png")
         yield f"Figure {number_}: {text}"
         yield ""
-        yield f"![{text}]({path})"
+        yield f"![Figure {number_}](figure{number_}.png)"
         yield ""
 
 
@@ -195,7 +193,8 @@ def _chosen(compared: Mapping[str, Compared], *names: str) -> dict[str, Compared
 
 _CAPTIONS = {
     "4.10": "two cameras (left), one camera (middle), and both from the subject's right (right; red: two "
-    "cameras, blue: one; the camera is on the left), experiment A.",
+    "cameras, blue: one; the camera is on the left; points as they are, axes after the constant offset), "
+    "experiment A.",
     "4.11": "mean error of the feature points in head coordinates, experiment A.",
     "4.12": "pose of experiment A; red and thin: two cameras, blue and thick: one.",
     "4.13": "pose of experiments A and B.",
