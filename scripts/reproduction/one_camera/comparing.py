@@ -27,6 +27,8 @@ METRICS = {
     "shapes_mm": "points in head, mm",
 }
 JUDGED = ("position_mm", "rotation_deg")
+LEAST_PAIRS = 6
+"""Of fewer, even if all agree, p is not below 0.05: two of 2^n equally likely sets of signs."""
 
 
 @dataclass(frozen=True)
@@ -156,4 +158,4 @@ def _judge(options: Options, pair: Pair, metric: str, measured: Measured, target
     said = paired(values[:, 0], values[:, 1])
     shown = f"{number(said.mean_first)} → {number(said.mean_second)}, {_lower(values)}, p {said.p_value:.3g}"
     better = bool(said.difference < 0 and said.p_value < SIGNIFICANCE)
-    targets.add(what, asked, shown, None if said.note else better)  # too few pairs can tell nothing
+    targets.add(what, asked, shown, better if len(values) >= LEAST_PAIRS else None)
