@@ -27,7 +27,7 @@ from posetrack_cli.head.mono_config import HeadMonoConfig
 from posetrack_cli.head.mono_start.detected import DetectedFace, detect_face
 from posetrack_cli.head.mono_start.start import begin
 from posetrack_cli.head.mono_subject import mono_subject
-from posetrack_cli.head.mono_tracker import make_mono_tracker
+from posetrack_cli.head.mono_trackers import make_mono_tracker
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.pose import HeadPose
@@ -116,20 +116,25 @@ def beginning(camera: Camera, frames: Sequence[Frame]) -> Iterator[Row]:
 
 
 def adjusting(camera: Camera, repeats: int) -> Iterator[Row]:
-    """Time of an adjustment against its n views, and how far it is from a straight line."""
+    """Time of an adjustment against its n views, in turn, and how far it is from a straight line."""
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
     person = Person(model.identity_mean, np.zeros_like(model.mean))
-    medians = []
-    for count in VIEWS:
-        views, times = seen_views(model, camera, count), []
-        for _ in range(repeats + 1):
+    views = {count: seen_views(model, camera, count) for count in VIEWS}
+    times: dict[int, list[float]] = {count: [] for count in VIEWS}
+    for repeat in range(repeats + 1):
+        for count in VIEWS:
             began = time.perf_counter()
-            taken = adjust(views, person, model, camera, settings, iterations=settings.iterations).iterations
-            times.append((time.perf_counter() - began) / max(taken, 1))
-        medians.append(median_ms(times[1:]))
-        steps = 2 * settings.iterations
-        yield Row(f"head mono, adjustment of n = {count}, {steps} steps", steps * medians[-1], "ms")
-    numbers, milliseconds = np.array(VIEWS, dtype=float), np.array(medians)
+            found = adjust(views[count], person, model, camera, settings, iterations=settings.iterations)
+            if repeat:
+                times[count].append((time.perf_counter() - began) / max(found.iterations, 1))
+    yield from adjusting_rows(times, 2 * settings.iterations)
+
+
+def adjusting_rows(times: Mapping[int, Sequence[float]], steps: int) -> Iterator[Row]:
+    """Rows of the seconds of a step by the number of views."""
+    numbers, milliseconds = np.array(list(times), dtype=float), np.array([*map(median_ms, times.values())])
+    for count, value in zip(times, milliseconds, strict=True):
+        yield Row(f"head mono, adjustment of n = {count}, {steps} steps", steps * float(value), "ms")
     offset, slope = fitted_line(numbers, milliseconds)
     worst = np.abs((offset + slope * numbers) / milliseconds - 1.0).max()
     yield Row("  a step's largest distance from a line over n", 100.0 * float(worst), "%", LINEAR_PERCENT)

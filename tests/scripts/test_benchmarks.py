@@ -188,6 +188,14 @@ def test_rows_of_one_camera_are_of_the_right_trackers() -> None:
     assert ratio.value == pytest.approx(1.5)
 
 
+def test_adjustments_are_held_against_a_line_over_n() -> None:
+    *rows, worst = one_camera.adjusting_rows({5: [1.2e-4], 20: [2.7e-4], 40: [4.7e-4]}, 10)
+    assert [row.value for row in rows] == pytest.approx([1.2, 2.7, 4.7])
+    assert worst.value == pytest.approx(0.0, abs=1e-6)
+    *_, worst = one_camera.adjusting_rows({5: [1e-4], 20: [4e-4], 40: [64e-4]}, 10)
+    assert worst.verdict == "MISSED"
+
+
 def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
     """After ten steps of each stage most of what the start is off by has gone."""
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
