@@ -112,7 +112,7 @@ def _run(
 ) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
     from posetrack_cli.head.mono_subject import mono_subject
-    from posetrack_cli.head.mono_tracker import make_mono_tracker
+    from posetrack_cli.head.mono_trackers import make_mono_tracker
     from posetrack_cli.head.multilinear.model_file import load_face_model
     from posetrack_cli.head.run import HeadRun
 

@@ -52,6 +52,8 @@ class RefinementSettings(Settings):
     Patches are compared as vectors of zero mean and unit norm; each comparison has a weight (``reference``,
     ``previous``, ``between_cameras``, ``keyframe``), times the point's visibility (a cosine) to the power
     ``visibility_power``, times ((ncc - ``correlation_floor``) / (1 - floor)) ^ ``correlation_power``.
+    The comparison with the frame before also counts by the point's best correlation with a stored template,
+    to the power ``previous_likeness``: a point that left its feature must not follow what it left it for.
     ``patch_sd`` is the standard deviation of one such vector's difference per unit of weight. A point's
     residual is Student-t of ``degrees_of_freedom`` with the sd of ``residual_mm``; in the recalculation of
     points, with the pose held, of ``recalculation_mm``; of a shape that was just found of ``settling_mm``.
@@ -68,6 +70,7 @@ class RefinementSettings(Settings):
     between_cameras: NotNegative = 4.3
     correlation_floor: Fraction = 0.2
     correlation_power: NotNegative = 6.0
+    previous_likeness: NotNegative = 0.0
     patch_sd: Positive = 0.4
     visibility_power: Positive = 0.3
     degrees_of_freedom: Positive = 4.0

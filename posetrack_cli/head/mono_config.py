@@ -29,6 +29,7 @@ class MonoStartSettings(Settings):
     It is found when it was detected in ``frames`` frames (n). A detection is rejected where the slopes of the
     K/2 segments between left and right points differ by more than ``slope_deg`` (standard deviation). The
     frames lie no more than ``span_s`` apart, so that a face seen now and then is not made one **[ours]**.
+    Images in which the eyes are farther apart than ``eye_distance_px`` are reduced to it **[ours]**.
     Points count as detected with ``pixel_sd`` times the noise of tracked ones. They must lie within
     ``residual`` (root mean square, of the eyes' distance in the image) of an average face's, and once
     adjusted of the person's **[ours]**.
@@ -38,6 +39,7 @@ class MonoStartSettings(Settings):
     frames: Annotated[int, Field(ge=1, le=30)] = 5
     slope_deg: Positive = 4.0
     span_s: Positive = 2.0
+    eye_distance_px: Positive = 90.0
     pixel_sd: Positive = 2.0
     residual: Positive = 0.12
 
@@ -75,7 +77,7 @@ class AdjustmentSettings(Settings):
     """
 
     when: Literal["always", "start", "never"] = "always"
-    views: Annotated[int, Field(ge=2, le=200)] = 12
+    views: Annotated[int, Field(ge=2, le=200)] = 20
     iterations: Count = 5
     start_iterations: Count = 10
     average: Count = 15
@@ -101,7 +103,7 @@ class HeadMonoConfig(Settings):
     start: MonoStartSettings = MonoStartSettings()
     model: FaceModelSettings = FaceModelSettings()
     particles: ParticleSettings = ParticleSettings(count=750, kappa=0.2, sigma=1.0)
-    refinement: RefinementSettings = RefinementSettings()
+    refinement: RefinementSettings = RefinementSettings(previous_likeness=0.5)
     adjustment: AdjustmentSettings = AdjustmentSettings()
-    status: HeadStatusSettings = HeadStatusSettings()
+    status: HeadStatusSettings = HeadStatusSettings(tracking_above=0.5)
     output: HeadOutputSettings = HeadOutputSettings()

@@ -63,6 +63,13 @@ class MonoState:
         return self.people[self.current]
 
     @property
+    def eye_distance(self) -> float | None:
+        """Pixels between the eyes of the first face that was detected; None before."""
+        if self.detected:
+            return self.detected[0].eye_distance
+        return None if self.clicked is None else self.clicked.eye_distance
+
+    @property
     def first_templates(self) -> TemplateSet:
         """Templates of the first frame in which a face was detected."""
         if self.reference is None:

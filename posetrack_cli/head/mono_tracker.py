@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,13 +25,11 @@ from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, stat
 from posetrack_cli.head.mono_subject import MonoNumbers
 from posetrack_cli.head.motion import FRAME_S, velocity_between
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.person import KnownPerson, new_person
 from posetrack_cli.head.person_arrays import people_parts
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
-from posetrack_cli.head.start.clicked import read_clicked
 from posetrack_cli.head.start.start import NoStart
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
@@ -54,6 +51,7 @@ class MonoTracker:
         model: of faces.
         choice: which face to begin with, 0 the largest.
         clicked: (K, 2) pixels of the points in the first frame; None finds the face.
+        scale: by which the images were reduced, for what is said in recorded pixels.
         known: what another tracker has ``learned``: people and templates to begin with.
 
     Raises:
@@ -68,9 +66,11 @@ class MonoTracker:
         model: FaceModel,
         choice: int = 0,
         clicked: FloatArray | None = None,
+        scale: float = 1.0,
         known: Mapping[str, np.ndarray[Any, Any]] | None = None,
     ) -> None:
-        self._config, self._camera, self._model, self._clicked = config, camera, model, clicked
+        self._config, self._camera, self._model = config, camera, model
+        self._clicked, self._scale = clicked, scale
         self._finder = MonoFinder(config, camera, model, choice)
         self._follower = Follower(config.particles, config.refinement, (camera,))
         self._known = MonoState() if known is None else known_state(known, model, config.adjustment)
@@ -336,33 +336,7 @@ class MonoTracker:
             known.history.spread,
             state.current,
             known.adjusted_frames,
-            known.rms_px,
+            known.rms_px / self._scale,
             score,
             weights,
         ).array()
-
-
-def make_mono_tracker(
-    config: HeadMonoConfig,
-    camera: Camera,
-    known: Mapping[str, np.ndarray[Any, Any]] | None = None,
-    *,
-    face: int = 0,
-    clicked: Path | None = None,
-) -> MonoTracker:
-    """Return the tracker that a run uses.
-
-    Args:
-        config: parameters; names the face model's file.
-        camera: of the recording.
-        known: what another tracker has ``learned``.
-        face: which one to begin with, 0 the largest.
-        clicked: table of points in the first frame; None finds the face.
-
-    Raises:
-        UsageError, ResultError: a file that is missing or cannot be used.
-        PosetrackError: clicked points that are none.
-    """
-    model = load_face_model(None if config.model.file is None else Path(config.model.file))
-    points = None if clicked is None else read_clicked(clicked, (camera,))[0]
-    return MonoTracker(config, camera, model, face, points, known)

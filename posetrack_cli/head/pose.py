@@ -8,6 +8,7 @@ t' = t + d[:3], R' = exp(w) R. For a head that looks at the camera w is (pitch, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class HeadPose:
         """The (3, 3) rotation matrix R."""
         return matrices_from_quaternions(self.quaternion)
 
-    @property
+    @cached_property
     def facing(self) -> FloatArray:
         """(3,) unit vector out of the face, in camera axes."""
         return self.rotation[:, 2]

@@ -17,7 +17,7 @@ from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.mono_config import HeadMonoConfig
 from posetrack_cli.head.mono_subject import mono_subject
-from posetrack_cli.head.mono_tracker import make_mono_tracker
+from posetrack_cli.head.mono_trackers import make_mono_tracker
 from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.recording.opening import open_images

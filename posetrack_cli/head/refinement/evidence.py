@@ -128,6 +128,14 @@ def belief(robustness: Robustness, ncc: float) -> float:
     return robustness.precision * above**robustness.power if above > 0.0 else 0.0
 
 
+@inlined
+def likeness(robustness: Robustness, ncc: float) -> float:
+    """How far the frame before counts for a point that correlates so with the stored templates."""
+    if robustness.likeness <= 0.0 or np.isnan(ncc):
+        return 1.0
+    return ncc**robustness.likeness if ncc > 0.0 else 0.0
+
+
 @kernel
 def _add_templates(scene: Scene, c: int, k: int, room: Room, out: Evidence) -> None:
     targets, gradient, J = scene.targets, room.gradients[c], room.jacobians[c]
@@ -138,6 +146,8 @@ def _add_templates(scene: Scene, c: int, k: int, room: Room, out: Evidence) -> N
         q = targets.patches[s, c, k]
         ncc = product(room.patches[c], q)
         weight = targets.weights[s, c, k] * belief(scene.robustness, ncc)
+        if s >= targets.stored:
+            weight *= likeness(scene.robustness, out.correlations[c])
         total += weight
         g0 -= weight * product(gradient[0], q)
         g1 -= weight * product(gradient[1], q)

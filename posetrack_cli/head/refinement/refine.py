@@ -13,8 +13,10 @@ from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.refinement.evidence import project_point
 from posetrack_cli.head.refinement.joint import Face, Joint, Prior, descend
 from posetrack_cli.head.refinement.printed import Printed, recalculate_as_printed
+from posetrack_cli.head.refinement.printed_2d import recalculate_2d_as_printed
 from posetrack_cli.head.refinement.recalculation import recalculate_points
 from posetrack_cli.head.refinement.scene import Scene, make_scene
 from posetrack_cli.head.shape_model import ShapeModel
@@ -98,6 +100,9 @@ def recalculate(
 ) -> Recalculated:
     """Find the points' own places with the pose held (``recalculation``, or the thesis's, ``printed``).
 
+    As printed, several cameras move points in space (3.3), one camera moves them in its image (4.42); their
+    depths are then those of M.
+
     Args:
         scene: of the frame, about nearly this pose and shape: ``Refined.scene``.
         pose: of the head.
@@ -108,13 +113,36 @@ def recalculate(
     count = (len(scene.images.sizes), len(shape))
     points, correlations, pixels = start.copy(), np.empty(count), np.empty((*count, 2))
     R, t, most = pose.rotation, pose.position, settings.recalculation_iterations
+    printed = Printed(settings.rho, settings.epsilon)
+    if settings.recalculation == "printed" and count[0] == 1:
+        return _recalculated_in_image(scene, pose, shape, start, printed, most)
     if settings.recalculation == "printed":
-        printed = Printed(settings.rho, settings.epsilon)
         recalculate_as_printed(scene, R, t, shape, printed, most, points, correlations, pixels)
     else:
         prior = make_prior(point_values(settings.recalculation_mm), settings)
         recalculate_points(scene, R, t, shape, prior, most, points, correlations, pixels)
     return Recalculated(points, correlations, pixels)
+
+
+def _recalculated_in_image(
+    scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, printed: Printed, most: int
+) -> Recalculated:
+    """(4.42) to (4.52), and the points at M's depths that are seen at the pixels found."""
+    expected, jacobians = _seen_at(scene, pose.points(shape))
+    pixels, _ = _seen_at(scene, pose.points(start))
+    correlations = np.empty(len(shape))
+    recalculate_2d_as_printed(scene, expected, printed, most, pixels, correlations)
+    across = np.linalg.solve(jacobians[:, :, :2], (pixels - expected)[..., None])[..., 0]
+    moved = np.hstack([across, np.zeros((len(shape), 1))]) @ pose.rotation
+    return Recalculated(shape + moved, correlations[None], pixels[None])
+
+
+def _seen_at(scene: Scene, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the one camera sees points (K, 3), mm in its axes: (K, 2), and (K, 2, 3) its derivatives."""
+    pixels, jacobians = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
+    for k, point in enumerate(points):
+        project_point(scene.optics, 0, k, point, pixels[k], jacobians[k])
+    return pixels, jacobians
 
 
 def _looks(cameras: Sequence[Camera]) -> int:

@@ -68,11 +68,15 @@ class Targets(NamedTuple):
 
 
 class Robustness(NamedTuple):
-    """How far a comparison is believed: precision x ((ncc - floor) / (1 - floor)) ^ power."""
+    """How far a comparison is believed: precision x ((ncc - floor) / (1 - floor)) ^ power.
+
+    One with the frame before also counts by how like its stored templates the point is, ncc ^ likeness.
+    """
 
     precision: float
     floor: float
     power: float
+    likeness: float
 
 
 class Scene(NamedTuple):
@@ -178,7 +182,12 @@ def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, 
 
 
 def _robustness(settings: RefinementSettings) -> Robustness:
-    return Robustness(settings.patch_sd**-2, settings.correlation_floor, settings.correlation_power)
+    return Robustness(
+        settings.patch_sd**-2,
+        settings.correlation_floor,
+        settings.correlation_power,
+        settings.previous_likeness,
+    )
 
 
 def _raw(reference: TemplateSet, previous: TemplateSet | None, settings: RefinementSettings) -> FloatArray:
