@@ -95,6 +95,18 @@ class AdjustmentSettings(Settings):
     score: Fraction = 0.6
 
 
+class MonoStatusSettings(HeadStatusSettings):
+    """When a head counts as tracked **[ours]**; see ``HeadStatusSettings``.
+
+    A blink changes four of ten points: a frame counts with a lower score than a stereo tracker's. A score below
+    ``check_below`` is compared with that of a face detected anew, every ``check_every_s`` at most.
+    """
+
+    tracking_above: Fraction = 0.5
+    check_below: Fraction = 0.7
+    check_every_s: Positive = 0.5
+
+
 class HeadMonoConfig(Settings):
     """Everything that a one-camera run depends on besides its recording and its seed."""
 
@@ -105,5 +117,5 @@ class HeadMonoConfig(Settings):
     particles: ParticleSettings = ParticleSettings(count=750, kappa=0.2, sigma=1.0)
     refinement: RefinementSettings = RefinementSettings(previous_likeness=0.5)
     adjustment: AdjustmentSettings = AdjustmentSettings()
-    status: HeadStatusSettings = HeadStatusSettings(tracking_above=0.5)
+    status: MonoStatusSettings = MonoStatusSettings()
     output: HeadOutputSettings = HeadOutputSettings()

@@ -43,6 +43,7 @@ class MonoState:
         reference: templates of the first of these.
         clicked: points of the first frame that are to be begun with.
         search: what looking for a face came to before one was first found.
+        checked_ns: when a doubtful track was last compared with a detection.
         changes: (stamp, ns, and index of the person) of every change to another person.
     """
 
@@ -55,6 +56,7 @@ class MonoState:
     reference: TemplateSet | None = None
     clicked: DetectedFace | None = None
     search: Search = field(default_factory=Search)
+    checked_ns: int = -(2**62)
     changes: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -116,6 +118,7 @@ def parts_of(state: MonoState) -> tuple[Arrays, Numbers]:
     arrays |= _detected_parts("detected", state.detected)
     arrays |= _detected_parts("clicked", () if state.clicked is None else (state.clicked,))
     numbers: Numbers = {"lost": state.lost, "strange": state.strange, "current": state.current}
+    numbers["checked_ns"] = state.checked_ns
     if state.reference is not None:
         arrays |= template_parts("reference", [state.reference])
     if state.following is not None:
@@ -144,6 +147,7 @@ def state_of(
         templates_of(arrays, "reference")[0] if "reference.seen" in arrays else None,
         clicked[0] if clicked else None,
         search_of(arrays),
+        numbers["checked_ns"],
         tuple((int(stamp), int(who)) for stamp, who in arrays["changes"]),
     )
 

@@ -38,6 +38,8 @@ STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
 STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
+CLEARLY_BETTER = 0.03
+"""Of two scores."""
 FORGOTTEN_S = 1.0
 """A face that was gone for so long may come back elsewhere in the image."""
 
@@ -87,6 +89,7 @@ class MonoTracker:
             return self._first_search(state, frame, rng)
         if state.following is not None:
             followed = self._followed(state.person, state.following, frame, rng)
+            state, followed = self._checked(state, followed, frame, rng)
             if self._is_tracked(followed):
                 return self._tracked(state, frame, followed, self._status_after(state))
             if state.lost + 1 < self._config.status.lost_after_frames:
@@ -127,6 +130,24 @@ class MonoTracker:
         before = replace(following, particles=now)
         return self._follower.step(before, frame.stamp_ns, frame.images, person.sets, person.shape, rng)
 
+    def _checked(
+        self, state: MonoState, followed: Followed, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, Followed]:
+        """Begin anew from a detection where the points look hardly like themselves, if they then do more.
+
+        After a blink or a smile points may have slid to places that they do not come back from **[ours]**.
+        """
+        settings = self._config.status
+        recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
+        if recent or followed.score >= settings.check_below:
+            return state, followed
+        state = replace(state, checked_ns=frame.stamp_ns)
+        found = self._finder.detect(frame, self._last_seen(state, frame))
+        if isinstance(found, NoStart):
+            return state, followed
+        again = self._as_person(state, state.person, found, frame, rng)
+        return state, again if again.score > followed.score + CLEARLY_BETTER else followed
+
     def _is_tracked(self, followed: Followed) -> bool:
         return followed.score >= self._config.status.tracking_above
 
@@ -145,7 +166,8 @@ class MonoTracker:
             person = person.after(view, followed.score, self._model, self._camera, settings)
             followed = self._adjusted(state.following, person, followed)
         if followed.following.previous is not None and self._is_keyframe(person, followed):
-            person = replace(person, sets=(*person.sets, followed.following.previous))
+            keyframe = self._keyframe(followed.following.previous, followed.correlations)
+            person = replace(person, sets=(*person.sets, keyframe))
         after = replace(state.with_person(person), following=followed.following, lost=0, strange=0)
         return after, self._tracked_estimate(frame, after, followed, status)
 
@@ -189,6 +211,11 @@ class MonoTracker:
         clear = deformed < settings.keyframe_neutral_mm and followed.score > settings.keyframe_correlation
         return clear and is_new(person.sets, followed.following.pose.facing, settings.keyframe_deg)
 
+    def _keyframe(self, templates: TemplateSet, correlations: FloatArray) -> TemplateSet:
+        """A frame's templates without the points that do not look like themselves: they may have left."""
+        alike = np.nan_to_num(correlations) > self._config.refinement.keyframe_correlation
+        return replace(templates, seen=templates.seen & alike)
+
     # A head that is not where it was
 
     def _lost(self, state: MonoState, frame: Frame) -> tuple[MonoState, Estimate]:
@@ -215,17 +242,27 @@ class MonoTracker:
         self, state: MonoState, found: DetectedFace, frame: Frame, rng: np.random.Generator
     ) -> Iterator[tuple[int, Followed]]:
         """Follow a face for one frame as each of the known people, the last one first."""
+        for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
+            yield index, self._as_person(state, state.people[index], found, frame, rng)
+
+    def _as_person(
+        self,
+        state: MonoState,
+        person: KnownPerson,
+        found: DetectedFace,
+        frame: Frame,
+        rng: np.random.Generator,
+    ) -> Followed:
+        """Follow a detected face for one frame as a person's."""
         gap_ns = round(FRAME_S * 1e9)
         if state.following is not None:
             gap_ns = frame.stamp_ns - state.following.stamp_ns
-        for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
-            person = state.people[index]
-            mean = person.shape.mean
-            pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
-            following = self._follower.begin(frame.stamp_ns - gap_ns, pose, mean, person.shape, rng)
-            followed = self._followed(person, following, frame, rng)
-            rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
-            yield index, replace(followed, following=rested)
+        mean = person.shape.mean
+        pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
+        following = self._follower.begin(frame.stamp_ns - gap_ns, pose, mean, person.shape, rng)
+        followed = self._followed(person, following, frame, rng)
+        rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
+        return replace(followed, following=rested)
 
     def _strange(
         self, state: MonoState, found: DetectedFace, frame: Frame, rng: np.random.Generator
