@@ -3,4 +3,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # support modules are shared by the tests of this folder
+_HERE = Path(__file__).parent
+sys.path.insert(0, str(_HERE / "adjustment"))  # bundles
+sys.path.insert(0, str(_HERE))  # support modules are shared by the tests of this folder

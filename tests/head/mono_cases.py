@@ -7,10 +7,23 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
+from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment.album import Album
+from posetrack_cli.head.adjustment.history import IdentityHistory
+from posetrack_cli.head.adjustment.views import Person, PointView
+from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.following import Following
+from posetrack_cli.head.mono_start.detected import DetectedFace
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.particles import HeadParticles
+from posetrack_cli.head.person import KnownPerson, shape_of
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.templates import WINDOW, TemplateSet
+
 
 def assert_same(first: object, second: object, where: str = "it") -> None:
     """Equal in every field, bit for bit; NaN is equal to NaN."""
-    assert type(first) is type(second), where
+    assert type(first) is type(second) or (isinstance(first, float) and isinstance(second, float)), where
     if is_dataclass(first):
         for one in fields(first):
             assert_same(getattr(first, one.name), getattr(second, one.name), f"{where}.{one.name}")
@@ -27,3 +40,69 @@ def assert_same(first: object, second: object, where: str = "it") -> None:
             assert_same(one, other, f"{where}[{index}]")
     else:
         assert first == second or (first != first and second != second), where
+
+
+def random_pose(rng: np.random.Generator) -> HeadPose:
+    """Any direction within half a radian."""
+    angles = rng.uniform(-0.5, 0.5, 3)
+    return HeadPose(
+        np.array([0.0, 0.0, 700.0]) + rng.normal(size=3), head_quaternion_from_roll_pitch_yaw(angles)
+    )
+
+
+def random_templates(seed: int) -> TemplateSet:
+    """Of one camera."""
+    rng, count = np.random.default_rng(seed), (1, POINT_COUNT)
+    return TemplateSet(
+        rng.integers(0, 256, (*count, WINDOW, WINDOW), dtype=np.uint8),
+        rng.uniform(20.0, 28.0, (*count, 2)),
+        rng.normal(size=(*count, 2, 2)),
+        rng.random(count) < 0.8,
+        random_pose(rng).facing,
+    )
+
+
+def random_view(rng: np.random.Generator, stamp_ns: int, model: FaceModel) -> PointView:
+    """A frame; one of its points was not seen."""
+    pixels = rng.uniform(0.0, 480.0, (POINT_COUNT, 2))
+    pixels[rng.integers(POINT_COUNT)] = np.nan
+    weights = rng.random(POINT_COUNT)
+    return PointView(stamp_ns, pixels, weights, random_pose(rng), rng.normal(size=model.deformation_size))
+
+
+def random_known(seed: int, model: FaceModel, views: int = 3, sets: int = 2) -> KnownPerson:
+    """A person who was adjusted from some frames."""
+    rng, album = np.random.default_rng(seed), Album()
+    person = Person(rng.normal(size=model.identity_size), rng.normal(size=(POINT_COUNT, 3)))
+    history = IdentityHistory(rng.normal(size=(4, model.identity_size)), 6)
+    frames = tuple(random_view(rng, 10**18 + index, model) for index in range(views))
+    for view in frames:
+        album = album.added(view, rng.random())
+    templates = tuple(random_templates(seed + index) for index in range(sets))
+    return KnownPerson(
+        person, history, frames, album, shape_of(model, person), templates, views, rng.random()
+    )
+
+
+def random_detected(seed: int, stamp_ns: int) -> DetectedFace:
+    """A face that was found in one frame."""
+    rng = np.random.default_rng(seed)
+    pixels, responses = rng.uniform(0.0, 480.0, (POINT_COUNT, 2)), rng.random(POINT_COUNT)
+    score, distance, misfit = (float(value) for value in rng.random(3))
+    return DetectedFace(stamp_ns, pixels, responses, score, distance, random_pose(rng), misfit)
+
+
+def random_following(seed: int, model: FaceModel, seen: bool = True) -> Following:
+    """A head that is followed."""
+    rng, size = np.random.default_rng(seed), model.deformation_size
+    weights = rng.random(20)
+    particles = HeadParticles(
+        random_pose(rng),
+        rng.normal(size=size),
+        rng.normal(size=(20, 6 + size)),
+        weights / weights.sum(),
+        model.of_person(rng.normal(size=model.identity_size)),
+    )
+    shape = rng.normal(size=(POINT_COUNT, 3))
+    previous = random_templates(seed) if seen else None
+    return Following(10**18 + seed, random_pose(rng), rng.normal(size=6), particles, shape, previous)
