@@ -39,7 +39,7 @@ class MonoStartSettings(Settings):
     frames: Annotated[int, Field(ge=1, le=30)] = 5
     slope_deg: Positive = 4.0
     span_s: Positive = 2.0
-    eye_distance_px: Positive = 90.0
+    eye_distance_px: Positive = 80.0
     pixel_sd: Positive = 2.0
     residual: Positive = 0.12
 
@@ -98,11 +98,12 @@ class AdjustmentSettings(Settings):
 class MonoStatusSettings(HeadStatusSettings):
     """When a head counts as tracked **[ours]**; see ``HeadStatusSettings``.
 
-    A blink changes four of ten points: a frame counts with a lower score than a stereo tracker's. A score below
-    ``check_below`` is compared with that of a face detected anew, every ``check_every_s`` at most.
+    A blink changes four of ten points: a frame counts with a lower score than a stereo tracker's. A score
+    below ``check_below`` is compared with that of a face detected anew, every ``check_every_s`` at most.
     """
 
-    tracking_above: Fraction = 0.5
+    tracking_above: Fraction = 0.45
+    lost_after_frames: Count = 1
     check_below: Fraction = 0.7
     check_every_s: Positive = 0.5
 
@@ -115,7 +116,7 @@ class HeadMonoConfig(Settings):
     start: MonoStartSettings = MonoStartSettings()
     model: FaceModelSettings = FaceModelSettings()
     particles: ParticleSettings = ParticleSettings(count=750, kappa=0.2, sigma=1.0)
-    refinement: RefinementSettings = RefinementSettings(previous_likeness=0.5)
+    refinement: RefinementSettings = RefinementSettings(previous_likeness=1.0)
     adjustment: AdjustmentSettings = AdjustmentSettings()
     status: MonoStatusSettings = MonoStatusSettings()
     output: HeadOutputSettings = HeadOutputSettings()

@@ -21,7 +21,7 @@ from posetrack_cli.head.mono_tracker import MonoTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 
-LEAST_REDUCTION = 0.9
+LEAST_REDUCTION = 0.8
 """Images that would become hardly smaller stay as they are."""
 _WHOLE, _FOCAL = 1.0, "focal_px"
 
@@ -64,7 +64,7 @@ class ReducingTracker:
     ) -> None:
         self._camera, self._eye_distance, self._make = camera, eye_distance_px, make
         self._trackers: dict[float, MonoTracker] = {}
-        self._known, self._first_scale = known, _known_scale(known, camera)
+        self._known, self._first_scale = known or None, _known_scale(known, camera)
         self._at(self._first_scale or _WHOLE)  # refuses what cannot be used before the first frame
 
     def start(self, frame: Frame, rng: np.random.Generator) -> ReducedState:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.following import Following
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.mono_start.detected import DetectedFace
@@ -44,6 +45,8 @@ class MonoState:
         clicked: points of the first frame that are to be begun with.
         search: what looking for a face came to before one was first found.
         checked_ns: when a doubtful track was last compared with a detection.
+        scene: thumbnail of the last frame; None before the first.
+        cut: whether the scene changed since a head was last tracked.
         changes: (stamp, ns, and index of the person) of every change to another person.
     """
 
@@ -57,6 +60,8 @@ class MonoState:
     clicked: DetectedFace | None = None
     search: Search = field(default_factory=Search)
     checked_ns: int = -(2**62)
+    scene: FloatArray | None = None
+    cut: bool = False
     changes: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -93,7 +98,12 @@ class MonoState:
         """Return the state that follows a head that was just found."""
         index = len(self.people)
         changes = self.changes if index == 0 else (*self.changes, (stamp_ns, index))
-        return MonoState((*self.people, person), index, following, search=self.search, changes=changes)
+        return replace(
+            MonoState((*self.people, person), index, following),
+            search=self.search,
+            scene=self.scene,
+            changes=changes,
+        )
 
     def seen(self, face: DetectedFace, templates: TemplateSet) -> MonoState:
         """Return the state with another frame with a face."""
@@ -118,7 +128,9 @@ def parts_of(state: MonoState) -> tuple[Arrays, Numbers]:
     arrays |= _detected_parts("detected", state.detected)
     arrays |= _detected_parts("clicked", () if state.clicked is None else (state.clicked,))
     numbers: Numbers = {"lost": state.lost, "strange": state.strange, "current": state.current}
-    numbers["checked_ns"] = state.checked_ns
+    numbers |= {"checked_ns": state.checked_ns, "cut": int(state.cut)}
+    if state.scene is not None:
+        arrays["scene"] = state.scene
     if state.reference is not None:
         arrays |= template_parts("reference", [state.reference])
     if state.following is not None:
@@ -148,6 +160,8 @@ def state_of(
         clicked[0] if clicked else None,
         search_of(arrays),
         numbers["checked_ns"],
+        arrays.get("scene"),
+        bool(numbers["cut"]),
         tuple((int(stamp), int(who)) for stamp, who in arrays["changes"]),
     )
 

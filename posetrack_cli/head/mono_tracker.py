@@ -12,6 +12,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import normalised_from_pixels
 from posetrack_cli.head.adjustment.views import PointView
+from posetrack_cli.head.cuts import is_cut, thumbnail
 from posetrack_cli.head.estimates import followed_estimate, searched_estimate
 from posetrack_cli.head.following import Followed, Follower, Following, begun
 from posetrack_cli.head.keyframes import is_new
@@ -31,11 +32,15 @@ from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.start.start import NoStart
+from posetrack_cli.head.templates import TemplateSet
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
+STRANGER_FRAMES_AFTER_CUT = 3
+RECOGNISED = 0.85
+"""After a cut a face is a known person's if its score is so much of the usual one."""
 STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
 CLEARLY_BETTER = 0.03
@@ -85,14 +90,15 @@ class MonoTracker:
 
     def step(self, state: MonoState, frame: Frame, rng: np.random.Generator) -> tuple[MonoState, Estimate]:
         """Advance by one frame; the state given is left as it is."""
+        state = _with_view(state, frame)
         if not state.people:
             return self._first_search(state, frame, rng)
         if state.following is not None:
             followed = self._followed(state.person, state.following, frame, rng)
             state, followed = self._checked(state, followed, frame, rng)
-            if self._is_tracked(followed):
+            if self._is_tracked(state, state.person, followed):
                 return self._tracked(state, frame, followed, self._status_after(state))
-            if state.lost + 1 < self._config.status.lost_after_frames:
+            if state.lost + 1 < self._config.status.lost_after_frames and not state.cut:
                 return self._lost(state, frame)
         return self._search(state, frame, rng)
 
@@ -103,7 +109,7 @@ class MonoTracker:
 
     def not_found(self, state: MonoState) -> str:
         """Say how a head was looked for that was found in no frame yet; empty once it was found."""
-        return "" if state.following is not None else str(state.search)
+        return "" if state.following is not None or state.detected else str(state.search)
 
     def remarks(self, state: MonoState) -> tuple[str, ...]:
         """Say when another person was seen."""
@@ -148,8 +154,12 @@ class MonoTracker:
         again = self._as_person(state, state.person, found, frame, rng)
         return state, again if again.score > followed.score + CLEARLY_BETTER else followed
 
-    def _is_tracked(self, followed: Followed) -> bool:
-        return followed.score >= self._config.status.tracking_above
+    def _is_tracked(self, state: MonoState, person: KnownPerson, followed: Followed) -> bool:
+        """Whether a frame shows a person; after a cut it must look as the person usually does."""
+        least = self._config.status.tracking_above
+        if state.cut:
+            least = max(least, RECOGNISED * person.usual_score)
+        return followed.score >= least
 
     def _status_after(self, state: MonoState) -> Status:
         """A head that was gone for longer is found anew, wherever it comes back."""
@@ -160,7 +170,7 @@ class MonoTracker:
         self, state: MonoState, frame: Frame, followed: Followed, status: Status
     ) -> tuple[MonoState, Estimate]:
         """Adjust the person by a frame in which the head was found."""
-        person = state.person
+        person = state.person.scored(followed.score)
         if self._is_to_be_adjusted(followed):
             view, settings = self._view(frame, followed), self._config.adjustment
             person = person.after(view, followed.score, self._model, self._camera, settings)
@@ -168,7 +178,7 @@ class MonoTracker:
         if followed.following.previous is not None and self._is_keyframe(person, followed):
             keyframe = self._keyframe(followed.following.previous, followed.correlations)
             person = replace(person, sets=(*person.sets, keyframe))
-        after = replace(state.with_person(person), following=followed.following, lost=0, strange=0)
+        after = replace(state.with_person(person), following=followed.following, lost=0, strange=0, cut=False)
         return after, self._tracked_estimate(frame, after, followed, status)
 
     def _is_to_be_adjusted(self, followed: Followed) -> bool:
@@ -233,7 +243,7 @@ class MonoTracker:
             searched = state.search.failed(found) if state.following is None else state.search
             return self._lost(replace(state, search=searched), frame)
         for index, followed in self._tried(state, found, frame, rng):
-            if self._is_tracked(followed):
+            if self._is_tracked(state, state.people[index], followed):
                 status = Status.TRACKING if state.following is None else Status.REINITIALISED
                 return self._tracked(state.turned_to(index, frame.stamp_ns), frame, followed, status)
         return self._strange(state, found, frame, rng)
@@ -271,14 +281,14 @@ class MonoTracker:
         if off_axis_deg(found.pose) > STRANGER_OFF_AXIS_DEG:
             return self._lost(state, frame)
         state = replace(state, strange=state.strange + 1)
-        if state.strange < STRANGER_FRAMES:
+        if state.strange < (STRANGER_FRAMES_AFTER_CUT if state.cut else STRANGER_FRAMES):
             return self._lost(state, frame)
         return self._first_search(state, frame, rng)
 
     def _last_seen(self, state: MonoState, frame: Frame) -> FloatArray | None:
-        """Where the points were in the image when the head was last tracked, unless that was long ago."""
+        """Where the points were when the head was last tracked, unless that was long ago or before a cut."""
         following = state.following
-        if following is None or frame.stamp_ns - following.stamp_ns > FORGOTTEN_S * 1e9:
+        if following is None or state.cut or frame.stamp_ns - following.stamp_ns > FORGOTTEN_S * 1e9:
             return None
         pixels: FloatArray = project((self._camera,), following.pose.points(following.shape)).pixels[0]
         return pixels
@@ -304,7 +314,8 @@ class MonoTracker:
         state = state.seen(found, self._finder.templates(frame, found, alone))
         if len(state.detected) < self._config.start.frames:
             followed = self._resting(frame, found, alone, rng)
-            return state, self._tracked_estimate(frame, state, followed, Status.TRACKING)
+            status = Status.REINITIALISED if state.people else Status.TRACKING
+            return state, self._tracked_estimate(frame, MonoState(), followed, status)
         start = self._finder.begin(state.detected)
         if isinstance(start, NoStart):
             return self._not_found(state.anew(), start, frame)
@@ -377,3 +388,13 @@ class MonoTracker:
             score,
             weights,
         ).array()
+
+
+def _with_view(state: MonoState, frame: Frame) -> MonoState:
+    """Return the state that knows what the scene looks like now, and whether it was cut to."""
+    (image,) = frame.images
+    if image is None:
+        return state
+    now = thumbnail(image)
+    cut = state.cut or (state.scene is not None and is_cut(state.scene, now))
+    return replace(state, scene=now, cut=cut)

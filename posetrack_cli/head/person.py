@@ -19,6 +19,8 @@ from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.shape_model import ShapeModel
 from posetrack_cli.head.templates import TemplateSet
 
+USUAL_RATE = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class KnownPerson:
@@ -33,6 +35,7 @@ class KnownPerson:
         sets: templates, reference first.
         adjusted_frames: how many frames the person was adjusted from.
         rms_px: of the last adjustment, root mean square.
+        usual_score: running mean of the scores of tracked frames; NaN before the first.
     """
 
     person: Person
@@ -43,6 +46,12 @@ class KnownPerson:
     sets: tuple[TemplateSet, ...]
     adjusted_frames: int = 0
     rms_px: float = np.nan
+    usual_score: float = np.nan
+
+    def scored(self, score: float) -> KnownPerson:
+        """Return what is known after a frame with a score."""
+        before = score if np.isnan(self.usual_score) else self.usual_score
+        return replace(self, usual_score=before + USUAL_RATE * (score - before))
 
     def after(
         self, view: PointView, score: float, model: FaceModel, camera: Camera, settings: AdjustmentSettings

@@ -79,7 +79,7 @@ def _parts(one: KnownPerson) -> Arrays:
             "offsets": one.person.offsets,
             "history": one.history.identities,
             "counts": np.array(one.adjusted_frames),
-            "rms": np.array(one.rms_px),
+            "single": np.array([one.rms_px, one.usual_score]),
             "album.scores": np.array(scores),
         }
         | _view_parts("views", one.views)
@@ -101,7 +101,7 @@ def _person(arrays: Arrays, model: FaceModel, settings: AdjustmentSettings) -> K
         shape_of(model, person),
         templates_of(arrays, "sets"),
         int(arrays["counts"]),
-        float(arrays["rms"]),
+        *(float(value) for value in arrays["single"]),
     )
 
 
