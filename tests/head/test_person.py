@@ -101,6 +101,17 @@ def test_the_history_holds_the_last_identities(average: int) -> None:
     np.testing.assert_array_equal(people[-1].history.identities, wanted)
 
 
+def test_the_mean_of_the_last_identities_is_where_an_adjustment_begins() -> None:
+    """(4.36): with a box about the start that is as good as closed, it stays there."""
+    bundle, history = at_rest(1), USUAL.model_copy(update={"average": 4})
+    known = after(bundle, history, 7)[-1]
+    closed = history.model_copy(update={"identity": 1e-6})
+    last = known.after(as_tracked(bundle, 7), 0.9, bundle.model, CAMERA, closed)
+    box = 1e-6 * bundle.model.identity_deviations
+    assert np.all(np.abs(last.person.identity - known.history.mean) <= 1.001 * box)
+    assert np.any(np.abs(known.person.identity - known.history.mean) > 10.0 * box)
+
+
 def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
     bundle = at_rest(2)
     before, same = after(bundle, USUAL, 3)[-1], after(bundle, USUAL, 3)[-1]

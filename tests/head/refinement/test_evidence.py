@@ -14,6 +14,8 @@ from posetrack_cli.head.templates import take_templates
 
 ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}
 MOVED = np.array([1.0, -0.8, 2.0])
+HARDLY = 1e-12
+"""Weight of the stored templates beside that of the frame before, 1: for what they say of likeness alone."""
 
 
 def scene_of(**weights):
@@ -101,3 +103,48 @@ def test_one_camera_does_not_see_depth():
 )
 def test_belief_falls_with_the_sixth_power_above_the_floor(ncc, wanted):
     assert belief(scene_of().robustness, ncc) == pytest.approx(wanted)
+
+
+def like_stored(scene, k, X, ncc):
+    """The scene with stored templates that hardly pull, and correlate so with the patches at X."""
+    rng, upright = np.random.default_rng(k), np.eye(2)
+    for c in range(2):
+        now = patch(scene, c, k, X, upright)
+        other = rng.normal(size=SIZE)
+        other -= other.mean() + (other @ now) * now
+        other /= np.linalg.norm(other)
+        scene.targets.patches[0, c, k] = ncc * now + np.sqrt(1.0 - ncc**2) * other
+        scene.targets.weights[0, c, k] = HARDLY
+    return scene
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("ncc", [0.8, 0.5, 0.0, -0.4])
+def test_the_frame_before_pulls_as_the_point_is_like_its_stored_templates(power, ncc):
+    k = 4
+    X = FACING.points(SHAPE)[k] + MOVED
+    whole = evidence_at(like_stored(scene_of(previous=1.0, previous_likeness=0.0), k, X, ncc), k, X)
+    found = evidence_at(like_stored(scene_of(previous=1.0, previous_likeness=power), k, X, ncc), k, X)
+    np.testing.assert_allclose(found.correlations, ncc, atol=1e-12)
+    share = max(ncc, 0.0) ** power
+    scale = np.linalg.norm(whole.hessian), np.linalg.norm(whole.gradient)
+    assert min(scale) > 1e-6  # a point is known to many mm at least: it does pull
+    np.testing.assert_allclose(found.hessian, share * whole.hessian, atol=1e-6 * scale[0])
+    np.testing.assert_allclose(found.gradient, share * whole.gradient, atol=1e-6 * scale[1])
+
+
+def test_without_a_stored_template_the_frame_before_pulls_fully():
+    k = 4
+    X = FACING.points(SHAPE)[k] + MOVED
+    some, none = (evidence_at(scene_of(previous=1.0, previous_likeness=power), k, X) for power in (2.0, 0.0))
+    assert np.isnan(some.correlations).all()
+    np.testing.assert_array_equal(some.hessian, none.hessian)
+    assert np.linalg.norm(some.hessian) > 0.0
+
+
+def test_likeness_does_not_touch_the_stored_templates():
+    k = 4
+    X = FACING.points(SHAPE)[k] + MOVED
+    some, none = (evidence_at(scene_of(reference=1.0, previous_likeness=power), k, X) for power in (2.0, 0.0))
+    np.testing.assert_array_equal(some.gradient, none.gradient)
+    assert np.linalg.norm(some.gradient) > 0.0
