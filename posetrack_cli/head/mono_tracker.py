@@ -11,6 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import normalised_from_pixels
+from posetrack_cli.head.adjustment.intrinsics import check_focal
 from posetrack_cli.head.adjustment.views import PointView
 from posetrack_cli.head.cuts import is_cut, thumbnail
 from posetrack_cli.head.estimates import followed_estimate, searched_estimate
@@ -36,6 +37,8 @@ from posetrack_cli.head.templates import TemplateSet
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
+FOCAL_VIEWS = 40
+"""So many views of different directions can tell that a focal length is wrong."""
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
 STRANGER_FRAMES_AFTER_CUT = 3
@@ -112,9 +115,25 @@ class MonoTracker:
         return "" if state.following is not None or state.detected else str(state.search)
 
     def remarks(self, state: MonoState) -> tuple[str, ...]:
-        """Say when another person was seen."""
-        return tuple(
-            f"another person from {stamp * 1e-9:.2f} s on: person {who}" for stamp, who in state.changes
+        """Say when another person was seen, and whether the camera seems to be another one."""
+        people = (f"person {who} from {stamp * 1e-9:.2f} s on" for stamp, who in state.changes)
+        return (*people, *self._doubt_of_focal_length(state))
+
+    def _doubt_of_focal_length(self, state: MonoState) -> tuple[str, ...]:
+        if not state.people or self._config.adjustment.when != "always":
+            return ()
+        person = state.person
+        views = person.album.some(FOCAL_VIEWS)
+        if len(views) < FOCAL_VIEWS:
+            return ()
+        settings = self._config.adjustment
+        check = check_focal(views, person.person, self._model, self._camera, settings)
+        if not check.beyond_doubt:
+            return ()
+        focal = self._camera.fx / self._scale
+        return (
+            f"focal length {focal:.0f} px, but the points fit {check.factor * focal:.0f} px better: are the "
+            "intrinsics right? z and scale depend on them",
         )
 
     def state_parts(self, state: MonoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:

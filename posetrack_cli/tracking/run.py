@@ -152,8 +152,9 @@ class Run(ABC):
                         return self._outcome(writer, began, stopped=True)
                 if memory is not None:
                     memory.finish(writer)
-                self._finish(writer, state)
-        return replace(self._outcome(writer, began, stopped=False), remarks=self._remarks(state))
+                remarks = self._remarks(state)
+                self._finish(writer, state, remarks)
+        return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
 
     def _write(
         self, writer: ResultWriter, memory: FrameMemory | None, reached: Reached, estimate: Estimate
@@ -197,8 +198,8 @@ class Run(ABC):
             estimate = replace(estimate, milliseconds=1e3 * (time.perf_counter() - began))
         return state, estimate
 
-    def _finish(self, writer: ResultWriter, state: Any) -> None:
-        said, losses, remarks = self._ended(writer, state), self._losses(), self._remarks(state)
+    def _finish(self, writer: ResultWriter, state: Any, remarks: tuple[str, ...]) -> None:
+        said, losses = self._ended(writer, state), self._losses()
         more = {"losses": loss_line(losses), "remarks": "; ".join(remarks)}
         writer.finish(said | {name: line for name, line in more.items() if line})
 
