@@ -8,8 +8,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from mono_cases import assert_same
-from mono_scene import CAMERA, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
-from textured_face import SHAPE
+from mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
+from textured_face import SHAPE, textured_face
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import angle_between
@@ -156,13 +156,29 @@ def test_a_face_that_goes_is_lost_and_found_again() -> None:
     assert adjusted == [12.0 - STARTING] * 7, "nothing is learnt of frames without a face"
 
 
-def test_a_frame_or_two_without_a_face_do_not_lose_it() -> None:
-    scene = Scene()
+def test_fewer_frames_without_a_face_than_the_configuration_says_do_not_lose_it() -> None:
+    config = FEW.model_copy(update={"status": FEW.status.model_copy(update={"lost_after_frames": 3})})
+    scene = Scene(config=config)
     for index in range(10):
         scene.step(index)
     gone = [scene.step(index, blank=True) for index in (10, 11)]
     assert {e.status for e in gone} == {Status.LOST}
     assert scene.step(12).status is Status.TRACKING
+
+
+def test_another_face_is_another_person_and_the_first_is_known_again() -> None:
+    scene = Scene()
+    first = [numbers_of(scene, scene.step(index))["person"] for index in range(12)]
+    scene.face = textured_face(seed=7)
+    other = [scene.step(index) for index in range(12, 40)]
+    scene.face = FACE
+    again = [scene.step(index) for index in range(40, 55)]
+    assert set(first) == {0.0} and other[0].status is Status.LOST
+    assert other[-1].status is again[-1].status is Status.TRACKING
+    assert numbers_of(scene, other[-1])["person"] == 1.0 and numbers_of(scene, again[-1])["person"] == 0.0
+    assert len(scene.state.people) == 2 and [who for _, who in scene.state.changes] == [1, 0]
+    said = scene.tracker.remarks(scene.state)
+    assert "person 1" in said[0] and "person 0" in said[1]
 
 
 def test_without_an_image_nothing_is_found() -> None:
