@@ -67,7 +67,9 @@ class KnownPerson:
         """
         views = with_new(self.views, view, settings.views)
         start = Person(self.history.mean, self.person.offsets)
-        adjusted = adjust(views, start, model, camera, settings, iterations=settings.iterations)
+        adjusted = adjust(
+            views, start, model, camera, settings, iterations=settings.iterations, deviations=False
+        )
         return replace(
             self,
             person=adjusted.person,

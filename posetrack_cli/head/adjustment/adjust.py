@@ -32,6 +32,7 @@ def adjust(
     iterations: int,
     hold_person: bool = False,
     wide: bool = False,
+    deviations: bool = True,
 ) -> Adjusted:
     """Adjust views and person to each other, (4.29)-(4.37).
 
@@ -49,6 +50,7 @@ def adjust(
         iterations: steps of each of the two stages at most; fewer where F falls no more.
         hold_person: leave identity and offsets as they are, also where they are out of bounds.
         wide: no bounds about the start, only those about the mean of identity and deformation.
+        deviations: whether to tell the identity's; NaN without.
     """
     problem = make_problem(views, model, camera, settings)
     start = make_start(views, person, model, problem)
@@ -65,7 +67,9 @@ def adjust(
         cost(problem, unknowns, everything),
         _residuals(problem, unknowns, settings),
         taken,
-        _deviations(problem, unknowns, everything, model),
+        _deviations(problem, unknowns, everything, model)
+        if deviations
+        else np.full(model.identity_size, np.nan),
     )
 
 

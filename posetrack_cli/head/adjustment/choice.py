@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.head.adjustment.views import PointView
 
 
@@ -23,7 +24,7 @@ def with_new(views: Sequence[PointView], new: PointView, count: int) -> tuple[Po
     """
     kept = list(views)
     while len(kept) >= count:
-        facing = np.array([view.pose.facing for view in (*kept, new)])
+        facing = matrices_from_quaternions(np.array([view.pose.quaternion for view in (*kept, new)]))[..., 2]
         del kept[int(np.argmax(spreads_without(facing)[:-1]))]
     return (*kept, new)
 
