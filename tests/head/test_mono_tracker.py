@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import fields
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from textured_face import SHAPE, textured_face
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import angle_between
+from posetrack_cli.head import mono_finder
 from posetrack_cli.head.estimates import UNSEEN
+from posetrack_cli.head.mono_start import start as mono_start
 from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
+from posetrack_cli.head.templates import take_templates, tangents
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -26,6 +30,8 @@ DEPTH_MM = 2.5
 ROTATION_RAD = np.radians(0.8)
 """Points 40 mm from the middle, of which priors and little parallax tell the depth to half a millimetre."""
 STARTING = FEW.start.frames
+ROUNDING = 1e-9
+"""mm and pixels, of numbers below 1000."""
 
 
 def errors(estimates: list[Estimate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -85,6 +91,49 @@ def test_the_person_is_adjusted_in_every_frame_after_the_start() -> None:
     assert [n["adjusted_frames"] for n in found] == [0.0] * STARTING + [1.0, 2.0, 3.0, 4.0]
     assert all(np.isnan(n["identity_1"]) for n in found[: STARTING - 1])
     assert found[-1]["adjustment_rms_px"] < 0.1  # tracked points fit a face that is the model's own
+
+
+def test_a_frame_goes_on_from_what_it_was_adjusted_to() -> None:
+    """Pose, deformation, particles and points are one: the points lie at the adjusted face's depths."""
+    scene = Scene()
+    for index in range(STARTING + 6):
+        estimate = scene.step(index)
+    person, following = scene.state.person, scene.state.following
+    view, a = person.views[-1], person.views[-1].deformation - MODEL.deformation_mean
+    assert view.stamp_ns == estimate.stamp_ns
+    np.testing.assert_array_equal(estimate.position, view.pose.position)
+    np.testing.assert_array_equal(estimate.quaternion, view.pose.quaternion)
+    np.testing.assert_allclose(estimate.shape, view.deformation, atol=ROUNDING)
+    assert following.pose is following.particles.pose is view.pose
+    np.testing.assert_array_equal(following.particles.coefficients, a)
+    depths = view.pose.points(person.shape.shapes(a))[:, 2]
+    np.testing.assert_allclose(estimate.points[:, 2], depths, atol=ROUNDING)
+    seen = project((CAMERA,), estimate.points).pixels[0]
+    np.testing.assert_allclose(seen, view.pixels, atol=ROUNDING)
+
+
+def test_the_reference_is_the_first_frame_as_the_start_adjusted_it() -> None:
+    """Its images are of the first frame; how they are warped from then on is told by the adjusted pose."""
+    begun = []
+
+    def begin(*arguments: object) -> object:
+        begun.append(mono_start.begin(*arguments))
+        return begun[-1]
+
+    scene = Scene()
+    with patch.object(mono_finder, "begin", begin):
+        for index in range(STARTING):
+            scene.step(index)
+    views, reference = begun[-1].views, scene.state.person.sets[0]
+    assert [view.stamp_ns for view in views] == [index * FRAME_NS for index in range(STARTING)]
+    np.testing.assert_array_equal(reference.facing, views[0].pose.facing)
+    person = begun[-1].person
+    shape = MODEL.of_person(person.identity, person.offsets).mean
+    wanted = tangents(project((CAMERA,), views[0].pose.points(shape)), views[0].pose)
+    np.testing.assert_array_equal(reference.tangents, wanted)
+    pixels = views[0].pixels
+    taken = take_templates(scene.frame(0).images, (CAMERA,), views[0].pose, shape, pixels[None])
+    np.testing.assert_array_equal(reference.windows, taken.windows)
 
 
 def test_a_step_leaves_the_state_as_it_is() -> None:
@@ -156,14 +205,17 @@ def test_a_face_that_goes_is_lost_and_found_again() -> None:
     assert adjusted == [12.0 - STARTING] * 7, "nothing is learnt of frames without a face"
 
 
-def test_fewer_frames_without_a_face_than_the_configuration_says_do_not_lose_it() -> None:
+@pytest.mark.parametrize("frames, then", [(2, Status.TRACKING), (3, Status.REINITIALISED)])
+def test_a_head_is_lost_after_as_many_frames_as_the_configuration_says(frames: int, then: Status) -> None:
     config = FEW.model_copy(update={"status": FEW.status.model_copy(update={"lost_after_frames": 3})})
     scene = Scene(config=config)
     for index in range(10):
         scene.step(index)
-    gone = [scene.step(index, blank=True) for index in (10, 11)]
+    scene.told.there = False
+    gone = [scene.step(10 + index, blank=True) for index in range(frames)]
+    scene.told.there = True
     assert {e.status for e in gone} == {Status.LOST}
-    assert scene.step(12).status is Status.TRACKING
+    assert scene.step(10 + frames).status is then
 
 
 def test_another_face_is_another_person_and_the_first_is_known_again() -> None:
@@ -177,6 +229,7 @@ def test_another_face_is_another_person_and_the_first_is_known_again() -> None:
     assert other[-1].status is again[-1].status is Status.TRACKING
     assert numbers_of(scene, other[-1])["person"] == 1.0 and numbers_of(scene, again[-1])["person"] == 0.0
     assert len(scene.state.people) == 2 and [who for _, who in scene.state.changes] == [1, 0]
+    assert not scene.state.cut, "it was found since"
     said = scene.tracker.remarks(scene.state)
     assert "person 1" in said[0] and "person 0" in said[1]
 
