@@ -10,35 +10,26 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import normalised_from_pixels
-from posetrack_cli.head.adjustment.intrinsics import check_focal
-from posetrack_cli.head.adjustment.views import PointView
 from posetrack_cli.head.cuts import is_cut, thumbnail
-from posetrack_cli.head.estimates import followed_estimate, searched_estimate
-from posetrack_cli.head.following import Followed, Follower, Following, begun
-from posetrack_cli.head.keyframes import is_new
+from posetrack_cli.head.focal_doubt import focal_doubt
+from posetrack_cli.head.following import Followed
 from posetrack_cli.head.learning import off_axis_deg
 from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.mono_estimates import MonoEstimates
 from posetrack_cli.head.mono_finder import MonoFinder
 from posetrack_cli.head.mono_start.detected import DetectedFace, clicked_face
-from posetrack_cli.head.mono_start.single import pose_of
 from posetrack_cli.head.mono_start.start import MonoStart
 from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, state_of
-from posetrack_cli.head.mono_subject import MonoNumbers
-from posetrack_cli.head.motion import FRAME_S, velocity_between
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson, new_person
 from posetrack_cli.head.person_arrays import people_parts
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.person_following import PersonFollower
 from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.start.start import NoStart
-from posetrack_cli.head.templates import TemplateSet
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
-FOCAL_VIEWS = 40
-"""So many views of different directions can tell that a focal length is wrong."""
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
 STRANGER_FRAMES_AFTER_CUT = 3
@@ -82,7 +73,8 @@ class MonoTracker:
         self._config, self._camera, self._model = config, camera, model
         self._clicked, self._scale = clicked, scale
         self._finder = MonoFinder(config, camera, model, choice)
-        self._follower = Follower(config.particles, config.refinement, (camera,))
+        self._follower = PersonFollower(config, camera, model)
+        self._estimates = MonoEstimates(model, scale)
         self._known = MonoState() if known is None else known_state(known, model, config.adjustment)
 
     def start(self, frame: Frame, rng: np.random.Generator) -> MonoState:
@@ -97,7 +89,7 @@ class MonoTracker:
         if not state.people:
             return self._first_search(state, frame, rng)
         if state.following is not None:
-            followed = self._followed(state.person, state.following, frame, rng)
+            followed = self._follower.followed(state.person, state.following, frame, rng)
             state, followed = self._checked(state, followed, frame, rng)
             if self._is_tracked(state, state.person, followed):
                 return self._tracked(state, frame, followed, self._status_after(state))
@@ -117,24 +109,11 @@ class MonoTracker:
     def remarks(self, state: MonoState) -> tuple[str, ...]:
         """Say when another person was seen, and whether the camera seems to be another one."""
         people = (f"person {who} from {stamp * 1e-9:.2f} s on" for stamp, who in state.changes)
-        return (*people, *self._doubt_of_focal_length(state))
-
-    def _doubt_of_focal_length(self, state: MonoState) -> tuple[str, ...]:
-        if not state.people or self._config.adjustment.when != "always":
-            return ()
-        person = state.person
-        views = person.album.some(FOCAL_VIEWS)
-        if len(views) < FOCAL_VIEWS:
+        if not state.people:
             return ()
         settings = self._config.adjustment
-        check = check_focal(views, person.person, self._model, self._camera, settings)
-        if not check.beyond_doubt:
-            return ()
-        focal = self._camera.fx / self._scale
-        return (
-            f"focal length {focal:.0f} px, but the points fit {check.factor * focal:.0f} px better: are the "
-            "intrinsics right? z and scale depend on them",
-        )
+        doubt = focal_doubt(state.person, self._model, self._camera, self._scale, settings)
+        return (*people, *doubt)
 
     def state_parts(self, state: MonoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         """Take a state apart into arrays and whole numbers, for a checkpoint."""
@@ -147,13 +126,6 @@ class MonoTracker:
         return state_of(arrays, numbers, self._model, self._config.adjustment)
 
     # A head that is followed
-
-    def _followed(
-        self, person: KnownPerson, following: Following, frame: Frame, rng: np.random.Generator
-    ) -> Followed:
-        now = replace(following.particles, model=person.shape)  # a means the same, whoever s says it is
-        before = replace(following, particles=now)
-        return self._follower.step(before, frame.stamp_ns, frame.images, person.sets, person.shape, rng)
 
     def _checked(
         self, state: MonoState, followed: Followed, frame: Frame, rng: np.random.Generator
@@ -170,7 +142,7 @@ class MonoTracker:
         found = self._finder.detect(frame, self._last_seen(state, frame))
         if isinstance(found, NoStart):
             return state, followed
-        again = self._as_person(state, state.person, found, frame, rng)
+        again = self._follower.from_detection(state.person, found, state.following, frame, rng)
         return state, again if again.score > followed.score + CLEARLY_BETTER else followed
 
     def _is_tracked(self, state: MonoState, person: KnownPerson, followed: Followed) -> bool:
@@ -189,61 +161,11 @@ class MonoTracker:
         self, state: MonoState, frame: Frame, followed: Followed, status: Status
     ) -> tuple[MonoState, Estimate]:
         """Adjust the person by a frame in which the head was found."""
-        person = state.person.scored(followed.score)
-        if self._is_to_be_adjusted(followed):
-            view, settings = self._view(frame, followed), self._config.adjustment
-            person = person.after(view, followed.score, self._model, self._camera, settings)
-            followed = self._adjusted(state.following, person, followed)
-        if followed.following.previous is not None and self._is_keyframe(person, followed):
-            keyframe = self._keyframe(followed.following.previous, followed.correlations)
-            person = replace(person, sets=(*person.sets, keyframe))
-        after = replace(state.with_person(person), following=followed.following, lost=0, strange=0, cut=False)
-        return after, self._tracked_estimate(frame, after, followed, status)
-
-    def _is_to_be_adjusted(self, followed: Followed) -> bool:
-        """Only a face that looks at the camera, and like itself (4.4.3)."""
-        settings = self._config.adjustment
-        facing = off_axis_deg(followed.following.pose) < settings.facing_deg
-        return settings.when == "always" and facing and followed.score > settings.score
-
-    def _view(self, frame: Frame, followed: Followed) -> PointView:
-        a = followed.coefficients + self._model.deformation_mean
-        weights = np.where(np.isfinite(followed.pixels[0, :, 0]), followed.weights, 0.0)
-        return PointView(frame.stamp_ns, followed.pixels[0], weights, followed.following.pose, a)
-
-    def _adjusted(self, before: Following | None, person: KnownPerson, followed: Followed) -> Followed:
-        """Return what a frame says after the adjustment that it took part in."""
-        view, now = person.views[-1], followed.following
-        coefficients = view.deformation - self._model.deformation_mean
-        velocity = now.velocity
-        if before is not None and np.any(velocity):
-            velocity = velocity_between(before.pose, view.pose, followed.dt)
-        following = replace(
-            now,
-            pose=view.pose,
-            velocity=velocity,
-            particles=now.particles.moved_to(view.pose, coefficients),
-            shape=self._on_rays(view.pose, person.shape.shapes(coefficients), followed.pixels[0]),
+        person, followed = self._follower.learnt(state.person, state.following, frame, followed)
+        after = replace(
+            state.with_person(person).anew(), following=followed.following, lost=0, strange=0, cut=False
         )
-        return replace(followed, following=following, coefficients=coefficients)
-
-    def _on_rays(self, pose: HeadPose, shape: FloatArray, pixels: FloatArray) -> FloatArray:
-        """The points (K, 3) in the head's frame that are seen at pixels (K, 2), as deep as a shape's."""
-        depths = pose.points(shape)[:, 2:]
-        points = np.hstack([normalised_from_pixels(self._camera, pixels) * depths, depths])
-        return np.where(np.isfinite(points), (points - pose.position) @ pose.rotation, shape)
-
-    def _is_keyframe(self, person: KnownPerson, followed: Followed) -> bool:
-        """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
-        settings = self._config.refinement
-        deformed = float(np.linalg.norm(person.shape.basis @ followed.coefficients))
-        clear = deformed < settings.keyframe_neutral_mm and followed.score > settings.keyframe_correlation
-        return clear and is_new(person.sets, followed.following.pose.facing, settings.keyframe_deg)
-
-    def _keyframe(self, templates: TemplateSet, correlations: FloatArray) -> TemplateSet:
-        """A frame's templates without the points that do not look like themselves: they may have left."""
-        alike = np.nan_to_num(correlations) > self._config.refinement.keyframe_correlation
-        return replace(templates, seen=templates.seen & alike)
+        return after, self._estimates.tracked(frame, after, followed, status)
 
     # A head that is not where it was
 
@@ -253,7 +175,7 @@ class MonoTracker:
         if following is not None:
             following = replace(following, velocity=np.zeros_like(following.velocity))
         after = replace(state, following=following, lost=state.lost + 1)
-        return after, self._searched_estimate(frame, after)
+        return after, self._estimates.searched(frame, after)
 
     def _search(self, state: MonoState, frame: Frame, rng: np.random.Generator) -> tuple[MonoState, Estimate]:
         """Look for a face that is known already; it must then look as it did."""
@@ -272,26 +194,10 @@ class MonoTracker:
     ) -> Iterator[tuple[int, Followed]]:
         """Follow a face for one frame as each of the known people, the last one first."""
         for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
-            yield index, self._as_person(state, state.people[index], found, frame, rng)
-
-    def _as_person(
-        self,
-        state: MonoState,
-        person: KnownPerson,
-        found: DetectedFace,
-        frame: Frame,
-        rng: np.random.Generator,
-    ) -> Followed:
-        """Follow a detected face for one frame as a person's."""
-        gap_ns = round(FRAME_S * 1e9)
-        if state.following is not None:
-            gap_ns = frame.stamp_ns - state.following.stamp_ns
-        mean = person.shape.mean
-        pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
-        following = self._follower.begin(frame.stamp_ns - gap_ns, pose, mean, person.shape, rng)
-        followed = self._followed(person, following, frame, rng)
-        rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
-        return replace(followed, following=rested)
+            yield (
+                index,
+                self._follower.from_detection(state.people[index], found, state.following, frame, rng),
+            )
 
     def _strange(
         self, state: MonoState, found: DetectedFace, frame: Frame, rng: np.random.Generator
@@ -330,11 +236,12 @@ class MonoTracker:
             return self._not_found(state, alone, frame)
         if isinstance(found, NoStart):
             raise RuntimeError("no face was found, and yet one began")  # never: alone is found's failure
-        state = state.seen(found, self._finder.templates(frame, found, alone))
+        seen = self._finder.templates(frame, found, alone)
+        state = state.seen(found, seen)
         if len(state.detected) < self._config.start.frames:
-            followed = self._resting(frame, found, alone, rng)
+            followed = self._follower.resting(frame, found, alone, seen, rng)
             status = Status.REINITIALISED if state.people else Status.TRACKING
-            return state, self._tracked_estimate(frame, MonoState(), followed, status)
+            return state, self._estimates.tracked(frame, MonoState(), followed, status)
         start = self._finder.begin(state.detected)
         if isinstance(start, NoStart):
             return self._not_found(state.anew(), start, frame)
@@ -342,7 +249,7 @@ class MonoTracker:
 
     def _not_found(self, state: MonoState, failure: NoStart, frame: Frame) -> tuple[MonoState, Estimate]:
         state = replace(state, search=state.search.failed(failure), lost=state.lost + 1)
-        return state, self._searched_estimate(frame, state)
+        return state, self._estimates.searched(frame, state)
 
     def _begun_with(
         self, state: MonoState, detected: tuple[DetectedFace, ...], frame: Frame, rng: np.random.Generator
@@ -364,49 +271,12 @@ class MonoTracker:
         """Begin to follow a head; its reference is what the first of the frames showed."""
         reference = self._finder.reference(state.first_templates, start)
         person = new_person(start.person, reference, self._model, self._config.adjustment)
-        followed = self._resting(frame, state.detected[-1], start, rng)
+        last = state.detected[-1]
+        seen = self._finder.templates(frame, last, start)
+        followed = self._follower.resting(frame, last, start, seen, rng)
         status = Status.REINITIALISED if state.people else Status.TRACKING
         after = state.with_new(person, followed.following, frame.stamp_ns)
-        return after, self._tracked_estimate(frame, after, followed, status)
-
-    def _resting(
-        self, frame: Frame, found: DetectedFace, start: MonoStart, rng: np.random.Generator
-    ) -> Followed:
-        """What a frame says in which a face was detected that is not followed yet."""
-        view, shape = start.views[-1], self._model.of_person(start.person.identity, start.person.offsets)
-        own = self._on_rays(view.pose, shape.mean, found.pixels)
-        seen = self._finder.templates(frame, found, start)
-        following = self._follower.begin(frame.stamp_ns, view.pose, own, shape, rng, seen)
-        return begun(following, shape.size, found.score, found.pixels[None])
-
-    # What is said of a frame
-
-    def _tracked_estimate(
-        self, frame: Frame, state: MonoState, followed: Followed, status: Status
-    ) -> Estimate:
-        a = followed.coefficients + self._model.deformation_mean
-        numbers = self._numbers(state, followed.score, followed.weights)
-        return followed_estimate(frame, followed, status, a, numbers)
-
-    def _searched_estimate(self, frame: Frame, state: MonoState) -> Estimate:
-        mean, deviations = self._model.deformation_mean, self._model.deformation_deviations
-        numbers = self._numbers(state, np.nan, None)
-        return searched_estimate(frame, state.following, mean, deviations, numbers)
-
-    def _numbers(self, state: MonoState, score: float, weights: FloatArray | None) -> FloatArray:
-        if not state.people:
-            unknown = np.full(self._model.identity_size, np.nan)
-            return MonoNumbers(unknown, unknown, score=score, weights=weights).array()
-        known = state.person
-        return MonoNumbers(
-            known.history.mean,
-            known.history.spread,
-            state.current,
-            known.adjusted_frames,
-            known.rms_px / self._scale,
-            score,
-            weights,
-        ).array()
+        return after, self._estimates.tracked(frame, after, followed, status)
 
 
 def _with_view(state: MonoState, frame: Frame) -> MonoState:
