@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import fields
+from dataclasses import fields, replace
 from unittest.mock import patch
 
 import numpy as np
@@ -17,6 +17,7 @@ from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head import mono_finder
 from posetrack_cli.head.estimates import UNSEEN
 from posetrack_cli.head.mono_start import start as mono_start
+from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.templates import take_templates, tangents
@@ -30,6 +31,7 @@ DEPTH_MM = 2.5
 ROTATION_RAD = np.radians(0.8)
 """Points 40 mm from the middle, of which priors and little parallax tell the depth to half a millimetre."""
 STARTING = FEW.start.frames
+PATIENT = FEW.model_copy(update={"status": FEW.status.model_copy(update={"lost_after_frames": 3})})
 ROUNDING = 1e-9
 """mm and pixels, of numbers below 1000."""
 
@@ -205,10 +207,30 @@ def test_a_face_that_goes_is_lost_and_found_again() -> None:
     assert adjusted == [12.0 - STARTING] * 7, "nothing is learnt of frames without a face"
 
 
+def displaced(state: MonoState) -> MonoState:
+    """The head where it is not, so that hardly a point looks like itself."""
+    following = state.following
+    pose = following.pose.moved(np.array([40.0, 25.0, 0.0, 0.0, 0.0, 0.0]))
+    particles = following.particles.moved_to(pose, following.particles.coefficients)
+    return replace(state, following=replace(following, pose=pose, particles=particles, previous=None))
+
+
+def test_a_track_that_looks_hardly_like_the_face_is_compared_with_a_detection() -> None:
+    """It goes on from there in the same frame; but not in every frame is one looked for."""
+    scene = Scene(config=PATIENT)
+    found = [scene.step(index) for index in range(10)]
+    scene.state = displaced(scene.state)
+    found += [scene.step(10), scene.step(11)]
+    assert [e.status for e in found[10:]] == [Status.TRACKING] * 2
+    assert scene.told.asked == STARTING + 1
+    assert_near_truth([found[0], found[-1]])
+    scene.state = displaced(scene.state)
+    assert scene.step(12).status is Status.LOST and scene.told.asked == STARTING + 1, "asked just now"
+
+
 @pytest.mark.parametrize("frames, then", [(2, Status.TRACKING), (3, Status.REINITIALISED)])
 def test_a_head_is_lost_after_as_many_frames_as_the_configuration_says(frames: int, then: Status) -> None:
-    config = FEW.model_copy(update={"status": FEW.status.model_copy(update={"lost_after_frames": 3})})
-    scene = Scene(config=config)
+    scene = Scene(config=PATIENT)
     for index in range(10):
         scene.step(index)
     scene.told.there = False
