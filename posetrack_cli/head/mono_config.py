@@ -55,7 +55,7 @@ class FaceModelSettings(Settings):
 class OffsetSettings(Settings):
     """Standard deviations (x, y, z) mm in the head's frame of the constant offset of each kind of point."""
 
-    eyes: Triple = (1.2, 1.2, 1.5)
+    eyes: Triple = (2.0, 2.0, 2.0)
     mouth: Triple = (2.0, 2.0, 3.0)
     nostrils: Triple = (2.5, 3.0, 8.0)
     brows: Triple = (3.0, 5.0, 3.0)
@@ -73,7 +73,8 @@ class AdjustmentSettings(Settings):
     **[ours]** ``prior`` weighs the squares of whitened s and a beside the boxes, ``offsets`` adds the
     constant offsets of points with the deviations ``offset_mm``, ``huber`` bounds the influence of a point
     in units of its ``pixel_sd``. A frame is adjusted with if the face is turned from the camera by less than
-    ``facing_deg`` and its score is above ``score``.
+    ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the length
+    of its 3K numbers): an expression that the model does not know would be taken for the person.
     """
 
     when: Literal["always", "start", "never"] = "always"
@@ -86,13 +87,14 @@ class AdjustmentSettings(Settings):
     deformation: Positive = 1.0
     identity: Positive = 0.5
     bound: Positive = 2.5
-    prior: NotNegative = 2.0
+    prior: NotNegative = 4.0
     offsets: bool = True
     offset_mm: OffsetSettings = OffsetSettings()
     huber: Positive = 3.0
     pixel_sd: PointSettings = PointSettings(eyes=0.7, mouth=1.5, nostrils=1.2, brows=1.0)
     facing_deg: Positive = 45.0
     score: Fraction = 0.6
+    neutral_mm: Positive = 6.0
 
 
 class MonoStatusSettings(HeadStatusSettings):

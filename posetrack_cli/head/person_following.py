@@ -77,7 +77,7 @@ class PersonFollower:
     ) -> tuple[KnownPerson, Followed]:
         """Adjust the person by a frame in which it was found; return it and what the frame then says."""
         person = person.scored(followed.score)
-        if self._is_to_be_adjusted(followed):
+        if self._is_to_be_adjusted(person, followed):
             view, settings = self._view(frame, followed), self._config.adjustment
             person = person.after(view, followed.score, self._model, self._camera, settings)
             followed = self._adjusted(before, person, followed)
@@ -86,11 +86,12 @@ class PersonFollower:
             person = replace(person, sets=(*person.sets, keyframe))
         return person, followed
 
-    def _is_to_be_adjusted(self, followed: Followed) -> bool:
-        """Only a face that looks at the camera, and like itself (4.4.3)."""
+    def _is_to_be_adjusted(self, person: KnownPerson, followed: Followed) -> bool:
+        """Only a face that looks at the camera, like itself (4.4.3), and is little deformed **[ours]**."""
         settings = self._config.adjustment
         facing = off_axis_deg(followed.following.pose) < settings.facing_deg
-        return settings.when == "always" and facing and followed.score > settings.score
+        fit = facing and followed.score > settings.score
+        return settings.when == "always" and fit and _deformed_mm(person, followed) < settings.neutral_mm
 
     def _view(self, frame: Frame, followed: Followed) -> PointView:
         a = followed.coefficients + self._model.deformation_mean
@@ -122,11 +123,16 @@ class PersonFollower:
     def _is_keyframe(self, person: KnownPerson, followed: Followed) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
         settings = self._config.refinement
-        deformed = float(np.linalg.norm(person.shape.basis @ followed.coefficients))
-        clear = deformed < settings.keyframe_neutral_mm and followed.score > settings.keyframe_correlation
+        neutral = _deformed_mm(person, followed) < settings.keyframe_neutral_mm
+        clear = neutral and followed.score > settings.keyframe_correlation
         return clear and is_new(person.sets, followed.following.pose.facing, settings.keyframe_deg)
 
     def _keyframe(self, templates: TemplateSet, correlations: FloatArray) -> TemplateSet:
         """A frame's templates without the points that do not look like themselves: they may have left."""
         alike = np.nan_to_num(correlations) > self._config.refinement.keyframe_correlation
         return replace(templates, seen=templates.seen & alike)
+
+
+def _deformed_mm(person: KnownPerson, followed: Followed) -> float:
+    """How far the face is from its mean deformation: the length of 3K numbers, mm."""
+    return float(np.linalg.norm(person.shape.basis @ followed.coefficients))
