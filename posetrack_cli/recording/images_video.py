@@ -22,6 +22,7 @@ from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
 from posetrack_cli.recording.rig_file import Rig, found_rig
 from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
 from posetrack_cli.recording.stamps import NS_PER_S, stamp_at_rate, stamps_at_rate
+from posetrack_cli.recording.video_stamps import VideoStamps
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 QUIET = "-8"
@@ -98,7 +99,8 @@ class ImagesVideoRecording(SeveralCamerasRecording):
 
         Behind frames that cannot be decoded those that can are looked for.
         """
-        index, failed, latest, reached = 0, 0, -1, -1
+        index, failed, reached = 0, 0, -1.0
+        stamps = VideoStamps(round(self._period_ns))
         with opened(self._path) as video:
             while failed <= self._failures_allowed(index):
                 is_read, image = video.read()
@@ -107,17 +109,20 @@ class ImagesVideoRecording(SeveralCamerasRecording):
                     continue
                 for lost in range(index, index + failed):
                     losses.add(UNDECODABLE, f"frame {lost}")
-                index, failed, reached = index + failed, 0, _position_ns(video)
-                latest = self._stamp(reached, index, latest)
-                yield StoredImage(latest, f"video frame {index}", partial(self._grey, image, index))
+                index, failed, reached = index + failed, 0, max(reached, self._reached_ns(video))
+                stamp = stamps.stamp(_position_ns(video))
+                if self._fps is not None:
+                    stamp = stamp_at_rate(index, self._fps)
+                yield StoredImage(stamp, f"video frame {index}", partial(self._grey, image, index))
                 index += 1
         for lost in range(index, self._end(index, reached)):
             losses.add(MISSING, f"frame {lost} of {self._count}")
 
     def _failures_allowed(self, index: int) -> int:
-        return 0 if self._count is None else min(self._count - index, MOST_FAILURES)
+        """A video that goes on behind the number of frames that it tells is read to its end."""
+        return 0 if self._count is None else min(max(self._count - index, 0), MOST_FAILURES)
 
-    def _end(self, index: int, reached: int) -> int:
+    def _end(self, index: int, reached: float) -> int:
         """Return how many frames there should have been, where ``index`` of them came up to ``reached``, ns.
 
         Some videos tell a duration, of which OpenCV makes a number of frames at an even rate. So fewer that
@@ -125,17 +130,18 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         """
         if self._count is None:
             return index
-        period_ns = NS_PER_S / self._rate if self._rate > 0 else 0.0
+        period_ns = self._period_ns
         is_full = period_ns > 0 and reached + 1.5 * period_ns >= self._count * period_ns
         return index if is_full else self._count
 
-    def _stamp(self, own: int, index: int, latest: int) -> int:
-        """Return when a frame was taken, ns: by the rate given, or as the video says, or by its rate."""
-        if self._fps is not None:
-            return stamp_at_rate(index, self._fps)
-        if own > latest:
-            return own
-        return latest + round(NS_PER_S / self._rate) if self._rate > 0 else latest + 1
+    @property
+    def _period_ns(self) -> float:
+        """Time between frames at the video's rate, 0 if it tells none."""
+        return NS_PER_S / self._rate if self._rate > 0 else 0.0
+
+    def _reached_ns(self, video: cv2.VideoCapture) -> float:
+        """How much of its duration a video has come through; what is before its first frame counts, too."""
+        return max(_position_ns(video), video.get(cv2.CAP_PROP_PTS) * self._period_ns)
 
     def _grey(self, image: ImageArray, index: int) -> ImageArray:
         check_size(image, self._kind, f"{self._path}, frame {index}")

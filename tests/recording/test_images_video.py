@@ -146,6 +146,40 @@ def test_frames_that_cannot_be_decoded_are_passed_and_counted(tmp_path: Path, su
     assert (loss.what, loss.count, loss.first) == ("video frame cannot be decoded", 3, "frame 0")
 
 
+def test_a_frame_out_of_place_is_dropped(tmp_path: Path) -> None:
+    """Its neighbours keep their stamps. In Matroska, times may go back, as behind a damaged part."""
+    times = [0, 1, 2, 20, 21, 5, 22, 23]
+    recording = open_images(write_packets(tmp_path / "v.mkv", packets(len(times)), times))
+    stamps = [frame.stamp_ns for frame in recording.frames()]
+    left = [time for time in times if time != 5]
+    assert np.abs(np.subtract(stamps, [40_000_000 * time for time in left])).max() <= OF_MATROSKA_NS
+    (loss,) = recording.losses
+    assert (loss.what, loss.count) == ("frame dropped, stamp not later than the frame before", 1)
+
+
+def test_what_is_before_the_first_frame_is_not_missing(tmp_path: Path) -> None:
+    """A Matroska video that begins late tells the duration from 0 on."""
+    times = [20 + k for k in range(COUNT)]
+    recording = open_images(write_packets(tmp_path / "v.mkv", packets(), times))
+    assert len(list(recording.frames())) == COUNT
+    assert recording.losses == ()
+
+
+def test_a_video_is_read_on_behind_the_number_of_frames_that_it_tells(tmp_path: Path) -> None:
+    """Two MPEG transport streams in one file tell the duration of one."""
+    path = tmp_path / "v.ts"
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"mp4v"), RATE, (64, 48))
+    for picture in pictures():
+        writer.write(picture)
+    writer.release()
+    path.write_bytes(2 * path.read_bytes())
+    path.with_suffix(".toml").write_text(CAMERA)
+    recording = open_images(path)
+    frames = list(recording.frames())
+    assert recording.frame_count is not None and recording.frame_count < len(frames) == 2 * COUNT
+    assert [frame.stamp_ns for frame in frames] == [40_000_000 * k for k in range(2 * COUNT)]
+
+
 def test_a_video_of_nothing_that_can_be_decoded(tmp_path: Path) -> None:
     path = write_packets(tmp_path / "v.mp4", [b"no JPEG"] * 3, range(3))
     with pytest.raises(RecordingError, match=r"v\.mp4: video has no frame that can be decoded"):
