@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.head_options import (
-    CONFIGURED,
+    head_configuration,
     head_run_options,
     learning_options,
     particle_option,
@@ -16,7 +16,7 @@ from posetrack_cli.cli.head_options import (
     track_head,
 )
 from posetrack_cli.cli.image_options import image_arguments, one_camera_options
-from posetrack_cli.cli.run_options import configuration_of, finishing_options, frame_options, result_options
+from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -76,31 +76,47 @@ def head_mono(recording: Path, **options: Any) -> None:
     from posetrack_cli.head.mono_config import HeadMonoConfig
 
     source = _opened(recording, options)
-    config = configuration_of(HeadMonoConfig, options, CONFIGURED | OWN_CONFIGURED)
+    config = head_configuration(HeadMonoConfig, options, OWN_CONFIGURED)
     chosen, face = head_run_options(options), options["face"]
-    track_head(source, chosen, lambda first_pass: _run(source, config, chosen, face, first_pass))
+    if chosen.init is not None and face > 1:
+        raise UsageError("--face does not apply to clicked points", found=face, hint="leave it out")
+
+    def made(first_pass: Report) -> HeadRun:
+        run = _run(source, config, chosen, face, first_pass)
+        _say_guess(source, options["fov"])
+        return run
+
+    track_head(source, chosen, made)
 
 
 def _opened(recording: Path, options: dict[str, Any]) -> SeveralCamerasRecording:
-    """The recording of one camera; says so where its intrinsics are a guess."""
+    """The recording of one camera, which may be guessed."""
     from posetrack_cli.recording.guess import Guess, guess_of_field
     from posetrack_cli.recording.opening import open_images
 
     fov = options["fov"]
     guess = Guess() if fov is None else guess_of_field(fov)
     source = open_images(recording, **image_arguments(options), guess=guess)
-    focal = f"{source.cameras[0].fx:.0f} px"
-    if source.is_guessed:
-        by = "--fov" if fov is not None else "a field of view of 53 degrees, --fov says another"
-        click.echo(
-            f"{recording}: no calibration: focal length taken for {focal} ({by}); distances are a guess",
-            err=True,
-        )
-    elif fov is not None:
+    if fov is not None and not source.is_guessed:
         raise UsageError(
-            "--fov does not apply to a calibrated camera", where=recording, found=focal, hint="leave it out"
+            "--fov does not apply to a calibrated camera",
+            where=recording,
+            found=_focal(source),
+            hint="leave it out",
         )
     return source
+
+
+def _say_guess(source: SeveralCamerasRecording, fov: float | None) -> None:
+    if not source.is_guessed:
+        return
+    by = "a field of view of 53 degrees, --fov says another" if fov is None else "--fov"
+    taken = f"no calibration: focal length taken for {_focal(source)} ({by})"
+    click.echo(f"{source.path}: {taken}; distances are a guess", err=True)
+
+
+def _focal(source: SeveralCamerasRecording) -> str:
+    return f"{source.cameras[0].fx:.0f} px"
 
 
 def _run(

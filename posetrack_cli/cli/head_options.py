@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.option_group import Command, option_group
-from posetrack_cli.cli.run_options import RUN_OPTIONS
+from posetrack_cli.cli.run_options import RUN_OPTIONS, configuration_of
 from posetrack_cli.cli.running import close, kept, progress
 from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from posetrack_cli.head.config import HeadStereoConfig
+    from posetrack_cli.head.mono_config import HeadMonoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.base import Recording
     from posetrack_cli.tracking.run import Report
 
+HeadConfig = TypeVar("HeadConfig", "HeadStereoConfig", "HeadMonoConfig")
 CONFIGURED = {
     "particles": "particles.count",
     "detector": "start.detection.detector",
@@ -83,6 +87,28 @@ start_options = option_group(
 )
 
 
+def head_configuration(
+    kind: type[HeadConfig], options: Mapping[str, Any], own: Mapping[str, str]
+) -> HeadConfig:
+    """Return the configuration of a head tracker; see ``configuration_of``.
+
+    Args:
+        kind: of configuration.
+        options: of the command.
+        own: configuration key of each option that only this command has.
+
+    Raises:
+        UsageError: what cannot be meant, such as a model for a detector that uses none.
+    """
+    config = configuration_of(kind, options, {**CONFIGURED, **own})
+    detector = config.start.detection.detector
+    if options["detector_model"] is not None and detector != "yunet":
+        raise UsageError(
+            "--detector-model does not apply", found=f"detector {detector}", hint="add --detector yunet"
+        )
+    return config
+
+
 def head_run_options(options: Mapping[str, Any]) -> HeadRunOptions:
     """Return what a run depends on besides recording and configuration."""
     from posetrack_cli.head.run import HeadRunOptions
@@ -103,8 +129,10 @@ def track_head(source: Recording, options: HeadRunOptions, made: Callable[[Repor
 
     names = ("head",) if options.passes == 1 else ("pass 1", "pass 2")
     with compiling_said(), stop_signals() as stopped, kept(options.output), ExitStack() as stack:
+        reports: list[Report] = []
+        run = made(lambda estimate: reports[0](estimate))  # may speak, so no bar is drawn before
         total = frames_ahead(source, options)
         bars = (progress(total, options.start, options.stride, name) for name in names)
-        reports = [stack.enter_context(bar) for bar in bars]
-        outcome = made(reports[0]).track(reports[-1], stopped)
+        reports.extend(stack.enter_context(bar) for bar in bars)
+        outcome = run.track(reports[-1], stopped)
     close(source.path, options.output, outcome, options.passes)

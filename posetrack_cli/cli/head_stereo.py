@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.head_options import (
-    CONFIGURED,
+    head_configuration,
     head_run_options,
     learning_options,
     particle_option,
@@ -16,7 +16,7 @@ from posetrack_cli.cli.head_options import (
     track_head,
 )
 from posetrack_cli.cli.image_options import image_arguments, image_options
-from posetrack_cli.cli.run_options import configuration_of, finishing_options, frame_options, result_options
+from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
     from posetrack_cli.head.config import HeadStereoConfig
 
     source = _opened(recording, options)
-    config = configuration_of(HeadStereoConfig, options, CONFIGURED | {"model": "model.kind"})
+    config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
     chosen = head_run_options(options)
     track_head(source, chosen, lambda first_pass: _run(source, config, chosen, first_pass))
 

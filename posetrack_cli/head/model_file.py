@@ -17,6 +17,7 @@ import numpy as np
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.npz import loaded_npz
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.output import whole_or_nothing
 
@@ -86,7 +87,7 @@ def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
 
 def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
     try:
-        with np.load(BytesIO(_bytes(path)), allow_pickle=False) as contents:
+        with loaded_npz(_bytes(path)) as contents:
             header = json.loads(str(contents[_HEADER]))
             _check(header)
             names = [name for name in contents.files if name.startswith(_PREFIX)]

@@ -90,6 +90,16 @@ def test_no_face_is_one_line_with_frames_and_score(
         (["--cameras", "left"], 1, "no camera 'left'"),
         (["--camera", "nowhere.toml"], 1, "nowhere.toml: cannot be read"),
         (["--resume"], 1, "no unfinished result to resume"),
+        (
+            ["--detector-model", "m.onnx"],
+            2,
+            "--detector-model does not apply, found detector haar; add --detector",
+        ),
+        (
+            ["--init", "p.csv", "--face", "2"],
+            2,
+            "--face does not apply to clicked points, found 2; leave it out",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -135,6 +145,18 @@ def test_a_model_that_stereo_learned_is_refused(tmp_path: Path, capsys: pytest.C
     expected = "model was learned by another tracker, found head-stereo, expected head-mono"
     assert expected in lines(capsys)[-1]
     assert not list(tmp_path.glob("r.mcap*"))
+
+
+@pytest.mark.parametrize("option", ["--load-model", "--face-model"])
+def test_a_text_that_is_no_model_is_told_in_our_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    """Of a guess that no frame was tracked by nothing is said."""
+    recording, text = write_noise(tmp_path / "noise"), tmp_path / "text.npz"
+    text.write_text("no arrays")
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", option, text) == 1
+    (told,) = lines(capsys)
+    assert "found no whole npz file" in told
 
 
 def test_a_video_that_cannot_be_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

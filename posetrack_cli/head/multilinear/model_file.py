@@ -13,6 +13,7 @@ import numpy as np
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.npz import loaded_npz
 from posetrack_cli.recording.output import whole_or_nothing
 
 FORMAT, VERSION = "posetrack.face_model", 1
@@ -32,7 +33,7 @@ def load_face_model(path: Path | None = None) -> FaceModel:
     if not path.is_file():
         raise UsageError("no such face model", where=path)
     try:
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as contents:
+        with loaded_npz(path.read_bytes()) as contents:
             _check_header(json.loads(str(contents[_HEADER])))
             return _checked({name: contents[name] for name in contents.files})
     except PosetrackError:
