@@ -60,7 +60,7 @@ def head_build_model(
 
     In every recording the mouth should be made wide and narrow, and the whole face long and short, brows and
     jaw together, each several times. Two people or more are needed; 10 identity parameters take five.
-    Use it with posetrack head mono RECORDING --set model.file=FACE.npz.
+    Use it with posetrack head mono RECORDING --face-model FACE.npz.
     """
     from posetrack_cli.head.multilinear.learning import learn_model
     from posetrack_cli.head.multilinear.model_file import save_face_model

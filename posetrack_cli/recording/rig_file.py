@@ -116,7 +116,8 @@ class Rig:
         try:
             camera = settings.stored_camera(*size, name or "camera")
         except RecordingError as error:
-            raise RecordingError(f"{self.path}, camera '{name}', {error}") from error
+            where = f"{self.path}, camera '{name}'" if name else str(self.path)
+            raise RecordingError(str(error).removeprefix(f"{CAMERA_FILE_NAME}: "), where=where) from error
         if not isinstance(settings, RigCamera) or _is_placeless(settings):
             return camera
         where = f"{self.path}, rotation of camera '{name}'"

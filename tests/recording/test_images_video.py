@@ -86,6 +86,17 @@ def test_one_camera_of_a_file_of_several(video: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(camera.camera_T_reference, np.eye(3, 4))
 
 
+def test_a_camera_file_of_another_size_is_named_once(video: Path, tmp_path: Path) -> None:
+    (tmp_path / "face.toml").write_text(f"{CAMERA}width = 640\nheight = 480\n")
+    told = rf"^{tmp_path / 'face.toml'}: camera file and images differ in size, found images of 64x48"
+    with pytest.raises(RecordingError, match=told):
+        open_images(video)
+    place = "width = 640\nheight = 480\n"
+    (tmp_path / "face.toml").write_text(f"[cameras.left]\n{CAMERA}{place}")
+    with pytest.raises(RecordingError, match=rf"^{tmp_path / 'face.toml'}, camera 'left': camera file and"):
+        open_images(video)
+
+
 def test_a_video_that_is_cut_ends_with_a_loss(video: Path) -> None:
     data = video.read_bytes()
     video.write_bytes(data[: len(data) * 2 // 3])
