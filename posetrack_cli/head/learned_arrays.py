@@ -13,6 +13,8 @@ from posetrack_cli.head.templates import WINDOW
 
 ANY = -1
 """As long as it likes, but not empty."""
+Expected = tuple[str, tuple[int, ...]]
+"""Kinds of dtype, and shape."""
 
 
 def check_learned(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> None:
@@ -29,7 +31,7 @@ def check_learned(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> N
         array = arrays.get(name)
         if array is None:
             raise _unusable(f"no array '{name}'")
-        if array.dtype.kind not in kinds or not _fits(array.shape, shape):
+        if array.dtype.kind not in kinds or not fits(array.shape, shape):
             raise _unusable(f"'{name}' as {array.dtype} {array.shape}")
         if name.startswith("face.") and not np.all(np.isfinite(array)):
             raise _unusable(f"'{name}' with values that are not finite")
@@ -37,14 +39,20 @@ def check_learned(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> N
         raise _unusable("template arrays of different lengths")
 
 
-def _expected(cameras: int) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Kinds of dtype and shape by name; see ``Ccipca`` and ``TemplateSet``."""
-    seen = (ANY, cameras, POINT_COUNT)
+def _expected(cameras: int) -> dict[str, Expected]:
+    """By name; see ``Ccipca``."""
     return {
         "face.mean": ("f", (POINT_COUNT, 3)),
         "face.components": ("f", (ANY, 3 * POINT_COUNT)),
         "face.variance": ("f", ()),
         "face.counts": ("iu", (3,)),
+    } | template_arrays(cameras)
+
+
+def template_arrays(cameras: int) -> dict[str, Expected]:
+    """Return what templates of so many cameras are, as arrays by name; see ``TemplateSet``."""
+    seen = (ANY, cameras, POINT_COUNT)
+    return {
         "sets.windows": ("u", (*seen, WINDOW, WINDOW)),
         "sets.centres": ("f", (*seen, 2)),
         "sets.tangents": ("f", (*seen, 2, 2)),
@@ -53,7 +61,8 @@ def _expected(cameras: int) -> dict[str, tuple[str, tuple[int, ...]]]:
     }
 
 
-def _fits(shape: tuple[int, ...], expected: tuple[int, ...]) -> bool:
+def fits(shape: tuple[int, ...], expected: tuple[int, ...]) -> bool:
+    """Whether an array's shape is the one expected, and nothing is missing along an axis of any length."""
     if len(shape) != len(expected) or 0 in shape:
         return False
     return all(most == ANY or length == most for length, most in zip(shape, expected, strict=True))

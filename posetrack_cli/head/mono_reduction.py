@@ -18,6 +18,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.mono_tracker import MonoTracker
+from posetrack_cli.head.person_arrays import unusable
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 
@@ -52,6 +53,7 @@ class ReducingTracker:
         known: what another tracker has ``learned``.
 
     Raises:
+        ResultError: ``known`` holds no focal length that was learned at.
         PosetrackError: whatever ``make`` refuses.
     """
 
@@ -162,7 +164,10 @@ def _length(side: int, scale: float) -> int:
 
 
 def _known_scale(known: Mapping[str, np.ndarray[Any, Any]] | None, camera: Camera) -> float | None:
-    """The scale at which a learned face was seen; None if none was learned."""
+    """The scale at which a learned face was seen; None if none was learned, ResultError for a damaged one."""
     if known is None or _FOCAL not in known:
         return None
-    return min(_WHOLE, float(known[_FOCAL]) / camera.fx)
+    focal = known[_FOCAL]
+    if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
+        raise unusable(f"'{_FOCAL}' as {focal.dtype} {focal.shape}, or not above 0")
+    return min(_WHOLE, float(focal) / camera.fx)

@@ -47,7 +47,7 @@ class MonoState:
         checked_ns: when a doubtful track was last compared with a detection.
         scene: thumbnail of the last frame; None before the first.
         cut: whether the scene changed since a head was last tracked.
-        changes: (stamp, ns, and index of the person) of every change to another person.
+        changes: (frame, and index of the person) of every change to another person.
     """
 
     people: tuple[KnownPerson, ...] = ()
@@ -88,16 +88,16 @@ class MonoState:
         people = (*self.people[: self.current], person, *self.people[self.current + 1 :])
         return replace(self, people=people)
 
-    def turned_to(self, index: int, stamp_ns: int) -> MonoState:
+    def turned_to(self, index: int, frame_index: int) -> MonoState:
         """Return the state that follows another of the people, or still the same."""
         if index == self.current:
             return self
-        return replace(self, current=index, changes=(*self.changes, (stamp_ns, index)))
+        return replace(self, current=index, changes=(*self.changes, (frame_index, index)))
 
-    def with_new(self, person: KnownPerson, following: Following, stamp_ns: int) -> MonoState:
+    def with_new(self, person: KnownPerson, following: Following, frame_index: int) -> MonoState:
         """Return the state that follows a head that was just found."""
         index = len(self.people)
-        changes = self.changes if index == 0 else (*self.changes, (stamp_ns, index))
+        changes = self.changes if index == 0 else (*self.changes, (frame_index, index))
         return replace(
             MonoState((*self.people, person), index, following),
             search=self.search,
@@ -162,7 +162,7 @@ def state_of(
         numbers["checked_ns"],
         arrays.get("scene"),
         bool(numbers["cut"]),
-        tuple((int(stamp), int(who)) for stamp, who in arrays["changes"]),
+        tuple((int(frame), int(who)) for frame, who in arrays["changes"]),
     )
 
 

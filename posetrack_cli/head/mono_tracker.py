@@ -52,6 +52,7 @@ class MonoTracker:
         model: of faces.
         choice: which face to begin with, 0 the largest.
         clicked: (K, 2) pixels of the points in the first frame; None finds the face.
+        clicked_where: what holds them, for an error.
         scale: by which the images were reduced, for what is said in recorded pixels.
         known: what another tracker has ``learned``: people and templates to begin with.
 
@@ -67,11 +68,12 @@ class MonoTracker:
         model: FaceModel,
         choice: int = 0,
         clicked: FloatArray | None = None,
+        clicked_where: str = "",
         scale: float = 1.0,
         known: Mapping[str, np.ndarray[Any, Any]] | None = None,
     ) -> None:
         self._config, self._camera, self._model = config, camera, model
-        self._clicked, self._scale = clicked, scale
+        self._clicked, self._clicked_where, self._scale = clicked, clicked_where, scale
         self._finder = MonoFinder(config, camera, model, choice)
         self._follower = PersonFollower(config, camera, model)
         self._estimates = MonoEstimates(model, scale)
@@ -108,7 +110,7 @@ class MonoTracker:
 
     def remarks(self, state: MonoState) -> tuple[str, ...]:
         """Say when another person was seen, and whether the camera seems to be another one."""
-        people = (f"person {who} from {stamp * 1e-9:.2f} s on" for stamp, who in state.changes)
+        people = (f"from frame {frame} on it is person {who}; the first is 0" for frame, who in state.changes)
         if not state.people:
             return ()
         settings = self._config.adjustment
@@ -186,7 +188,7 @@ class MonoTracker:
         for index, followed in self._tried(state, found, frame, rng):
             if self._is_tracked(state, state.people[index], followed):
                 status = Status.TRACKING if state.following is None else Status.REINITIALISED
-                return self._tracked(state.turned_to(index, frame.stamp_ns), frame, followed, status)
+                return self._tracked(state.turned_to(index, frame.index), frame, followed, status)
         return self._strange(state, found, frame, rng)
 
     def _tried(
@@ -259,6 +261,7 @@ class MonoTracker:
         if isinstance(start, NoStart):
             raise NoFaceError(
                 "clicked points begin no head",
+                where=self._clicked_where,
                 found=start.reason,
                 hint="were they clicked in the first frame that is tracked? right is the subject's right",
             )
@@ -275,7 +278,7 @@ class MonoTracker:
         seen = self._finder.templates(frame, last, start)
         followed = self._follower.resting(frame, last, start, seen, rng)
         status = Status.REINITIALISED if state.people else Status.TRACKING
-        after = state.with_new(person, followed.following, frame.stamp_ns)
+        after = state.with_new(person, followed.following, frame.index)
         return after, self._estimates.tracked(frame, after, followed, status)
 
 

@@ -39,11 +39,12 @@ def make_mono_tracker(
     """
     model = load_face_model(None if config.model.file is None else Path(config.model.file))
     points = None if clicked is None else read_clicked(clicked, (camera,))[0]
+    where = "" if clicked is None else str(clicked)
 
     def make(
         seen_by: Camera, scale: float, learned: Mapping[str, np.ndarray[Any, Any]] | None
     ) -> MonoTracker:
         own = None if points is None else reduced_pixels(points, scale)
-        return MonoTracker(config, seen_by, model, face, own, scale, learned)
+        return MonoTracker(config, seen_by, model, face, own, where, scale, learned)
 
     return ReducingTracker(camera, config.start.eye_distance_px, make, known)

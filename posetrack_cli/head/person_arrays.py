@@ -12,6 +12,7 @@ from posetrack_cli.head.adjustment.album import Album
 from posetrack_cli.head.adjustment.history import IdentityHistory
 from posetrack_cli.head.adjustment.views import Person, PointView
 from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.learned_arrays import ANY, Expected, fits, template_arrays
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson, shape_of
@@ -21,6 +22,8 @@ from posetrack_cli.head.state_arrays import Arrays, template_parts, templates_of
 PEOPLE = "people"
 """Name of the array that says how many there are."""
 _VIEW = ("stamps", "pixels", "weights", "positions", "quaternions", "deformations")
+_MAY_BE_NAN = ("single", ".pixels", ".centres", ".tangents")
+"""Ends of names: of points that no camera sees, and of what was not measured yet."""
 
 
 def people_parts(people: Sequence[KnownPerson]) -> Arrays:
@@ -45,24 +48,65 @@ def check_people(arrays: Mapping[str, np.ndarray[Any, Any]], model: FaceModel) -
     """Refuse arrays that no one-camera tracker with this face model has learned.
 
     Raises:
-        ResultError: one is missing, has another shape, or is not finite.
+        ResultError: one is missing, has another shape or kind, or is not finite where it must be.
     """
     if PEOPLE not in arrays:
-        raise _unusable(f"no array '{PEOPLE}'")
-    for index in range(int(arrays[PEOPLE])):
-        own = _of(arrays, index)
-        for name, shape in {"identity": (model.identity_size,), "offsets": (POINT_COUNT, 3)}.items():
-            if name not in own:
-                raise _unusable(f"no array 'person{index}.{name}'")
-            if own[name].shape != shape or not np.all(np.isfinite(own[name])):
-                raise _unusable(f"'person{index}.{name}' of shape {own[name].shape}, not {shape}")
-        if not any(name.startswith("sets.") for name in own):
-            raise _unusable(f"no templates of person {index}")
+        raise unusable(f"no array '{PEOPLE}'")
+    count = arrays[PEOPLE]
+    if count.dtype.kind not in "iu" or count.shape != ():
+        raise unusable(f"'{PEOPLE}' as {count.dtype} {count.shape}")
+    for index in range(int(count)):
+        _check_person(_of(arrays, index), index, model)
 
 
-def _unusable(found: str) -> ResultError:
+def unusable(found: str) -> ResultError:
+    """Return the error that says what of learned arrays is not as it must be."""
     expected = "what --save-model wrote of a run with this face model"
     return ResultError("model is incomplete or damaged", found=found, expected=expected)
+
+
+def _check_person(own: Arrays, index: int, model: FaceModel) -> None:
+    if not any(name.startswith("sets.") for name in own):
+        raise unusable(f"no templates of person {index}")
+    for name, (kinds, shape) in _expected(own, model).items():
+        what = f"'person{index}.{name}'"
+        if name not in own:
+            raise unusable(f"no array {what}")
+        if not fits(own[name].shape, shape):
+            raise unusable(f"{what} of shape {own[name].shape}, not {shape}")
+        if own[name].dtype.kind not in kinds:
+            raise unusable(f"{what} as {own[name].dtype}")
+        if not name.endswith(_MAY_BE_NAN) and not np.all(np.isfinite(own[name])):
+            raise unusable(f"{what} with values that are not finite")
+    for group in ("sets.", "views.", "album."):
+        if len({len(array) for name, array in own.items() if name.startswith(group)}) > 1:
+            raise unusable(f"arrays 'person{index}.{group}*' of different lengths")
+
+
+def _expected(own: Arrays, model: FaceModel) -> dict[str, Expected]:
+    """What one person's arrays must be; frames only where there are any."""
+    identity = model.identity_size
+    expected: dict[str, Expected] = {
+        "identity": ("f", (identity,)),
+        "offsets": ("f", (POINT_COUNT, 3)),
+        "history": ("f", (ANY, identity)),
+        "counts": ("iu", ()),
+        "single": ("f", (2,)),
+    }
+    for group in ("views", "album"):
+        if any(name.startswith(f"{group}.") and array.size for name, array in own.items()):
+            expected |= {f"{group}.{name}": what for name, what in _expected_view(model).items()}
+    scores: dict[str, Expected] = {"album.scores": ("f", (ANY,))} if "album.stamps" in expected else {}
+    return expected | scores | template_arrays(1)
+
+
+def _expected_view(model: FaceModel) -> dict[str, Expected]:
+    """What the arrays of ``_VIEW`` must be."""
+    shapes = ((POINT_COUNT, 2), (POINT_COUNT,), (3,), (4,), (model.deformation_size,))
+    floats: dict[str, Expected] = {
+        name: ("f", (ANY, *shape)) for name, shape in zip(_VIEW[1:], shapes, strict=True)
+    }
+    return {_VIEW[0]: ("iu", (ANY,))} | floats
 
 
 def _of(arrays: Mapping[str, np.ndarray[Any, Any]], index: int) -> Arrays:
@@ -91,7 +135,7 @@ def _parts(one: KnownPerson) -> Arrays:
 def _person(arrays: Arrays, model: FaceModel, settings: AdjustmentSettings) -> KnownPerson:
     person = Person(arrays["identity"], arrays["offsets"])
     album = Album()
-    for view, score in zip(_views(arrays, "album"), arrays["album.scores"], strict=True):
+    for view, score in zip(_views(arrays, "album"), arrays.get("album.scores", ()), strict=True):
         album = album.added(view, float(score))
     return KnownPerson(
         person,

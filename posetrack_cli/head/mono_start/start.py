@@ -107,4 +107,6 @@ def _implausible(poses: Sequence[HeadPose], residual: float, most: float) -> str
 
 
 def _unlike(distance: float) -> str:
+    if not np.isfinite(distance):
+        return "points that no face before this camera has"
     return f"points {distance:.2f} eye distances from a face's"
