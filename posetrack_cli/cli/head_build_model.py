@@ -88,7 +88,8 @@ def _check_outputs(results: Sequence[Path], output: Path, picture: Path | None, 
         )
     if picture is not None and picture.resolve() == output.resolve():
         raise UsageError("model and picture have the same name", where=output)
-    again = [path for number, path in enumerate(results) if path in results[:number]]
+    files = [path.resolve() for path in results]
+    again = [path for number, path in enumerate(results) if files[number] in files[:number]]
     if again:
         raise UsageError("result is named twice", where=again[0], expected="one result of each person")
     for written in (output,) if picture is None else (output, picture):
