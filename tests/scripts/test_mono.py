@@ -29,6 +29,7 @@ from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
 from reproduction import mono
 from reproduction.accuracy.options import FIRST_SEED, Targets
 from reproduction.one_camera import clips, comparing, figures, overlays, people, population
+from reproduction.one_camera.experiments import Experiments
 from reproduction.one_camera.measuring import Figures, Measured, Removed, compare, figures_of
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.tables import THESIS
@@ -401,3 +402,14 @@ def test_a_results_track_is_read(results: tuple[Path, Path]) -> None:
     expected = track_of_result(read_result(results[0]), "mono")
     np.testing.assert_array_equal(track.stamp_ns, expected.stamp_ns)
     assert clips.tracked_of(track).sum() == FRAMES - LOST
+
+
+def test_without_the_two_cameras_of_a_person_the_experiments_are_not_measured(tmp_path: Path) -> None:
+    """Their result is the reference: it may be missing though one camera's is there."""
+
+    class WithoutReference(Measured):
+        def figures(self, result: str, reference: str = "", removed: Removed = "offset") -> Figures:
+            return {} if reference else dict.fromkeys(("x_mm", *HEAD_POSE), 1.0)
+
+    lines = list(Experiments().lines(Options(tmp_path), WithoutReference(tmp_path), Targets()))
+    assert "Not measured: a result is missing." in lines

@@ -63,7 +63,8 @@ class Experiments:
         yield _explained(options)
         yield ""
         person = options.persons[0]
-        if "x_mm" not in measured.figures(population.mono_result(options, person, "A")):
+        reference = population.stereo_result(options, person)
+        if "x_mm" not in measured.figures(population.mono_result(options, person, "A"), reference):
             yield "Not measured: a result is missing."
             yield ""
             return
