@@ -33,12 +33,13 @@ from posetrack_cli.results.estimate import Estimate, Status
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
 STRANGER_FRAMES_AFTER_CUT = 3
+"""So few after a cut: another scene is reason enough to expect another person."""
 RECOGNISED = 0.85
 """After a cut a face is a known person's if its score is so much of the usual one."""
 STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
 CLEARLY_BETTER = 0.03
-"""Of two scores."""
+"""By so much the score of a face detected anew must be higher for it to take over from the track."""
 FORGOTTEN_S = 1.0
 """A face that was gone for so long may come back elsewhere in the image."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from posetrack_cli.head.shape_model import ShapeModel
 from posetrack_cli.head.templates import TemplateSet
 
 USUAL_RATE = 0.05
+"""Share of a frame in the running mean of scores: twenty frames, longer than a blink or a word, count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def shape_of(model: FaceModel, person: Person) -> ShapeModel:
     return model.of_person(person.identity, person.offsets)
 
 
-def rms(residuals: Sequence[FloatArray] | FloatArray) -> float:
+def rms(residuals: FloatArray) -> float:
     """Return the root mean square of distances, NaN left out; NaN of none."""
-    known = np.asarray(residuals)[np.isfinite(residuals)]
+    known = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")

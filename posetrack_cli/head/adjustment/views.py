@@ -52,8 +52,8 @@ class Adjusted:
         residuals: (n, K) length of each point's error, pixels; NaN where its weight is 0.
         iterations: steps taken in all.
         identity_deviations: (S,) posterior standard deviations of s, from the Hessian at the end with poses,
-            deformations and offsets eliminated; those of the prior where the person was held, NaN where
-            nobody asked for them.
+            deformations and offsets eliminated; those of the model's people where the person was held, NaN
+            where nobody asked for them.
     """
 
     views: tuple[PointView, ...]
