@@ -40,7 +40,7 @@ class MonoEstimates:
     def _numbers(self, state: MonoState, score: float, weights: FloatArray | None) -> FloatArray:
         if not state.people:
             unknown = np.full(self._model.identity_size, np.nan)
-            return MonoNumbers(unknown, unknown, score=score, weights=weights).array()
+            return MonoNumbers(unknown, unknown, state.current, score=score, weights=weights).array()
         known = state.person
         return MonoNumbers(
             known.history.mean,

@@ -16,6 +16,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.mono_start.detected import eye_distance_px
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.mono_tracker import MonoTracker
 from posetrack_cli.head.person_arrays import unusable
@@ -72,6 +73,8 @@ class ReducingTracker:
     def start(self, frame: Frame, rng: np.random.Generator) -> ReducedState:
         """Return the state before a first frame, in which the head has yet to be found."""
         scale = self._first_scale
+        if scale is None:  # clicked points tell how large the face is
+            scale = self._scale_of(self._at(_WHOLE).start(frame, rng))
         return ReducedState(scale, self._at(scale or _WHOLE).start(frame, rng))
 
     def step(
@@ -82,18 +85,25 @@ class ReducingTracker:
             inner, estimate = self._at(state.scale).step(state.inner, reduced(frame, state.scale), rng)
             return ReducedState(state.scale, inner), estimate
         inner, estimate = self._at(_WHOLE).step(state.inner, frame, rng)
-        distance = inner.eye_distance
-        if distance is None:
-            return ReducedState(None, inner), estimate
-        scale = self._eye_distance / distance
-        if scale > LEAST_REDUCTION:
-            return ReducedState(_WHOLE, inner), estimate
+        scale = self._scale_of(inner)
+        if scale is None or scale == _WHOLE:
+            return ReducedState(scale, inner), estimate
         small = reduced(frame, scale)
         tracker = self._at(scale)
         inner, estimate = tracker.step(
             replace(tracker.start(small, rng), search=state.inner.search), small, rng
         )
         return ReducedState(scale, inner), estimate
+
+    def _scale_of(self, inner: MonoState) -> float | None:
+        """The scale for the face that was found in a whole image; None where none was found yet."""
+        distance = inner.eye_distance
+        if distance is None and inner.following is not None:  # found in one frame, so not waited for more
+            distance = eye_distance_px(inner.following.pose, self._camera)
+        if distance is None:
+            return None
+        scale = self._eye_distance / distance
+        return _WHOLE if scale > LEAST_REDUCTION else scale
 
     def learned(self, state: ReducedState) -> dict[str, np.ndarray[Any, Any]]:
         """Return what was learned of the people seen, and how large they were seen."""

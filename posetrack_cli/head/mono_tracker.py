@@ -244,7 +244,8 @@ class MonoTracker:
         if len(state.detected) < self._config.start.frames:
             followed = self._follower.resting(frame, found, alone, seen, rng)
             status = Status.REINITIALISED if state.people else Status.TRACKING
-            return state, self._estimates.tracked(frame, MonoState(), followed, status)
+            unknown = MonoState(current=len(state.people))
+            return state, self._estimates.tracked(frame, unknown, followed, status)
         start = self._finder.begin(state.detected)
         if isinstance(start, NoStart):
             return self._not_found(state.anew(), start, frame)

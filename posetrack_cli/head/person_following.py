@@ -61,7 +61,7 @@ class PersonFollower:
         following = self._follower.begin(frame.stamp_ns - gap_ns, pose, mean, person.shape, rng)
         followed = self.followed(person, following, frame, rng)
         rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
-        return replace(followed, following=rested)
+        return replace(followed, following=rested, coefficient_rate=np.zeros_like(followed.coefficient_rate))
 
     def resting(
         self, frame: Frame, found: DetectedFace, start: MonoStart, seen: TemplateSet, rng: np.random.Generator
@@ -102,9 +102,10 @@ class PersonFollower:
         """Return what a frame says after the adjustment that it took part in."""
         view, now = person.views[-1], followed.following
         coefficients = view.deformation - self._model.deformation_mean
-        velocity = now.velocity
+        velocity, rate = now.velocity, followed.coefficient_rate
         if before is not None and np.any(velocity):
             velocity = velocity_between(before.pose, view.pose, followed.dt)
+            rate = rate + (coefficients - followed.coefficients) / followed.dt
         following = replace(
             now,
             pose=view.pose,
@@ -112,7 +113,7 @@ class PersonFollower:
             particles=now.particles.moved_to(view.pose, coefficients),
             shape=self._on_rays(view.pose, person.shape.shapes(coefficients), followed.pixels[0]),
         )
-        return replace(followed, following=following, coefficients=coefficients)
+        return replace(followed, following=following, coefficients=coefficients, coefficient_rate=rate)
 
     def _on_rays(self, pose: HeadPose, shape: FloatArray, pixels: FloatArray) -> FloatArray:
         """The points (K, 3) in the head's frame that are seen at pixels (K, 2), as deep as a shape's."""

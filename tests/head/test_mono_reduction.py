@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.head.following import Following
 from posetrack_cli.head.mono_reduction import (
     LEAST_REDUCTION,
     ReducedState,
@@ -19,7 +20,7 @@ from posetrack_cli.head.mono_reduction import (
     reduced_camera,
     reduced_pixels,
 )
-from posetrack_cli.head.mono_start.detected import DetectedFace
+from posetrack_cli.head.mono_start.detected import EYE_DISTANCE_MM, DetectedFace
 from posetrack_cli.head.mono_state import MonoState, parts_of
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.start.search import Search
@@ -47,16 +48,24 @@ class FakeTracker:
     scale: float
     known: object
     eyes_px: float | None
+    how: str = "detected"
     frames: list[Frame] = field(default_factory=list)
 
     def start(self, frame: Frame, rng: object) -> MonoState:
-        return MonoState()
+        return MonoState(clicked=self.face(0) if self.how == "clicked" else None)
 
     def step(self, state: MonoState, frame: Frame, rng: object) -> tuple[MonoState, str]:
         self.frames.append(frame)
         if self.eyes_px is None:
             return replace(state, search=state.search.failed(NoStart(NO_FACE, 0.3))), "lost"
-        return replace(state, detected=(*state.detected, self.face(frame.stamp_ns))), "found"
+        if self.how == "detected":
+            return replace(state, detected=(*state.detected, self.face(frame.stamp_ns))), "found"
+        return replace(state, clicked=None, following=self.following()), "found"
+
+    def following(self) -> Following:
+        depth = EYE_DISTANCE_MM * np.sqrt(self.camera.fx * self.camera.fy) / (self.scale * self.eyes_px)
+        pose = HeadPose(np.array([0.0, 0.0, depth]), np.array([1.0, 0.0, 0.0, 0.0]))
+        return Following(0, pose, np.zeros(6), None, np.zeros((10, 3)), None)
 
     def face(self, stamp_ns: int) -> DetectedFace:
         pose = HeadPose(np.array([0.0, 0.0, 500.0]), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -85,6 +94,7 @@ class Scene:
 
     eyes_px: float | None = 200.0
     known: dict | None = None
+    how: str = "detected"
     made: dict[float, FakeTracker] = field(default_factory=dict)
     tracker: ReducingTracker = field(init=False)
 
@@ -93,7 +103,7 @@ class Scene:
 
     def make(self, camera: Camera, scale: float, known: object) -> FakeTracker:
         assert scale not in self.made, "one tracker a scale"
-        self.made[scale] = FakeTracker(camera, scale, known, self.eyes_px)
+        self.made[scale] = FakeTracker(camera, scale, known, self.eyes_px, self.how)
         return self.made[scale]
 
     def first(self) -> tuple[ReducedState, str]:
@@ -155,6 +165,16 @@ def test_a_large_face_is_tracked_in_reduced_images_from_the_frame_in_which_it_is
     assert [one.stamp_ns for one in small.frames] == [0, 33_333_333]
     assert all(one.images[0].shape == (192, 256) for one in small.frames)
     assert small.camera.fx == pytest.approx(scale * CAMERA.fx) and len(scene.made[1.0].frames) == 1
+
+
+@pytest.mark.parametrize("how", ["clicked", "found in one frame"])
+def test_a_large_face_that_is_not_waited_for_is_reduced_in_its_first_frame(how: str) -> None:
+    """Clicked points begin at once, and so does a face where one frame is enough: none are collected."""
+    scene = Scene(eyes_px=200.0, how=how)
+    state, estimate = scene.first()
+    assert state.scale == pytest.approx(WANTED_PX / 200.0) and estimate == "found"
+    assert state.inner.following is not None and state.inner.clicked is None
+    assert scene.made[state.scale].frames[0].images[0].shape == (192, 256)
 
 
 @pytest.mark.parametrize("eyes_px", [30.0, WANTED_PX, WANTED_PX / LEAST_REDUCTION - 0.01])

@@ -86,6 +86,12 @@ def clicked_face(pixels: FloatArray, stamp_ns: int, camera: Camera) -> DetectedF
     return _detected(stamp_ns, pixels, np.ones(POINT_COUNT), camera)
 
 
+def eye_distance_px(pose: HeadPose, camera: Camera) -> float:
+    """Return how many pixels an average face's eyes are apart, as if it looked at the camera."""
+    depth = max(float(pose.position[2]), NEAREST_MM)
+    return float(EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / depth)
+
+
 def _chosen(faces: Sequence[FacePoints], choice: int) -> FacePoints | str:
     if choice < len(faces):
         return faces[choice]
@@ -107,8 +113,7 @@ def _eye_distance(face: FacePoints) -> float:
 
 def _detected(stamp_ns: int, pixels: FloatArray, responses: FloatArray, camera: Camera) -> DetectedFace:
     pose, rms_px = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
-    depth = max(float(pose.position[2]), NEAREST_MM)
-    distance = float(EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / depth)
+    distance = eye_distance_px(pose, camera)
     return DetectedFace(
         stamp_ns, pixels, responses, float(responses.mean()), distance, pose, rms_px / distance
     )
