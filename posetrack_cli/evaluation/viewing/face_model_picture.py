@@ -17,7 +17,7 @@ IDENTITY_AXES, DEFORMATION_AXES = 2, 3
 """How many of each are shown, at most."""
 DEVIATIONS = 2.0
 PIXELS_PER_MM = 1.6
-_FRONT_MM, _SIDE_MM, _HEIGHT_MM = 116.0, 66.0, 148.0
+_FRONT_MM, _SIDE_MM, _HEIGHT_MM = 116.0, 84.0, 148.0
 _FRONT_X_MM, _SIDE_Z_MM, _TOP_MM = -58.0, -24.0, 44.0
 _RIGHT = [POINT_NAMES.index(f"right_{name}") for name in ("eye_outer", "eye_inner", "brow_inner", "nostril")]
 _RIGHT.append(POINT_NAMES.index("right_mouth_corner"))
