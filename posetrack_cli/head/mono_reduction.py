@@ -107,21 +107,21 @@ class ReducingTracker:
 
     def learned(self, state: ReducedState) -> dict[str, np.ndarray[Any, Any]]:
         """Return what was learned of the people seen, and how large they were seen."""
-        scale = state.scale or _WHOLE
-        learned = self._at(scale).learned(state.inner)
-        return learned | ({_FOCAL: np.array(scale * self._camera.fx)} if learned else {})
+        learned = self._of(state).learned(state.inner)
+        focal = (state.scale or _WHOLE) * self._camera.fx
+        return learned | ({_FOCAL: np.array(focal)} if learned else {})
 
     def not_found(self, state: ReducedState) -> str:
         """Say how a head was looked for that was found in no frame yet; empty once it was found."""
-        return self._at(state.scale or _WHOLE).not_found(state.inner)
+        return self._of(state).not_found(state.inner)
 
     def remarks(self, state: ReducedState) -> tuple[str, ...]:
         """Say what a user should know about a finished run beside its numbers."""
-        return self._at(state.scale or _WHOLE).remarks(state.inner)
+        return self._of(state).remarks(state.inner)
 
     def state_parts(self, state: ReducedState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
         """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        arrays, numbers = self._at(state.scale or _WHOLE).state_parts(state.inner)
+        arrays, numbers = self._of(state).state_parts(state.inner)
         return arrays | {"scale": np.array(np.nan if state.scale is None else state.scale)}, numbers
 
     def state_from_parts(
@@ -131,6 +131,10 @@ class ReducingTracker:
         stored = float(arrays["scale"]) if "scale" in arrays else np.nan
         scale = None if np.isnan(stored) else stored
         return ReducedState(scale, self._at(scale or _WHOLE).state_from_parts(arrays, numbers))
+
+    def _of(self, state: ReducedState) -> MonoTracker:
+        """The tracker of a state's scale; of whole images before a face is first found."""
+        return self._at(state.scale or _WHOLE)
 
     def _at(self, scale: float) -> MonoTracker:
         if scale not in self._trackers:
