@@ -12,7 +12,9 @@ from typing import Any, ClassVar, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from posetrack_cli import limits
 from posetrack_cli.errors import UsageError, nearest_name
+from posetrack_cli.files import read_text
 
 # What pydantic calls an error, and what we say was expected; {names} are of the error's context.
 _EXPECTED = {
@@ -141,7 +143,7 @@ def _shipped_folders() -> list[Path]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path, limits.TEXT_BYTES))
     except OSError as error:
         raise UsageError("configuration cannot be read", where=path, found=error.strerror or error) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from posetrack_cli.text import printable
+
 EXIT_DONE = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -22,7 +24,7 @@ class PosetrackError(Exception):
         expected: what should have been there.
         hint: what the user can do about it.
 
-    ``str(error)`` is one line of the parts that are given.
+    ``str(error)`` is one line of the parts that are given, without control characters.
     """
 
     exit_code = EXIT_FAILED
@@ -44,7 +46,7 @@ class PosetrackError(Exception):
         line = ", ".join(parts)
         if hint:
             line += f"; {hint}"
-        super().__init__(" ".join(line.split()))
+        super().__init__(printable(" ".join(line.split())))
 
 
 class UsageError(PosetrackError):

@@ -24,7 +24,17 @@ LAYERS = (
 )
 APART = {"hand": "head", "head": "hand"}
 """Beside each other: neither knows the other."""
-BELOW_ALL = {"": set(), "arrays": set(), "errors": set(), "compiled": set(), "configuration": {"errors"}}
+BELOW_ALL = {
+    "": set(),
+    "arrays": set(),
+    "text": set(),
+    "limits": set(),
+    "files": set(),
+    "errors": {"text"},
+    "compiled": set(),
+    "configuration": {"errors", "files", "limits"},
+    "npz": {"limits"},
+}
 """What every layer may use, and which of each other these modules use themselves."""
 FILES_AND_GL = {"cv2", "moderngl", "mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "pathlib", "os"}
 HEAVY = {"numpy", "scipy", "cv2", "pydantic", "mcap", "moderngl", "google.protobuf"}

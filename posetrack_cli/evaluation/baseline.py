@@ -9,12 +9,14 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import KEY_FIGURES, figure_of
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gate
 from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
 from posetrack_cli.evaluation.reports.json_report import FORMAT
+from posetrack_cli.files import read_input
 
 FLOOR = 0.01
 """In a figure's own unit, mm or deg: differences as small as this are rounding, not regression."""
@@ -77,7 +79,7 @@ def read_baseline(path: Path) -> StoredReport:
     """
     hint = "a baseline is written by posetrack eval --json"
     try:
-        content = path.read_bytes()
+        content = read_input(path, limits.REPORT_BYTES)
     except OSError as error:
         raise UsageError("baseline cannot be read", where=path, found=error.strerror or error) from error
     try:

@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import Figure, figure_of
 from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
+from posetrack_cli.files import read_text
 
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
@@ -98,7 +100,7 @@ def read_gates(path: Path) -> list[Gate]:
         UsageError: it cannot be read, holds no condition, or one of them is none; names the line.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, limits.TEXT_BYTES, "utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         found = error.strerror if isinstance(error, OSError) else "bytes that are no UTF-8"
         raise UsageError("gates cannot be read", where=path, found=found) from error

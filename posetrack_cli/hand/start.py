@@ -10,9 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.configuration import Settings, validated
 from posetrack_cli.errors import UsageError
+from posetrack_cli.files import read_text
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, HandAnatomy
@@ -108,7 +110,7 @@ def read_pose(path: Path) -> FloatArray:
 
 def _parse(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, limits.TEXT_BYTES)
         parsed = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError, RecursionError) as error:
         raise UsageError("start pose cannot be read", where=path, found=error) from error

@@ -8,8 +8,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError
 
+from posetrack_cli import limits
 from posetrack_cli.configuration import Settings, expected_words
 from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
+from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.depth import Window
 
@@ -107,10 +109,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         RecordingError: if it is missing or not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path, limits.TEXT_BYTES))
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordingError("is not TOML", where=path, found=error) from error
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.files import open_input
 
 READ_BYTES = 1024 * 1024
 
@@ -48,7 +49,7 @@ def _size(path: Path) -> int:
 def _feed(digest: hashlib._Hash, path: Path) -> int:
     size = 0
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             while piece := stream.read(READ_BYTES):
                 digest.update(piece)
                 size += len(piece)

@@ -9,8 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.files import read_input
 from posetrack_cli.recording.stored import UnreadableImageError
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
@@ -51,7 +53,7 @@ def read_image(path: Path) -> bytes:
         UnreadableImageError: if it cannot be read.
     """
     try:
-        return path.read_bytes()
+        return read_input(path, limits.IMAGE_BYTES)
     except OSError as error:
         raise UnreadableImageError("file cannot be read") from error
 

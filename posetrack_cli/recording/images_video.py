@@ -13,6 +13,7 @@ import cv2
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import open_input
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
 from posetrack_cli.recording.guess import Guess
@@ -201,7 +202,7 @@ def opened(path: Path) -> Iterator[cv2.VideoCapture]:
 def _lacks_index(path: Path) -> bool:
     """Whether a file is MP4 (ISO/IEC 14496-12) but for ``moov``, which recorders write last."""
     kinds = []
-    with path.open("rb") as file:
+    with open_input(path) as file:
         while len(header := file.read(8)) == 8:
             size, kind = struct.unpack(">I4s", header)
             kinds.append(kind)

@@ -15,6 +15,7 @@ from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Message, Meta
 from mcap.summary import Summary
 
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.files import open_input
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_records import (
     HEAD,
@@ -44,7 +45,7 @@ Topics: TypeAlias = Collection[str] | Callable[[str], bool] | None
 def check_mcap(path: Path) -> None:
     """Raise RecordingError unless the file begins as an MCAP file does."""
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             begin = stream.read(len(MAGIC))
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
@@ -59,7 +60,7 @@ def read_summary(path: Path) -> Summary | None:
 
     That is so for truncated files, and for files written without chunks or without index.
     """
-    with path.open("rb") as stream:
+    with open_input(path) as stream:
         stream.seek(-min(len(MAGIC), path.stat().st_size), 2)
         if stream.read() != MAGIC:
             return None
@@ -108,7 +109,7 @@ def read_extras(path: Path, losses: LossLog | None = None) -> Iterator[Metadata 
     """
     losses = LossLog() if losses is None else losses
     indexed = _indexed_extras(read_summary(path))
-    with path.open("rb") as stream:
+    with open_input(path) as stream:
         for span in _spans(stream, path, losses) if indexed is None else indexed:
             if span.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
                 record = _parsed(stream, span, path, losses)
@@ -170,7 +171,7 @@ def _in_log_time_order(path: Path, losses: LossLog, summary: Summary, wanted: _W
     """Yield messages by log time, those of equal times as they lie in the file; chunk after chunk is read."""
     wanted.learn_all(summary)
     pending: list[tuple[int, int, int, McapItem]] = []
-    with path.open("rb") as stream:
+    with open_input(path) as stream:
         for index in sorted(
             summary.chunk_indexes, key=lambda i: (i.message_start_time, i.chunk_start_offset)
         ):
@@ -188,7 +189,7 @@ def _indexed_in_file_order(
     path: Path, losses: LossLog, summary: Summary, wanted: _Wanted
 ) -> Iterator[McapItem]:
     wanted.learn_all(summary)
-    with path.open("rb") as stream:
+    with open_input(path) as stream:
         for index in sorted(summary.chunk_indexes, key=lambda i: i.chunk_start_offset):
             if wanted.is_in(index):
                 yield from _chunk_at(stream, _span_of(index), path, losses, wanted)
@@ -214,7 +215,7 @@ def _span_of(index: ChunkIndex) -> RecordSpan:
 
 def _without_index(path: Path, losses: LossLog, wanted: _Wanted) -> Iterator[McapItem]:
     end = len(MAGIC)
-    with path.open("rb") as stream:
+    with open_input(path) as stream:
         for span in _spans(stream, path, losses):
             end = span.end
             if span.opcode == Opcode.CHUNK:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import open_input
 from posetrack_cli.recording.folder import FolderRecording
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.mcap_records import MAGIC
@@ -147,7 +148,7 @@ def is_mcap(path: Path) -> bool:
         RecordingError: if it cannot be read.
     """
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             return stream.read(len(MAGIC)) == MAGIC
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error

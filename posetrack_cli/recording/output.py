@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.files import open_input
 
 
 def part_path(path: Path) -> Path:
@@ -86,7 +87,7 @@ def lock(stream: IO[bytes]) -> None:
 def check_not_written(path: Path) -> None:
     """Raise UsageError if a file is being written by another process."""
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise UsageError(

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 
+from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import read_text
 from posetrack_cli.recording.ordering import LATEST_NS
 
 STAMPS_FILE_NAME = "timestamps.csv"
@@ -71,8 +74,8 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the lines that are not blank, with their numbers from 1."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            return [(number, row) for number, row in enumerate(csv.reader(stream), 1) if any(row)]
+        lines = io.StringIO(read_text(path, limits.TEXT_BYTES, "utf-8-sig"), newline="")
+        return [(number, row) for number, row in enumerate(csv.reader(lines), 1) if any(row)]
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
     except (UnicodeDecodeError, csv.Error) as error:

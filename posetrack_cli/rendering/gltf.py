@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
+from posetrack_cli.files import read_input
 
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _HARMLESS = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit", "EXT_texture_webp"}
@@ -93,7 +95,7 @@ def read_glb(path: Path) -> Gltf:
         UsageError: no such file, another kind of file, a truncated one, or one that needs an extension.
     """
     try:
-        data = path.read_bytes()
+        data = read_input(path, limits.MESH_BYTES)
     except OSError as error:
         raise UsageError("cannot be read", where=path, found=error.strerror or error) from error
     _check_header(path, data)

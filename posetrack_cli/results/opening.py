@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.files import open_input
 from posetrack_cli.recording.mcap_records import MAGIC
 
 
@@ -19,7 +20,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
         ResultError: the file cannot be read, or is no MCAP file.
     """
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise ResultError("is no MCAP file", where=path, hint="results are .mcap files")
             yield stream

@@ -15,6 +15,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import TruthError
+from posetrack_cli.files import open_input
 from posetrack_cli.recording.ordering import LATEST_NS
 from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.estimate import Status
@@ -145,7 +146,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the lines with their numbers from 1."""
     number = 0
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             for number, line in enumerate(stream, 1):
                 yield number, line.decode("utf-8-sig" if number == 1 else "utf-8")
     except OSError as error:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
+from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
 
@@ -57,9 +60,9 @@ def clicked_camera(pixels: FloatArray) -> int | None:
 
 def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True, restval="")
-            rows = [(reader.line_num, row) for row in reader]
+        lines = io.StringIO(read_text(path, limits.TEXT_BYTES, "utf-8-sig"), newline="")
+        reader = csv.DictReader(lines, skipinitialspace=True, restval="")
+        rows = [(reader.line_num, row) for row in reader]
     except FileNotFoundError:
         raise UsageError("clicked points not found", where=path) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:

@@ -1,0 +1,120 @@
+"""How files are opened: only regular ones are read, and no symbolic link is written through.
+
+A named pipe or a device in the place of a recording would never end; a link in the place of a file that is
+being written would have its target overwritten. What is refused raises ``OSError`` with a reason in its
+``strerror``, which callers tell as they tell that a file is missing.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from io import BufferedRandom, BufferedReader, BufferedWriter
+from pathlib import Path
+
+_KINDS = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def open_input(path: Path) -> BufferedReader:
+    """Open a regular file to read its bytes; of anything else nothing is read, and nothing is waited for.
+
+    Raises:
+        OSError: it cannot be opened, or is no regular file.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        _check_regular(path, os.fstat(descriptor).st_mode)
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_input(path: Path, most: int) -> bytes:
+    """Return the bytes of a regular file.
+
+    Args:
+        path: the file.
+        most: bytes; see ``limits``.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or larger.
+    """
+    with open_input(path) as stream:
+        data = stream.read(most + 1)
+    if len(data) > most:
+        size = path.stat().st_size
+        raise OSError(errno.EFBIG, f"a file of {size} bytes, at most {most} are read", str(path))
+    return data
+
+
+def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
+    """Return the text of a regular file.
+
+    Raises:
+        OSError: as of ``read_input``.
+        UnicodeDecodeError: it is in another encoding.
+    """
+    return read_input(path, most).decode(encoding)
+
+
+def open_output(path: Path) -> BufferedWriter:
+    """Open a file to write it anew; a symbolic link in its place is refused.
+
+    Raises:
+        OSError: it cannot be opened, or is a link.
+    """
+    return os.fdopen(_writable(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb")
+
+
+def open_existing(path: Path) -> BufferedRandom:
+    """Open a file that is there to read it and to write more; a symbolic link in its place is refused.
+
+    Raises:
+        OSError: it cannot be opened, is a link, or no regular file.
+    """
+    descriptor = _writable(path, os.O_RDWR)
+    try:
+        return os.fdopen(descriptor, "r+b")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def write_output(path: Path, data: bytes) -> None:
+    """Write a file anew as ``open_output`` opens it.
+
+    Raises:
+        OSError: it cannot be written, or is a link.
+    """
+    with open_output(path) as stream:
+        stream.write(data)
+
+
+def _writable(path: Path, flags: int) -> int:
+    try:
+        descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise OSError(errno.ELOOP, "a symbolic link, which is not written through", str(path)) from error
+        raise
+    try:
+        _check_regular(path, os.fstat(descriptor).st_mode)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _check_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "a special file")
+        raise OSError(errno.EINVAL, f"{kind}, not a regular file", str(path))

@@ -1,0 +1,21 @@
+"""Text from files, made safe to print: terminals obey control characters, readers believe reversed text."""
+
+from __future__ import annotations
+
+import re
+
+# C0 but tab and line feed, DEL, C1; marks, embeddings, overrides and isolates of bidirectional text; the
+# line and paragraph separators, which some viewers take for line feeds.
+_CONTROLS = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
+)
+
+
+def printable(text: str) -> str:
+    """Return text with its control characters as escapes such as ``\\x1b``; tabs and line feeds stay."""
+    return _CONTROLS.sub(_escape, text)
+
+
+def _escape(found: re.Match[str]) -> str:
+    code = ord(found.group())
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
