@@ -1,0 +1,290 @@
+"""Small valid inputs of every kind, most of them written by posetrack itself."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hostile.case import Case, Content
+from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, Record, file_bytes, read_records
+from hostile.running import Harness
+
+sys.path.append(str(Path(__file__).parents[1] / "hand"))  # glb_support
+
+FRAMES = 3
+STEP = 8
+"""Every so many pixels of a synthetic hand's images are kept: 64 x 53."""
+START_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 33_333_333
+QUICK_HAND = ("--particles", "8", "--hand-side", "right", "--set", "output.flush_frames=1")
+QUICK_HEAD = ("--particles", "20", "--set", "output.flush_frames=1")
+FACE_MODEL = Path(__file__).parents[2] / "posetrack_cli/head/multilinear/default.npz"
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Valid inputs; a recording is files by name, what is one file is bytes.
+
+    Attributes:
+        depth: images (3, 53, 64) uint16, mm.
+        grey: images (3, 120, 160) uint8 with a face.
+        hand: an MCAP recording of depth with truth.
+        heads: an MCAP recording of two cameras.
+        results: of ``hand``, ``stereo`` and ``mono``.
+        interrupted: of each the ``.part`` and the ``.part.state``.
+        models: what ``stereo`` and ``mono`` learned.
+        commands: of each the command line, without output.
+    """
+
+    depth: np.ndarray[Any, Any]
+    grey: np.ndarray[Any, Any]
+    hand: bytes
+    heads: bytes
+    results: Mapping[str, bytes]
+    interrupted: Mapping[str, tuple[bytes, bytes]]
+    models: Mapping[str, bytes]
+    commands: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def face_model(self) -> bytes:
+        return FACE_MODEL.read_bytes()
+
+
+CAMERA_TOML = "fx = 45.625\nfy = 45.625\ncx = 31.5\ncy = 26.0\n"
+COMMANDS = {
+    "hand": ("hand", "run", "hand.mcap", *QUICK_HAND, "--init", "center"),
+    "stereo": ("head", "stereo", "heads.mcap", *QUICK_HEAD),
+    "mono": ("head", "mono", "heads.mcap", *QUICK_HEAD, "--cameras", "left", "--passes", "1"),
+}
+
+
+def make_seeds(harness: Harness) -> Seeds:
+    """Make all seeds; takes some seconds."""
+    large = _made(harness, ("hand", "synth", "--frames", str(FRAMES), "--seed", "3", "--no-drops"), {})
+    hand, depth = _reduced(large)
+    size = ("--image-size", "160x120", "--image-format", "png", "--motion", "slight")
+    heads = _made(harness, ("head", "synth", "--frames", str(FRAMES), "--seed", "3", *size), {})
+    files: dict[str, Content] = {"hand.mcap": hand, "heads.mcap": heads}
+    results, interrupted, models = {}, {}, {}
+    for kind, command in COMMANDS.items():
+        recording = {name: files[name] for name in files if name in command}
+        made = _made_files(harness, (*command, "-o", "out.mcap", *_model_options(kind)), recording)
+        results[kind] = made["out.mcap"]
+        if "model.npz" in made:
+            models[kind] = made["model.npz"]
+        stopped = _made_files(harness, (*command, "-o", "out.mcap"), recording, stop_after=2)
+        interrupted[kind] = stopped["out.mcap.part"], stopped["out.mcap.part.state"]
+    return Seeds(depth, _grey(heads), hand, heads, results, interrupted, models, COMMANDS)
+
+
+def warm_up(harness: Harness, seeds: Seeds) -> None:
+    """Load the compiled code of heads once, for all children; what needs GL is theirs."""
+    folder = Path(harness.scratch) / "warm"
+    folder.mkdir()
+    (folder / "heads.mcap").write_bytes(seeds.heads)
+    swap = {"heads.mcap": str(folder / "heads.mcap")}
+    commands = [
+        [*(swap.get(word, word) for word in COMMANDS[kind]), "-o", str(folder / f"{kind}.mcap"), "--end", "2"]
+        for kind in ("stereo", "mono")
+    ]
+    harness.warm(commands)
+
+
+def _model_options(kind: str) -> tuple[str, ...]:
+    return () if kind == "hand" else ("--save-model", "model.npz")
+
+
+def _made(harness: Harness, command: tuple[str, ...], files: Mapping[str, Content]) -> bytes:
+    return _made_files(harness, (*command, "-o", "out.mcap"), files)["out.mcap"]
+
+
+def _made_files(
+    harness: Harness, command: tuple[str, ...], files: Mapping[str, Content], stop_after: int | None = None
+) -> dict[str, bytes]:
+    case = Case("seed", command, files, ("out.mcap", "model.npz"))
+    made, outcome = harness.run_and_read(case, stop_after=stop_after)
+    if outcome.code not in ((0,) if stop_after is None else (130,)):
+        raise RuntimeError(f"no seed from {case.command_line()}: {outcome.code} {outcome.error.decode()}{outcome.stacks}")
+    return made
+
+
+def _reduced(large: bytes) -> tuple[bytes, np.ndarray[Any, Any]]:
+    """Return a recording of a hand with every eighth pixel only, and its images."""
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+    from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+    records, images = read_records(large), []
+    names = message_types(records)
+    for message in messages(records):
+        kind = names[message["channel_id"]]
+        if kind == "foxglove.CompressedImage":
+            compressed = CompressedImage.FromString(message["data"])
+            code = np.frombuffer(compressed.data, np.uint8)
+            small = np.ascontiguousarray(cv2.imdecode(code, cv2.IMREAD_UNCHANGED)[::STEP, ::STEP])
+            compressed.data = cv2.imencode(".png", small)[1].tobytes()
+            message["data"] = compressed.SerializeToString(deterministic=True)
+            images.append(small)
+        elif kind == "foxglove.RawImage":
+            raw = RawImage.FromString(message["data"])
+            whole = np.frombuffer(raw.data, np.uint16).reshape(raw.height, raw.width)
+            small = np.ascontiguousarray(whole[::STEP, ::STEP])
+            raw.height, raw.width = small.shape
+            raw.step, raw.data = 2 * small.shape[1], small.tobytes()
+            message["data"] = raw.SerializeToString(deterministic=True)
+            images.append(small)
+        elif kind == "foxglove.CameraCalibration":
+            camera = CameraCalibration.FromString(message["data"])
+            camera.width, camera.height = -(-camera.width // STEP), -(-camera.height // STEP)
+            for k in (0, 2, 4, 5):
+                camera.K[k] /= STEP
+            for k in (0, 2, 5, 6):
+                camera.P[k] /= STEP
+            message["data"] = camera.SerializeToString(deterministic=True)
+    return file_bytes(records), np.stack(images)
+
+
+def _grey(heads: bytes) -> np.ndarray[Any, Any]:
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
+    records = read_records(heads)
+    names, images = message_types(records), []
+    first = None
+    for message in messages(records):
+        if names[message["channel_id"]] == "foxglove.CompressedImage":
+            first = message["channel_id"] if first is None else first
+            if message["channel_id"] == first:
+                data = CompressedImage.FromString(message["data"]).data
+                images.append(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE))
+    return np.stack(images)
+
+
+def every(records: list[Record]) -> list[Record]:
+    """Return all records, those in chunks, too."""
+    return [r for record in records for r in (record, *record.get("inner", ()))]
+
+
+def messages(records: list[Record]) -> list[Record]:
+    return [record for record in every(records) if record["op"] == MESSAGE]
+
+
+def message_types(records: list[Record]) -> dict[int, str]:
+    """Return the schema's name of each channel."""
+    schemas = {r["id"]: r["name"] for r in every(records) if r["op"] == SCHEMA}
+    return {r["id"]: schemas.get(r["schema_id"], "") for r in every(records) if r["op"] == CHANNEL}
+
+
+# Files of other kinds
+
+
+def depth_folder(seeds: Seeds) -> dict[str, Content]:
+    files: dict[str, Content] = {f"rec/{k:06d}.png": png(image) for k, image in enumerate(seeds.depth)}
+    files["rec/camera.toml"] = CAMERA_TOML.encode()
+    files["rec/timestamps.csv"] = stamps_csv().encode()
+    return files
+
+
+def grey_folder(seeds: Seeds, cameras: tuple[str, ...] = ("left", "right")) -> dict[str, Content]:
+    files: dict[str, Content] = {}
+    for camera in cameras:
+        files |= {f"rec/{camera}/{k:06d}.png": png(image) for k, image in enumerate(seeds.grey)}
+    files["rec/camera.toml"] = rig_toml(cameras).encode()
+    files["rec/timestamps.csv"] = stamps_csv().encode()
+    return files
+
+
+def png(image: np.ndarray[Any, Any]) -> bytes:
+    return encoded(".png", image)
+
+
+def encoded(suffix: str, image: np.ndarray[Any, Any]) -> bytes:
+    data: bytes = cv2.imencode(suffix, image)[1].tobytes()
+    return data
+
+
+def stamps_csv() -> str:
+    rows = [f"{k:06d}.png,{START_NS + k * PERIOD_NS}" for k in range(FRAMES)]
+    return "\n".join(["filename,stamp_ns", *rows]) + "\n"
+
+
+def rig_toml(cameras: tuple[str, ...] = ("left", "right")) -> str:
+    lines = [f'reference = "{cameras[0]}"']
+    for k, name in enumerate(cameras):
+        lines += [f"[cameras.{name}]", "fx = 250.0", "fy = 250.0", "cx = 79.5", "cy = 59.5"]
+        if k:
+            lines += ["rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]", "translation_mm = [-120.0, 0.0, 0.0]"]
+    return "\n".join(lines) + "\n"
+
+
+def clicked_csv(cameras: tuple[str, ...] = ("left",)) -> str:
+    from posetrack_cli.head.face import POINT_NAMES
+
+    rows = [f"{c},{name},{60 + 4 * k},{50 + 3 * k}" for c in cameras for k, name in enumerate(POINT_NAMES)]
+    return "\n".join(["camera,point,x,y", *rows]) + "\n"
+
+
+def truth_csv() -> str:
+    from posetrack_cli.hand.anatomy import JOINT_NAMES
+
+    header = ",".join(["stamp_ns", *(f"{name}_{axis}_mm" for name in JOINT_NAMES for axis in "xyz")])
+    rows = [
+        ",".join([str(START_NS + k * PERIOD_NS), *(f"{j + 0.5 * k:.1f}" for j in range(3 * len(JOINT_NAMES)))])
+        for k in range(FRAMES)
+    ]
+    return "\n".join([header, *rows]) + "\n"
+
+
+@cache
+def video(suffix: str, fourcc: str) -> bytes:
+    """Return a video of three small images of noise."""
+    import tempfile
+
+    rng = np.random.default_rng(0)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"v{suffix}"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*fourcc), 30.0, (64, 48))
+        for _ in range(FRAMES):
+            writer.write(rng.integers(90, 160, (48, 64, 3), dtype=np.uint8))
+        writer.release()
+        return path.read_bytes()
+
+
+@cache
+def glb() -> bytes:
+    """Return our own hand as GLB, of few vertices."""
+    from glb_support import hand_glb
+
+    from posetrack_cli.hand.anatomy import make_anatomy
+    from posetrack_cli.hand.mesh import hand_mesh
+
+    anatomy = make_anatomy()
+    pose = np.concatenate([[0.0, 0.0, 800.0, 0.0, 0.0, 0.0, 1.0], np.zeros(15)])
+    return hand_glb(anatomy, pose, mesh=hand_mesh(anatomy, "lean")).bytes()
+
+
+def glb_bytes(text: bytes, binary: bytes) -> bytes:
+    """Return a GLB container of a JSON text and a binary chunk."""
+    text += b" " * (-len(text) % 4)
+    binary += bytes(-len(binary) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def glb_parts(data: bytes) -> tuple[bytes, bytes]:
+    """Return the JSON text and the binary chunk of a GLB container."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    return data[20 : 20 + length], data[28 + length :]
+
+
+def recording_of(messages_of: list[tuple[Record, Record, list[Record]]]) -> bytes:
+    """Return a file of schemas with a channel and messages each, in one chunk."""
+    inner = [r for schema, channel, own in messages_of for r in (schema, channel, *own)]
+    return file_bytes([{"op": 1, "profile": "", "library": "x"}, {"op": CHUNK, "inner": inner}])

@@ -1,0 +1,521 @@
+"""What is attacked: for each target a strategy of cases, made from seeds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from hostile import messages as ros
+from hostile import seeds as of
+from hostile.case import Case, Content, Link, Pipe
+from hostile.file_cases import changed_glb, changed_image, changed_npz, changed_video
+from hostile.mcap_bytes import CHUNK, METADATA, SCHEMA, Record, file_bytes, read_records
+from hostile.mcap_cases import changed_file
+from hostile.seeds import Seeds, messages
+from hostile.values import changed_bytes, changed_text, changed_tree, json_text, texts, utf8
+
+Strategy = st.SearchStrategy[Case]
+OUT = ("out.mcap",)
+HAND = ("--particles", "4", "--hand-side", "right", "--init", "center", "--end", "2")
+HEAD = ("--particles", "10", "--end", "2")
+
+
+def commands(*weighted: tuple[int, tuple[str, ...]]) -> st.SearchStrategy[tuple[str, ...]]:
+    """One of some command lines, the earlier of equal weights the simpler."""
+    return st.sampled_from([command for weight, command in weighted for _ in range(weight)])
+
+
+def of_recording(name: str, *, depth: bool = True, heads: bool = True) -> st.SearchStrategy[tuple[str, ...]]:
+    """Commands that read a recording; those that track are rare, as they take long."""
+    choices = [(6, ("info", name)), (6, ("info", name, "--json"))]
+    if depth:
+        choices += [(8, ("convert", name, "out.mcap")), (1, ("hand", "run", name, "-o", "out.mcap", *HAND))]
+    if heads:
+        choices.append((3, ("head", "mono", name, "-o", "out.mcap", *HEAD, "--passes", "1")))
+        choices.append((2, ("head", "stereo", name, "-o", "out.mcap", *HEAD)))
+    return commands(*choices)
+
+
+def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
+    return commands(
+        (4, ("info", name)),
+        (3, ("info", name, "--json")),
+        (3, ("eval", name)),
+        (1, ("eval", name, "--parts")),
+        (1, ("eval", name, "--json", "-")),
+        (1, ("eval", name, "--html", "out.html")),
+        (2, ("export", name)),
+        (2, ("export", name, "--format", "json")),
+        (1, ("export", name, "-o", "out.npz")),
+        (1, ("export", name, "--format", "tum")),
+    )
+
+
+def made_of(target: str, name: str, content: st.SearchStrategy[bytes], command: Any, **files: Content) -> Strategy:
+    """Cases of one changed file beside others."""
+    return st.builds(
+        lambda data, words: Case(target, words, {name: data, **files}, (*OUT, "out.html", "out.npz", "v", "out.toml")),
+        content,
+        command,
+    )
+
+
+# Recordings
+
+
+def mcap(seeds: Seeds) -> Strategy:
+    """MCAP records of recordings and results."""
+    name = "r.mcap"
+    records = [read_records(data) for data in (seeds.hand, seeds.heads)]
+    results = [read_records(data) for data in seeds.results.values()]
+    return st.one_of(
+        made_of("mcap", name, st.sampled_from(records).flatmap(changed_file), of_recording(name)),
+        made_of("mcap", name, st.sampled_from(records).flatmap(changed_file), of_recording(name)),
+        made_of("mcap", name, st.sampled_from(results).flatmap(changed_file), of_result(name)),
+        made_of("mcap", name, st.sampled_from([*seeds.results.values(), seeds.hand]).flatmap(changed_bytes), of_result(name)),
+    )
+
+
+def _ros(seeds: Seeds, version: int) -> Strategy:
+    name = "r.mcap"
+    depth, grey = seeds.depth, seeds.grey
+    rows, columns = depth.shape[1:]
+    raw = [ros.image(version, 10 + k, image, "16UC1") for k, image in enumerate(depth)]
+    packed = [ros.compressed_image(version, 10 + k, of.png(image), "png") for k, image in enumerate(grey)]
+    head = b"\0" * 12
+    deep = [
+        ros.compressed_image(version, 10 + k, head + of.png(image), "16UC1; compressedDepth png")
+        for k, image in enumerate(depth)
+    ]
+    info = [ros.camera_info(version, 9, columns, rows)]
+    whole = {
+        "raw": {"/cam/image": ("sensor_msgs/Image", raw)},
+        "deep": {"/cam/image": ("sensor_msgs/CompressedImage", deep)},
+        "grey": {"/cam/image": ("sensor_msgs/CompressedImage", packed)},
+    }
+    more = {"/cam/camera_info": ("sensor_msgs/CameraInfo", info), "/tf": ("tf2_msgs/TFMessage", [ros.transforms(version, 9)])}
+    topics = st.sampled_from([whole[kind] | more for kind in ("raw", "deep", "grey", "raw")])
+    content = topics.flatmap(lambda chosen: ros.ros_records(version, chosen)).map(
+        lambda inner: file_bytes([{"op": 1}, {"op": CHUNK, "inner": inner}])
+    )
+    return made_of(f"ros{version}", name, content, of_recording(name))
+
+
+def ros1(seeds: Seeds) -> Strategy:
+    """ROS 1 messages and their texts."""
+    return _ros(seeds, 1)
+
+
+def ros2(seeds: Seeds) -> Strategy:
+    """ROS 2 messages and their texts."""
+    return _ros(seeds, 2)
+
+
+def protobuf(seeds: Seeds) -> Strategy:
+    """Foxglove messages, and their schemas."""
+    name = "r.mcap"
+
+    @st.composite
+    def content(draw: st.DrawFn) -> bytes:
+        records = read_records(draw(st.sampled_from((seeds.hand, seeds.heads, *seeds.results.values()))))
+        schemas = {r["id"]: r for r in of.every(records) if r["op"] == SCHEMA}
+        kinds = of.message_types(records)
+        own = [m for m in messages(records) if kinds[m["channel_id"]].startswith("foxglove.")]
+        if draw(st.integers(0, 3)) == 0:
+            chosen = draw(st.sampled_from([s for s in schemas.values() if s["encoding"] == "protobuf"]))
+            chosen["data"] = draw(st.one_of(ros.changed_descriptor(chosen["data"]), changed_bytes(chosen["data"])))
+        else:
+            for _ in range(draw(st.integers(1, 2))):
+                message = draw(st.sampled_from(own))
+                parsed = _foxglove(kinds[message["channel_id"]]).FromString(message["data"])
+                message["data"] = draw(ros.changed_protobuf(parsed))
+        return file_bytes(records)
+
+    either = st.one_of(of_recording(name), of_recording(name), of_result(name))
+    return made_of("protobuf", name, content(), either)
+
+
+def _foxglove(name: str) -> Any:
+    import importlib
+
+    short = name.removeprefix("foxglove.")
+    return getattr(importlib.import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
+
+
+# Results
+
+
+def results(seeds: Seeds) -> Strategy:
+    """Metadata records, estimates and truth of results."""
+    name = "r.mcap"
+
+    @st.composite
+    def content(draw: st.DrawFn) -> bytes:
+        records = read_records(draw(st.sampled_from(list(seeds.results.values()))))
+        kinds = of.message_types(records)
+        own = [m for m in messages(records) if kinds[m["channel_id"]] == "posetrack.Estimate"]
+        about = [r for r in of.every(records) if r["op"] == METADATA]
+        for _ in range(draw(st.integers(1, 3))):
+            if draw(st.integers(0, 2)):
+                _change_metadata(draw, draw(st.sampled_from(about)))
+            else:
+                _change_estimate(draw, own)
+        return file_bytes(records)
+
+    return made_of("results", name, content(), of_result(name))
+
+
+def _change_metadata(draw: st.DrawFn, record: Record) -> None:
+    """A value of a record; where it is JSON something within it."""
+    values = record["metadata"] = dict(record["metadata"])
+    if not values or draw(st.integers(0, 7)) == 0:
+        values[draw(texts())] = draw(texts())
+        return
+    key = draw(st.sampled_from(sorted(values)))
+    how = draw(st.sampled_from(("json", "json", "json", "text", "drop")))
+    if how == "drop":
+        del values[key]
+    elif how == "text":
+        values[key] = draw(texts())
+    else:
+        try:
+            tree = json.loads(values[key])
+        except ValueError:
+            tree = values[key]
+        values[key] = json_text(draw(changed_tree(tree)))
+
+
+def _change_estimate(draw: st.DrawFn, own: list[Record]) -> None:
+    message = draw(st.sampled_from(own))
+    try:
+        tree = json.loads(message["data"])
+        message["data"] = utf8(json_text(draw(changed_tree(tree))))
+    except (ValueError, RecursionError):
+        message["data"] = draw(changed_bytes(message["data"]))
+
+
+def _result_with_state(seeds: Seeds, kind: str) -> dict[str, Content]:
+    part, state = seeds.interrupted[kind]
+    return {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads, "out.mcap.part": part, "out.mcap.part.state": state}
+
+
+def states(seeds: Seeds) -> Strategy:
+    """Checkpoints and unfinished results, with ``--resume``."""
+
+    @st.composite
+    def case(draw: st.DrawFn) -> Case:
+        kind = draw(st.sampled_from(("mono", "mono", "stereo", "stereo", "hand")))
+        files = _result_with_state(seeds, kind)
+        name = draw(st.sampled_from(("out.mcap.part.state",) * 4 + ("out.mcap.part",)))
+        data = files[name]
+        assert isinstance(data, bytes)
+        if name.endswith(".state"):
+            files[name] = resigned(draw(changed_npz(data))) if draw(st.integers(0, 3)) else draw(changed_npz(data))
+        else:
+            files[name] = draw(changed_bytes(data))
+        words = (*seeds.commands[kind], "-o", "out.mcap", "--resume")
+        return Case("states", words, {n: c for n, c in files.items() if n in words or n.startswith("out")}, OUT)
+
+    return case()
+
+
+def resigned(state: bytes) -> bytes:
+    """Return a state with the digest that its contents ask for, so that what lies behind that check is met, too."""
+    return state
+
+
+def models(seeds: Seeds) -> Strategy:
+    """What was learned, and models of faces."""
+    tail = ("-o", "out.mcap", *HEAD)
+    stereo = ("head", "stereo", "heads.mcap", *tail, "--load-model", "m.npz")
+    mono = ("head", "mono", "heads.mcap", *tail, "--cameras", "left", "--passes", "1")
+    return st.one_of(
+        made_of("models", "m.npz", changed_npz(seeds.models["stereo"]), st.just(stereo), **{"heads.mcap": seeds.heads}),
+        made_of(
+            "models",
+            "m.npz",
+            changed_npz(seeds.models["mono"]),
+            st.just((*mono, "--load-model", "m.npz")),
+            **{"heads.mcap": seeds.heads},
+        ),
+        made_of(
+            "models",
+            "m.npz",
+            changed_npz(seeds.face_model),
+            st.just((*mono, "--face-model", "m.npz")),
+            **{"heads.mcap": seeds.heads},
+        ),
+    )
+
+
+# Texts
+
+
+TOML_PIECES = (
+    "x=" + "[" * 3000,
+    "x=" + "[" * 300 + "]" * 300,
+    "a." * 2000 + "b = 1",
+    "x = {a={a={a=1}}}",
+    "fx = true",
+    "[cameras]",
+    "[cameras.left]",
+    '[cameras."\\u001b[2J"]',
+    '[cameras."../x"]',
+    "fx = 1e400",
+    "fx = nan",
+    "distortion = [1e300, 0, 0, 0]",
+    "distortion = []",
+    "crop = [0, 0, 4294967296, 1]",
+    "crop = [-1, -1, 5, 5]",
+    "depth_unit_mm = 1e308",
+    "depth_unit_mm = -1",
+    "missing = 99999999999999999999",
+    "rotation = [[1]]",
+    "translation_mm = [nan, 0, 0]",
+    "fx = 1979-05-27T07:32:00Z",
+    "width = 0",
+)
+
+
+def cameras(seeds: Seeds) -> Strategy:
+    """camera.toml of one camera and of several."""
+    single = of.depth_folder(seeds)
+    several = of.grey_folder(seeds)
+    toml = "rec/camera.toml"
+    return st.one_of(
+        made_of("cameras", toml, changed_text(of.CAMERA_TOML, TOML_PIECES), of_recording("rec", heads=False), **_but(single, toml)),
+        made_of("cameras", toml, changed_text(of.rig_toml(), TOML_PIECES), of_recording("rec", depth=False), **_but(several, toml)),
+        made_of(
+            "cameras",
+            "c.toml",
+            changed_text(of.CAMERA_TOML, TOML_PIECES),
+            st.sampled_from([("convert", "r.mcap", "out.mcap", "--camera", "c.toml")]),
+            **{"r.mcap": seeds.hand},
+        ),
+    )
+
+
+def _but(files: dict[str, Content], name: str) -> dict[str, Content]:
+    return {key: content for key, content in files.items() if key != name}
+
+
+def configurations(seeds: Seeds) -> Strategy:
+    """Configurations, and poses to begin with."""
+    from pathlib import Path
+
+    texts_of = {
+        kind: (Path(__file__).parents[2] / "configs" / f"{kind}.toml").read_text()
+        for kind in ("hand", "head-stereo", "head-mono")
+    }
+    pose = "position_mm = [0.0, 0.0, 800.0]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\nangles_rad = " + str([0.0] * 15) + "\n"
+    tail = ("-o", "out.mcap")
+    mono = ("head", "mono", "heads.mcap", *tail, *HEAD, "--cameras", "left", "--passes", "1", "--config", "c.toml")
+    stereo = ("head", "stereo", "heads.mcap", *tail, *HEAD, "--config", "c.toml")
+    hand = ("hand", "run", "hand.mcap", *tail, *HAND, "--config", "c.toml")
+    begin = ("hand", "run", "hand.mcap", *tail, *HAND[:4], "--end", "1", "--init", "c.toml")
+    files = {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads}
+    choices = ((texts_of["head-mono"], mono), (texts_of["head-stereo"], stereo), (texts_of["hand"], hand), (pose, begin))
+    return st.one_of(
+        *(
+            made_of(
+                "configurations",
+                "c.toml",
+                changed_text(text, TOML_PIECES),
+                st.just(words),
+                **{name: data for name, data in files.items() if name in words},
+            )
+            for text, words in choices
+        )
+    )
+
+
+CSV_PIECES = (
+    ",",
+    ",,,",
+    '"',
+    '"a',
+    "=1+1",
+    "stamp_ns",
+    "time_s",
+    "filename,stamp_ns",
+    "1e308",
+    "9" * 400,
+    "18446744073709551616",
+    "-5",
+    "0x10",
+    "\x1b[2J",
+    "../../etc/passwd",
+    ",".join(["1"] * 5000),
+)
+
+
+def tables(seeds: Seeds) -> Strategy:
+    """timestamps.csv, truth, clicked points, gates and baselines."""
+    folder, heads = of.depth_folder(seeds), of.grey_folder(seeds)
+    stamps = "rec/timestamps.csv"
+    tail = ("-o", "out.mcap", *HEAD)
+    clicked = ("head", "stereo", "rec", *tail, "--init", "c.csv")
+    mono = ("head", "mono", "rec", *tail, "--cameras", "left", "--passes", "1", "--init", "c.csv")
+    result = {"r.mcap": seeds.results["hand"]}
+    return st.one_of(
+        made_of("tables", stamps, changed_text(of.stamps_csv(), CSV_PIECES), of_recording("rec", heads=False), **_but(folder, stamps)),
+        made_of("tables", stamps, changed_text(of.stamps_csv(), CSV_PIECES), of_recording("rec", depth=False), **_but(heads, stamps)),
+        made_of("tables", "t.csv", changed_text(of.truth_csv(), CSV_PIECES), st.just(("convert", "rec", "out.mcap", "--truth", "t.csv")), **folder),
+        made_of("tables", "t.csv", changed_text(of.truth_csv(), CSV_PIECES), st.just(("eval", "r.mcap", "--truth", "t.csv")), **result),
+        made_of("tables", "c.csv", changed_text(of.clicked_csv(), CSV_PIECES), st.sampled_from((clicked, mono)), **heads),
+        made_of("tables", "g.txt", changed_text("coverage < 0.5\njoint_error_mm.mean > 1000\n", CSV_PIECES), st.just(("eval", "r.mcap", "--gates", "g.txt")), **result),
+        made_of("tables", "b.json", changed_tree({"metrics": {"coverage": 1.0}, "version": 1}).map(lambda t: utf8(json_text(t))), st.just(("eval", "r.mcap", "--baseline", "b.json")), **result),
+    )
+
+
+# Pixels and meshes
+
+
+def images(seeds: Seeds) -> Strategy:
+    """PNG, TIFF, JPEG, PGM, BMP and WebP files in folders, and within MCAP messages."""
+    depth, grey = of.depth_folder(seeds), of.grey_folder(seeds)
+    one = seeds.depth[0]
+    cases = []
+    for suffix in (".png", ".tiff", ".pgm"):
+        name = f"rec/000001{suffix}"
+        files = {n: c for n, c in depth.items() if suffix == ".png" or not n.endswith(".png")}
+        if suffix != ".png":
+            files |= {f"rec/{k:06d}{suffix}": of.encoded(suffix, image) for k, image in enumerate(seeds.depth)}
+            files["rec/timestamps.csv"] = of.stamps_csv().replace(".png", suffix).encode()
+        cases.append(made_of("images", name, changed_image(suffix, one), of_recording("rec", heads=False), **_but(files, name)))
+    for suffix in (".png", ".jpg", ".bmp", ".webp", ".tif"):
+        name = f"rec/left/000001{suffix}"
+        files = dict(grey)
+        if suffix != ".png":
+            files = {n: c for n, c in grey.items() if not n.startswith("rec/left")}
+            files |= {f"rec/left/{k:06d}{suffix}": of.encoded(suffix, image) for k, image in enumerate(seeds.grey)}
+        image = np.ascontiguousarray(seeds.grey[1])
+        cases.append(made_of("images", name, changed_image(suffix, image), of_recording("rec", depth=False), **_but(files, name)))
+    return st.one_of(*cases, _images_in_messages(seeds))
+
+
+def _images_in_messages(seeds: Seeds) -> Strategy:
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
+    @st.composite
+    def content(draw: st.DrawFn) -> bytes:
+        of_depth = draw(st.booleans())
+        records = read_records(seeds.hand if of_depth else seeds.heads)
+        kinds = of.message_types(records)
+        own = [m for m in messages(records) if kinds[m["channel_id"]] == "foxglove.CompressedImage"]
+        message = draw(st.sampled_from(own))
+        parsed = CompressedImage.FromString(message["data"])
+        suffix = draw(st.sampled_from((".png", ".png", ".png", ".jpg", ".webp")))
+        image = seeds.depth[0] if of_depth and suffix == ".png" else seeds.grey[0]
+        parsed.data = draw(changed_image(suffix, image))
+        message["data"] = parsed.SerializeToString()
+        return file_bytes(records)
+
+    return made_of("images", "r.mcap", content(), of_recording("r.mcap"))
+
+
+def videos(seeds: Seeds) -> Strategy:
+    """Videos and what calls itself one."""
+    del seeds
+    cases = []
+    for suffix, code in ((".avi", "MJPG"), (".mp4", "mp4v"), (".mkv", "MJPG")):
+        name = f"v{suffix}"
+        words = commands((3, ("info", name)), (2, ("head", "mono", name, "-o", "out.mcap", *HEAD, "--passes", "1")))
+        other: dict[str, Content] = {"other.avi": of.video(".avi", "MJPG")}
+        cases.append(made_of("videos", name, changed_video(of.video(suffix, code)), words, **other))
+    return st.one_of(*cases)
+
+
+def meshes(seeds: Seeds) -> Strategy:
+    """Skinned hands as GLB."""
+    words = ("hand", "run", "hand.mcap", "-o", "out.mcap", *HAND[:-1], "1", "--hand-mesh", "m.glb")
+    return made_of("meshes", "m.glb", changed_glb(), st.just(words), **{"hand.mcap": seeds.hand})
+
+
+# Names
+
+
+def names(seeds: Seeds) -> Strategy:
+    """Names of files and cameras, links and pipes in the place of files."""
+    odd = texts().filter(lambda t: 0 < len(utf8(t)) < 200 and "\0" not in t and "/" not in t and t not in ("..", "."))
+    safe = odd.map(lambda t: utf8(t).decode("utf-8", "surrogateescape")).map(lambda t: "./" + t)
+
+    @st.composite
+    def case(draw: st.DrawFn) -> Case:
+        how = draw(st.sampled_from(("name", "camera", "special", "link", "output", "frames")))
+        name = draw(safe)
+        result = seeds.results["hand"]
+        words: tuple[str, ...]
+        if how == "name":
+            content = draw(st.sampled_from((seeds.hand, result, b"", b"x", of.CAMERA_TOML.encode())))
+            words = draw(st.one_of(of_recording(name), of_result(name)))
+            return Case("names", words, {name: content}, (*OUT, "out.html", "out.npz"))
+        if how == "camera":
+            plain = name.removeprefix("./")
+            files: dict[str, Content] = {f"rec/{plain}/0.png": of.png(seeds.grey[0]), "rec/b/0.png": of.png(seeds.grey[0])}
+            return Case("names", draw(of_recording("rec", depth=False)), files, OUT)
+        if how == "frames":
+            plain = name.removeprefix("./")
+            frames: dict[str, Content] = {f"rec/{plain}.png": of.png(seeds.depth[0]), "rec/camera.toml": of.CAMERA_TOML.encode()}
+            return Case("names", draw(of_recording("rec", heads=False)), frames, OUT)
+        if how == "output":
+            words = ("convert", "r.mcap", "out.mcap", *draw(st.sampled_from(((), ("--overwrite",)))))
+            place = draw(st.sampled_from(("out.mcap", "out.mcap.part", "out.mcap.part.state", "out.mcap.part.state.tmp")))
+            special = draw(st.sampled_from((Link("r.mcap"), Link("other"), Link("/dev/null"), Pipe(), b"", b"x")))
+            return Case("names", words, {"r.mcap": seeds.hand, place: special, "other": b"1"}, ())
+        special = draw(st.sampled_from((Link("/dev/zero"), Link("nowhere"), Link("x"), Link("."), Link("/dev/full"))))
+        if how == "special":
+            special = Pipe()
+        place = draw(st.sampled_from(("x", "rec/camera.toml", "rec/timestamps.csv", "rec/000001.png", "rec")))
+        folder = of.depth_folder(seeds)
+        files = {n: c for n, c in folder.items() if not n.startswith(place)} | {place: special}
+        if place == "x":
+            words = draw(st.one_of(of_recording("x"), of_result("x"), st.sampled_from(_options_of_files("x"))))
+            if "r.mcap" in words:
+                files["r.mcap"] = result
+        else:
+            words = draw(of_recording("rec", heads=False))
+        return Case("names", words, files, (*OUT, "out.html", "out.npz"))
+
+    return case()
+
+
+def _options_of_files(name: str) -> list[tuple[str, ...]]:
+    return [
+        ("convert", "rec", "out.mcap", "--camera", name),
+        ("convert", "rec", "out.mcap", "--truth", name),
+        ("eval", "r.mcap", "--truth", name),
+        ("eval", "r.mcap", "--gates", name),
+        ("eval", "r.mcap", "--baseline", name),
+        ("eval", "r.mcap", "--recording", name),
+        ("hand", "run", "rec", "-o", "out.mcap", "--config", name),
+        ("hand", "run", "rec", "-o", "out.mcap", "--hand-mesh", name),
+        ("hand", "run", "rec", "-o", "out.mcap", "--init", name),
+        ("head", "mono", "rec", "-o", "out.mcap", "--face-model", name),
+        ("head", "mono", "rec", "-o", "out.mcap", "--load-model", name),
+        ("head", "mono", "rec", "-o", "out.mcap", "--init", name),
+        ("head", "mono", "rec", "-o", "out.mcap", "--detector", "yunet", "--detector-model", name),
+        ("view", name, "-o", "v"),
+    ]
+
+
+TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
+    "mcap": mcap,
+    "ros1": ros1,
+    "ros2": ros2,
+    "protobuf": protobuf,
+    "results": results,
+    "states": states,
+    "models": models,
+    "cameras": cameras,
+    "configurations": configurations,
+    "tables": tables,
+    "images": images,
+    "videos": videos,
+    "meshes": meshes,
+    "names": names,
+}
