@@ -22,8 +22,6 @@ LIBRARIES = (
     "lz4",
     "mcap",
     "mcap-protobuf-support",
-    "mcap-ros1-support",
-    "mcap-ros2-support",
     "foxglove-schemas-protobuf",
     "protobuf",
     "pydantic",

@@ -1,17 +1,21 @@
-"""Decode MCAP messages: protobuf, ROS 1 and ROS 2, by the schema that the file carries."""
+"""Decode MCAP messages: protobuf, ROS 1 and ROS 2, by layouts of our own; a file's schema only names them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from mcap.records import Channel, Message, Schema
 
+from posetrack_cli import limits
+from posetrack_cli.recording.ros_messages import Dialect, OtherLayoutError, check_definition, ros_decoder
 from posetrack_cli.recording.stamps import NS_PER_S
 
 RAW_IMAGE = "image"
 COMPRESSED_IMAGE = "compressed image"
 CALIBRATION = "calibration"
+IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE)
 
 KINDS = {
     "foxglove.RawImage": RAW_IMAGE,
@@ -24,7 +28,21 @@ KINDS = {
     "sensor_msgs/CameraInfo": CALIBRATION,
     "sensor_msgs/msg/CameraInfo": CALIBRATION,
 }
-"""What a message is, by its schema's name: decoded messages are dynamic classes, types say nothing."""
+"""What a message is, by its schema's name."""
+
+TRANSFORM_TYPES = (
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+    "tf2_msgs/TFMessage",
+    "tf2_msgs/msg/TFMessage",
+    "tf/tfMessage",
+)
+TRUTH_TYPES = ("foxglove.Odometry", "foxglove.JointStates")
+READ = (*KINDS, *TRANSFORM_TYPES, *TRUTH_TYPES)
+"""Names of the schemas of all messages that are decoded."""
+_FOXGLOVE = "foxglove."
+_DEFINITIONS: dict[Dialect, str] = {"ros1": "ros1msg", "cdr": "ros2msg"}
+"""What MCAP calls the language of ROS's definitions, by the encoding of messages."""
 
 
 class UndecodableMessageError(Exception):
@@ -32,23 +50,36 @@ class UndecodableMessageError(Exception):
 
 
 class MessageDecoder:
-    """Decodes messages of one file; keeps one decoder per schema."""
+    """Decodes messages of one file; keeps one decoder per channel.
+
+    Nothing is built from a schema of the file: protobuf messages are those of Foxglove that we know, which by
+    protobuf's rules take older and newer ones, and ROS messages those that ROS publishes (``ros_messages``).
+    """
 
     def __init__(self) -> None:
-        self._decoders: dict[int, Callable[[bytes], Any]] = {}
+        self._decoders: dict[int, Callable[[bytes], Any] | OtherLayoutError] = {}
 
     def decode(self, schema: Schema | None, channel: Channel, message: Message) -> Any:
         """Return the decoded message.
 
         Raises:
-            UndecodableMessageError: if it does not fit its schema, or the encoding is not known.
+            UndecodableMessageError: if it does not fit its layout, the layout is not known, or it is larger
+                than any of its kind.
         """
+        what = f"message on {channel.topic} does not decode"
         try:
             if channel.id not in self._decoders:
                 self._decoders[channel.id] = _decoder(schema, channel)
-            return self._decoders[channel.id](message.data)
-        except Exception as error:  # the libraries raise whatever the bytes lead to
-            raise UndecodableMessageError(f"message on {channel.topic} does not decode") from error
+            decoder = self._decoders[channel.id]
+            if isinstance(decoder, OtherLayoutError):
+                raise decoder
+            if len(message.data) > limits.MESSAGE_BYTES and kind_of(schema) not in IMAGES:
+                raise OtherLayoutError(f"it is larger than {limits.MESSAGE_BYTES} bytes")
+            return decoder(message.data)
+        except OtherLayoutError as error:
+            raise UndecodableMessageError(f"{what}, {error}") from error
+        except Exception as error:  # decoders raise whatever the bytes lead to
+            raise UndecodableMessageError(what) from error
 
 
 def kind_of(schema: Schema | None) -> str | None:
@@ -60,12 +91,9 @@ def stamp_of(decoded: Any, message: Message) -> int:
     """Return when an image or calibration was taken, ns: its own stamp, or the log time if that is 0."""
     header = getattr(decoded, "header", None)
     if header is None:
-        stamp = decoded.timestamp
-        own = stamp.seconds * NS_PER_S + stamp.nanos
-    elif hasattr(header.stamp, "nanosec"):
-        own = header.stamp.sec * NS_PER_S + header.stamp.nanosec
+        own = decoded.timestamp.seconds * NS_PER_S + decoded.timestamp.nanos
     else:
-        own = header.stamp.secs * NS_PER_S + header.stamp.nsecs
+        own = header.stamp.sec * NS_PER_S + header.stamp.nanosec
     return int(own) or message.log_time
 
 
@@ -74,23 +102,28 @@ def frame_id_of(decoded: Any) -> str:
     return str(getattr(decoded, "header", decoded).frame_id)
 
 
-def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any]:
-    decoder = _factory(channel.message_encoding).decoder_for(channel.message_encoding, schema)
-    if decoder is None:
-        raise ValueError(f"no decoder for {channel.message_encoding}")
-    return decoder  # type: ignore[no-any-return]
+def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] | OtherLayoutError:
+    """Return what decodes a channel's messages, or why nothing does."""
+    if schema is None or schema.name not in READ:
+        return OtherLayoutError("its type is none that is read")
+    try:
+        if channel.message_encoding == "protobuf" and schema.name.startswith(_FOXGLOVE):
+            return _foxglove_decoder(schema.name.removeprefix(_FOXGLOVE))
+        for dialect, language in _DEFINITIONS.items():
+            if channel.message_encoding == dialect and schema.encoding == language:
+                return _ros_decoder(dialect, schema)
+    except OtherLayoutError as error:
+        return error
+    return OtherLayoutError("its encoding is none that is read for its type")
 
 
-def _factory(message_encoding: str) -> Any:
-    """Return the decoder factory of an encoding; imports only the one that is needed."""
-    if message_encoding == "protobuf":
-        from mcap_protobuf.decoder import DecoderFactory as Protobuf
+def _foxglove_decoder(name: str) -> Callable[[bytes], Any]:
+    generated = import_module(f"foxglove_schemas_protobuf.{name}_pb2")  # a name of READ, none from the file
+    decode: Callable[[bytes], Any] = getattr(generated, name).FromString
+    return decode
 
-        return Protobuf()
-    if message_encoding == "ros1":
-        from mcap_ros1.decoder import DecoderFactory as Ros1
 
-        return Ros1()
-    from mcap_ros2.decoder import DecoderFactory as Ros2
-
-    return Ros2()
+def _ros_decoder(dialect: Dialect, schema: Schema) -> Callable[[bytes], Any]:
+    name = schema.name.rpartition("/")[2]
+    check_definition(dialect, name, schema.data.decode(errors="replace"))
+    return ros_decoder(dialect, name)

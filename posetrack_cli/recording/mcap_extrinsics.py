@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -9,22 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.extrinsics import composed, inverse
 from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
 from posetrack_cli.recording.depth import MM_PER_M
 from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError
+from posetrack_cli.recording.mcap_decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.mcap_topics import Topic
 
-TRANSFORM_TYPES = (
-    "foxglove.FrameTransform",
-    "foxglove.FrameTransforms",
-    "tf2_msgs/TFMessage",
-    "tf2_msgs/msg/TFMessage",
-    "tf/tfMessage",
-)
 MESSAGES = 1000
 """How many messages of transforms are looked at; static ones come first or again and again."""
 Edges = dict[tuple[str, str], FloatArray]
@@ -72,30 +67,44 @@ def camera_places(
     Returns:
         None for a frame that no transforms connect with the first.
     """
-    edges: Edges = {}
     names = [name for name, topic in topics.items() if topic.type_name in TRANSFORM_TYPES]
-    decoder = MessageDecoder()
-    for item in islice(read_messages(path, LossLog(), names), MESSAGES if names else 0):
-        try:
-            _learn(edges, decoder.decode(*item))
-        except UndecodableMessageError:
-            continue
-    reached = _reached(edges, frames[0])
+    reached = _reached(_edges(path, names) if names else {}, frames[0])
     return [reached.get(frame.lstrip("/")) for frame in frames]
 
 
-def _learn(edges: Edges, decoded: Any) -> None:
-    """Keep the transforms of a message that are not known yet, both ways."""
+def _edges(path: Path, names: Sequence[str]) -> Edges:
+    """Return the transforms of the file's first messages on some topics, both ways."""
+    edges: Edges = {}
+    decoder, left, left_bytes = MessageDecoder(), limits.TRANSFORMS, limits.TRANSFORM_BYTES
+    for item in islice(read_messages(path, LossLog(), names), MESSAGES):
+        left_bytes -= len(item[2].data)
+        if left_bytes < 0:
+            break
+        try:
+            transforms = _transforms(decoder.decode(*item))
+        except UndecodableMessageError:
+            continue
+        for transform in islice(transforms, left):
+            _learn(edges, transform)
+        left -= min(left, len(transforms))
+    return edges
+
+
+def _transforms(decoded: Any) -> Sequence[Any]:
     transforms: Sequence[Any] = getattr(decoded, "transforms", (decoded,))
-    for transform in transforms:
-        header = getattr(transform, "header", None)
-        parent = str(header.frame_id if header is not None else transform.parent_frame_id).lstrip("/")
-        child = str(transform.child_frame_id).lstrip("/")
-        body = getattr(transform, "transform", transform)
-        if (parent, child) not in edges and parent != child:
-            matrix = _rigid(body.translation, body.rotation)
-            if matrix is not None:
-                edges[parent, child], edges[child, parent] = matrix, inverse(matrix)
+    return transforms
+
+
+def _learn(edges: Edges, transform: Any) -> None:
+    """Keep a transform if none is known between its frames."""
+    header = getattr(transform, "header", None)
+    parent = str(header.frame_id if header is not None else transform.parent_frame_id).lstrip("/")
+    child = str(transform.child_frame_id).lstrip("/")
+    body = getattr(transform, "transform", transform)
+    if (parent, child) not in edges and parent != child:
+        matrix = _rigid(body.translation, body.rotation)
+        if matrix is not None:
+            edges[parent, child], edges[child, parent] = matrix, inverse(matrix)
 
 
 def _rigid(translation: Any, rotation: Any) -> FloatArray | None:
@@ -108,14 +117,17 @@ def _rigid(translation: Any, rotation: Any) -> FloatArray | None:
 
 def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
     """Return frame_T_start of every frame that transforms connect with one, breadth first."""
+    leading: dict[str, list[str]] = {}
+    for to, source in edges:
+        leading.setdefault(source, []).append(to)
     start = start.lstrip("/")
     reached = {start: np.eye(3, 4)}
-    waiting = [start]
+    waiting = deque([start])
     while waiting:
-        here = waiting.pop(0)
-        for (to, source), matrix in edges.items():
-            if source == here and to not in reached:
-                reached[to] = composed(matrix, reached[here])
+        here = waiting.popleft()
+        for to in leading.get(here, ()):
+            if to not in reached:
+                reached[to] = composed(edges[to, here], reached[here])
                 waiting.append(to)
     return reached
 

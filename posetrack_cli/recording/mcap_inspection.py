@@ -23,7 +23,8 @@ from posetrack_cli.recording.mcap_decoding import (
     stamp_of,
 )
 from posetrack_cli.recording.mcap_grey import holds_grey
-from posetrack_cli.recording.mcap_stream import McapItem, read_extras, read_messages, read_summary
+from posetrack_cli.recording.mcap_stream import McapItem, read_extras, read_messages
+from posetrack_cli.recording.mcap_summary import read_summary
 from posetrack_cli.recording.mcap_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Iterator
 from typing import IO
 
-import lz4.frame
-import zstandard
 from mcap.opcode import Opcode
 
+from posetrack_cli import limits
+from posetrack_cli.recording.mcap_chunks import decompressed_begin, most_records
 from posetrack_cli.recording.mcap_records import HEAD, ChunkRecord, content_records
 
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
@@ -29,20 +29,14 @@ def cut_chunk_records(stream: IO[bytes], position: int) -> Iterator[ChunkRecord]
     stream.seek(position)
     head = stream.read(HEAD.size)
     if len(head) == HEAD.size and HEAD.unpack(head)[0] == Opcode.CHUNK:
-        yield from content_records(_decompressed(stream.read()), cut=True)
+        records, most = _decompressed(stream.read(limits.CHUNK_BYTES))
+        yield from content_records(records, most=most, cut=True)
 
 
-def _decompressed(content: bytes) -> bytes:
-    """Return the records of a chunk's content as far as it goes."""
+def _decompressed(content: bytes) -> tuple[bytes, int]:
+    """Return the records of a chunk's content as far as it goes, and how many there may be."""
     if len(content) < CHUNK_HEAD.size:
-        return b""
+        return b"", 0
     name_end = CHUNK_HEAD.size + CHUNK_HEAD.unpack_from(content)[-1]
     name, data = content[CHUNK_HEAD.size : name_end], content[name_end + LENGTH.size :]
-    try:
-        if name == b"zstd":
-            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-        if name == b"lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-    except (zstandard.ZstdError, RuntimeError, EOFError):  # RuntimeError: lz4 has no error of its own
-        return b""
-    return data if name == b"" else b""
+    return decompressed_begin(name.decode("ascii", "replace"), data), most_records(len(data))

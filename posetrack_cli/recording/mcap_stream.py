@@ -10,17 +10,19 @@ from pathlib import Path
 from typing import IO, TypeAlias
 
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, ChunkIndex, DataEnd, Message, Metadata, Schema
 from mcap.summary import Summary
 
+from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input
 from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.recording.mcap_chunks import ChunkLimitError, ExpansionBudget
 from posetrack_cli.recording.mcap_records import (
     HEAD,
     MAGIC,
     ChunkRecord,
+    Definitions,
     Record,
     RecordSpan,
     chunk_records,
@@ -28,10 +30,12 @@ from posetrack_cli.recording.mcap_records import (
     record_spans,
 )
 from posetrack_cli.recording.mcap_salvage import cut_chunk_records
+from posetrack_cli.recording.mcap_summary import chunk_span, extra_spans, read_summary
 
 TRUNCATED = "file is truncated, the rest is missing"
 DAMAGED = "file is damaged, the rest is lost"
 DAMAGED_CHUNK = "chunk is damaged, its messages are lost"
+LARGE_CHUNK = "chunk is larger than any that is read, its messages are lost"
 DAMAGED_RECORD = "record is damaged and left out"
 DAMAGED_DATA = "data is damaged, its checksum differs"
 UNKNOWN_CHANNEL = "message of a topic that was lost with damaged data"
@@ -55,34 +59,26 @@ def check_mcap(path: Path) -> None:
         )
 
 
-def read_summary(path: Path) -> Summary | None:
-    """Return the index at the end of the file, or None if there is none that messages can be found by.
-
-    That is so for truncated files, and for files written without chunks or without index.
-    """
-    with open_input(path) as stream:
-        stream.seek(-min(len(MAGIC), path.stat().st_size), 2)
-        if stream.read() != MAGIC:
-            return None
-        stream.seek(0)
-        try:
-            summary = SeekingReader(stream, validate_crcs=True, record_size_limit=_limit(path)).get_summary()
-        except Exception:  # the library raises whatever the damaged bytes lead to
-            return None
-    return summary if summary is not None and _is_usable(summary) else None
-
-
 def read_messages(
     path: Path, losses: LossLog, topics: Topics = None, *, in_file_order: bool = False
 ) -> Iterator[McapItem]:
     """Yield schema, channel and message of all messages, or of those on some topics.
 
     With a usable index they come in order of log time, or if asked for as they lie in the file; without one
-    always so. At most the chunks that overlap in time are in memory. A damaged chunk is left out. Where the
-    file is cut the messages end with the last whole one; where it is damaged between chunks they end, too, if
-    there is no index. ``losses`` gets each of these.
+    always so. At most the chunks that overlap in time are in memory. A damaged chunk is left out, and one
+    beyond ``limits``. Where the file is cut the messages end with the last whole one; where it is damaged
+    between chunks they end, too, if there is no index. ``losses`` gets each of these.
+
+    Args:
+        path: the file.
+        losses: gets what cannot be read.
+        topics: names, or what tells of a name whether it is wanted; that may change as messages are taken.
+        in_file_order: whether an index is not to change the order.
+
+    Raises:
+        RecordingError: chunks decompress to more than any recording's, or too much of them overlaps in time.
     """
-    summary, wanted = read_summary(path), _Wanted(topics, losses)
+    summary, wanted = read_summary(path), _Wanted(path, topics, losses)
     if summary is None:
         yield from _without_index(path, losses, wanted)
     elif in_file_order:
@@ -93,7 +89,7 @@ def read_messages(
 
 def read_channels(path: Path, losses: LossLog) -> list[tuple[Schema | None, Channel]]:
     """Return every channel with its schema: from the index, or by reading all of a file that has none."""
-    summary, found = read_summary(path), _Wanted((), losses)
+    summary, found = read_summary(path), _Wanted(path, (), losses)
     if summary is not None:
         found.learn_all(summary)
     else:
@@ -108,7 +104,7 @@ def read_extras(path: Path, losses: LossLog | None = None) -> Iterator[Metadata 
     ``losses`` gets what cannot be read.
     """
     losses = LossLog() if losses is None else losses
-    indexed = _indexed_extras(read_summary(path))
+    indexed = extra_spans(read_summary(path))
     with open_input(path) as stream:
         for span in _spans(stream, path, losses) if indexed is None else indexed:
             if span.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
@@ -120,9 +116,11 @@ def read_extras(path: Path, losses: LossLog | None = None) -> Iterator[Metadata 
 class _Wanted:
     """Puts messages together with their channels and schemas, and picks those on some topics."""
 
-    def __init__(self, topics: Topics, losses: LossLog) -> None:
-        self._wants = topics if callable(topics) else (lambda topic: topics is None or topic in topics)
-        self._losses = losses
+    def __init__(self, path: Path, topics: Topics, losses: LossLog) -> None:
+        names = topics if topics is None or callable(topics) else frozenset(topics)
+        self._wants = names if callable(names) else (lambda topic: names is None or topic in names)
+        self._losses, self._budget = losses, ExpansionBudget(path, path.stat().st_size)
+        self._definitions = Definitions()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._unwanted: set[int] = set()
@@ -149,11 +147,14 @@ class _Wanted:
 
     def is_in(self, index: ChunkIndex) -> bool:
         """Whether a chunk may hold messages that are wanted."""
-        return not index.message_index_offsets or not set(index.message_index_offsets) <= self._unwanted
+        ids = index.message_index_offsets
+        return not ids or any(self._wants(self._channels[channel_id].topic) for channel_id in ids)
 
     def of_chunk(self, chunk: Record) -> list[McapItem]:
         """Return the messages of a chunk that are wanted; a damaged one raises whatever its bytes lead to."""
-        return list(self.items(chunk_records(chunk, self._unwanted)))
+        if isinstance(chunk, Chunk):
+            self._budget.spend(chunk.uncompressed_size)
+        return list(self.items(chunk_records(chunk, self._unwanted, self._definitions)))
 
     def items(self, records: Iterable[ChunkRecord]) -> Iterator[McapItem]:
         """Yield the messages among some records that are wanted; learns from the others."""
@@ -171,6 +172,7 @@ def _in_log_time_order(path: Path, losses: LossLog, summary: Summary, wanted: _W
     """Yield messages by log time, those of equal times as they lie in the file; chunk after chunk is read."""
     wanted.learn_all(summary)
     pending: list[tuple[int, int, int, McapItem]] = []
+    waiting = 0  # bytes
     with open_input(path) as stream:
         for index in sorted(
             summary.chunk_indexes, key=lambda i: (i.message_start_time, i.chunk_start_offset)
@@ -178,11 +180,26 @@ def _in_log_time_order(path: Path, losses: LossLog, summary: Summary, wanted: _W
             if not wanted.is_in(index):
                 continue
             while pending and pending[0][0] < index.message_start_time:
-                yield heappop(pending)[-1]
-            for number, item in enumerate(_chunk_at(stream, _span_of(index), path, losses, wanted)):
+                item = heappop(pending)[-1]
+                waiting -= len(item[2].data)
+                yield item
+            for number, item in enumerate(_chunk_at(stream, chunk_span(index), path, losses, wanted)):
                 heappush(pending, (item[2].log_time, index.chunk_start_offset, number, item))
+                waiting += len(item[2].data)
+            if waiting > limits.PENDING_BYTES:
+                raise _too_much_overlap(path, waiting)
     while pending:
         yield heappop(pending)[-1]
+
+
+def _too_much_overlap(path: Path, waiting: int) -> RecordingError:
+    return RecordingError(
+        "chunks overlap in time",
+        where=path,
+        found=f"{waiting} bytes of messages that wait for their turn",
+        expected=f"at most {limits.PENDING_BYTES}",
+        hint="write it anew in order of time, for example with: mcap sort",
+    )
 
 
 def _indexed_in_file_order(
@@ -192,25 +209,7 @@ def _indexed_in_file_order(
     with open_input(path) as stream:
         for index in sorted(summary.chunk_indexes, key=lambda i: i.chunk_start_offset):
             if wanted.is_in(index):
-                yield from _chunk_at(stream, _span_of(index), path, losses, wanted)
-
-
-def _indexed_extras(summary: Summary | None) -> list[RecordSpan] | None:
-    """Where the index says that metadata and attachments are, in order; None if it does not list them all."""
-    if summary is None or summary.statistics is None:
-        return None
-    counts = (summary.statistics.metadata_count, summary.statistics.attachment_count)
-    if counts != (len(summary.metadata_indexes), len(summary.attachment_indexes)):
-        return None
-    places = [(i.offset, i.length, Opcode.METADATA) for i in summary.metadata_indexes]
-    places += [(i.offset, i.length, Opcode.ATTACHMENT) for i in summary.attachment_indexes]
-    return [RecordSpan(kind, offset + HEAD.size, offset + length) for offset, length, kind in sorted(places)]
-
-
-def _span_of(index: ChunkIndex) -> RecordSpan:
-    """Where the index says that a chunk is."""
-    end = index.chunk_start_offset + index.chunk_length
-    return RecordSpan(Opcode.CHUNK, index.chunk_start_offset + HEAD.size, end)
+                yield from _chunk_at(stream, chunk_span(index), path, losses, wanted)
 
 
 def _without_index(path: Path, losses: LossLog, wanted: _Wanted) -> Iterator[McapItem]:
@@ -272,9 +271,13 @@ def _parsed(stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog) ->
 
 @contextmanager
 def _chunk_damage(end: int, path: Path, losses: LossLog) -> Iterator[None]:
-    """A chunk that cannot be read is a loss and no error."""
+    """A chunk that cannot be read is a loss and no error; that all of them together are too large is one."""
     try:
         yield
+    except RecordingError:
+        raise
+    except ChunkLimitError as error:
+        losses.add(LARGE_CHUNK, f"{error}, the one before byte {end} of {path.stat().st_size}")
     except Exception:  # the library raises whatever the damaged bytes lead to
         losses.add(DAMAGED_CHUNK, f"the one before byte {end} of {path.stat().st_size}")
 
@@ -296,17 +299,3 @@ def _check_data(stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog
 def _limit(path: Path) -> int:
     """Lengths above are damage; one below that reaches beyond the end is a record cut short."""
     return max(SMALLEST_LIMIT, path.stat().st_size)
-
-
-def _is_usable(summary: Summary) -> bool:
-    """Whether every message can be found: chunks are indexed, channels and schemas are repeated."""
-    statistics = summary.statistics
-    if (
-        not summary.chunk_indexes
-        or statistics is None
-        or statistics.chunk_count != len(summary.chunk_indexes)
-    ):
-        return False
-    used = {channel_id for index in summary.chunk_indexes for channel_id in index.message_index_offsets}
-    schemas = {0, *summary.schemas}
-    return used <= set(summary.channels) and all(c.schema_id in schemas for c in summary.channels.values())

@@ -18,7 +18,8 @@ from posetrack_cli.recording.mcap_decoding import (
     kind_of,
 )
 from posetrack_cli.recording.mcap_images import ImageDescription, describe_image
-from posetrack_cli.recording.mcap_stream import McapItem, read_messages, read_summary
+from posetrack_cli.recording.mcap_stream import McapItem, read_messages
+from posetrack_cli.recording.mcap_summary import read_summary
 
 TRIES = 50
 """How many messages of a topic are looked at until one decodes."""
@@ -107,8 +108,7 @@ def scan_topics(path: Path) -> dict[str, Topic]:
     for channel in summary.channels.values():
         topic = scan.topic(summary.schemas.get(channel.schema_id), channel)
         topic.count += summary.statistics.channel_message_counts.get(channel.id, 0)
-    for name in list(scan.topics):
-        _settle(path, scan, name)
+    _settle(path, scan)
     return scan.topics
 
 
@@ -143,13 +143,17 @@ def frame_id_of_topic(topic: Topic) -> str:
     return frame_id_of(topic.first) if topic.first is not None else ""
 
 
-def _settle(path: Path, scan: TopicScan, name: str) -> None:
-    topic = scan.topics[name]
-    if topic.is_settled or not topic.count:
+def _settle(path: Path, scan: TopicScan) -> None:
+    """Look at messages until all topics that have any are settled: one pass for however many topics."""
+    waiting = {name for name, topic in scan.topics.items() if topic.count and not topic.is_settled}
+    if not waiting:
         return
-    for item in read_messages(path, LossLog(), [name]):
-        if scan.inspect(item).is_settled:
-            return
+    for item in read_messages(path, LossLog(), waiting.__contains__):
+        topic = scan.inspect(item)
+        if topic.is_settled:
+            waiting.discard(topic.name)
+            if not waiting:
+                return
 
 
 def _asked_for(path: Path, wanted: str, topics: dict[str, Topic], depth: list[Topic]) -> Topic:

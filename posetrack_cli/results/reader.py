@@ -25,8 +25,8 @@ from posetrack_cli.recording.mcap_stream import (
     read_channels,
     read_extras,
     read_messages,
-    read_summary,
 )
+from posetrack_cli.recording.mcap_summary import read_summary
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.results.channels import CALIBRATION_TOPIC

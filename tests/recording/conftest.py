@@ -154,26 +154,68 @@ def write_foxglove(
     return path
 
 
-def write_ros1(path: Path, messages: Sequence[Message], *, frame_id: str = "cam") -> Path:
-    from mcap_ros1.decoder import dynamic
-    from mcap_ros1.writer import Writer
+def ros1_bytes(kind: str, values: Sequence[Any]) -> bytes:
+    """Serialise the fields of a ROS 1 message by the wire format of the ROS wiki: little-endian, no gaps.
 
-    classes = {
-        kind: dynamic.generate_dynamic(f"sensor_msgs/{kind}", text)[f"sensor_msgs/{kind}"]
-        for kind, text in DEFINITIONS_1.items()
-    }
+    Args:
+        kind: a letter a field: of ``struct``, or s a string, b bytes; of float64 v any number, f a fixed one.
+        values: the fields.
+    """
+    out = b""
+    for code, value in zip(kind, values, strict=True):
+        if code in "sb":
+            data = value.encode() if code == "s" else bytes(value)
+            out += struct.pack("<I", len(data)) + data
+        elif code in "vf":
+            count = struct.pack("<I", len(value)) if code == "v" else b""
+            out += count + struct.pack(f"<{len(value)}d", *value)
+        else:
+            out += struct.pack(f"<{code}", value)
+    return out
+
+
+ROS1_FIELDS = {
+    "Image": ("IIsBIb", ("height", "width", "encoding", "is_bigendian", "step", "data")),
+    "CompressedImage": ("sb", ("format", "data")),
+    "CameraInfo": ("IIsvfff", ("height", "width", "distortion_model", "D", "K", "R", "P")),
+}
+ROS1_UNSET = {"distortion_model": "", "encoding": "", "K": [0.0] * 9, "R": [0.0] * 9, "P": [0.0] * 12}
+
+
+def write_ros1_messages(
+    path: Path, schemas: Sequence[tuple[str, str]], messages: Sequence[tuple[str, int, int, bytes]]
+) -> Path:
+    """Write serialised ROS 1 messages.
+
+    Args:
+        schemas: name and definition.
+        messages: topic, index of the schema, log time ns, bytes.
+    """
+    from mcap.writer import Writer
+
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=2000)
-        for topic, kind, stamp, log_time, fields in messages:
-            message = classes[kind]()
-            message.header.frame_id = fields.get("frame_id", frame_id)
-            message.header.stamp.secs, message.header.stamp.nsecs = divmod(stamp, 10**9)
-            for name, value in fields.items():
-                if name != "frame_id":
-                    setattr(message, name, value)
-            writer.write_message(topic, message, log_time=log_time, publish_time=log_time)
+        writer.start("ros1", "tests")
+        ids = [writer.register_schema(name, "ros1msg", text.encode()) for name, text in schemas]
+        channels: dict[str, int] = {}
+        for topic, schema, log_time, data in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "ros1", ids[schema])
+            writer.add_message(channels[topic], log_time, data, log_time)
         writer.finish()
     return path
+
+
+def write_ros1(path: Path, messages: Sequence[Message], *, frame_id: str = "cam") -> Path:
+    kinds = list(DEFINITIONS_1)
+    serialised = []
+    for number, (topic, kind, stamp, log_time, fields) in enumerate(messages):
+        codes, names = ROS1_FIELDS[kind]
+        head = ros1_bytes("IIIs", (number, *divmod(stamp, 10**9), fields.get("frame_id", frame_id)))
+        own = ros1_bytes(codes, [fields.get(name, ROS1_UNSET.get(name, 0)) for name in names])
+        serialised.append((topic, kinds.index(kind), log_time, head + own))
+    schemas = [(f"sensor_msgs/{kind}", DEFINITIONS_1[kind]) for kind in kinds]
+    return write_ros1_messages(path, schemas, serialised)
 
 
 def write_ros2(path: Path, messages: Sequence[Message], *, frame_id: str = "cam") -> Path:

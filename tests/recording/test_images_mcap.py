@@ -327,20 +327,11 @@ def test_ros_2_static_transforms(tmp_path: Path, make: SimpleNamespace) -> None:
 
 
 def test_ros_1_transforms(tmp_path: Path, make: SimpleNamespace) -> None:
-    from mcap_ros1.decoder import dynamic
-    from mcap_ros1.writer import Writer
-
-    classes = dynamic.generate_dynamic("tf2_msgs/TFMessage", tf_definition(make, make.HEADER_TEXT_1))
-    transform = classes["geometry_msgs/TransformStamped"]()
-    transform.header.frame_id, transform.child_frame_id = "/left", "right"
-    transform.transform.translation.x, transform.transform.rotation.w = 0.1, 1.0
-    message = classes["tf2_msgs/TFMessage"]()
-    message.transforms = [transform]
-    with (tmp_path / "r.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.write_message("/tf", message, log_time=1, publish_time=1)
-        writer.finish()
-    _, right = camera_places(tmp_path / "r.mcap", scan_topics(tmp_path / "r.mcap"), ["left", "right"])
+    data = make.ros1_bytes("IIIIss", (1, 0, 0, 0, "/left", "right"))  # one transform: its header, its child
+    data += make.ros1_bytes("ddddddd", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    schema = "tf2_msgs/TFMessage", tf_definition(make, make.HEADER_TEXT_1)
+    path = make.write_ros1_messages(tmp_path / "r.mcap", [schema], [("/tf", 0, 1, data)])
+    _, right = camera_places(path, scan_topics(path), ["left", "right"])
     np.testing.assert_allclose(right[:, 3], [-100, 0, 0])
 
 

@@ -1,0 +1,237 @@
+"""The messages of ROS 1 and ROS 2 that are read, decoded by the layout that ROS publishes.
+
+A file carries definitions of its messages, too. They are from whoever wrote the file, so nothing is built
+from them: they are only compared. Layouts end with the last field that is read; what may follow is not looked
+at.
+
+Both serialise fields in order: ROS 1 little-endian and without gaps (ROS wiki, "msg", section 2.1), ROS 2 as
+plain CDR (OMG Common Data Representation, XCDR version 1), where a number lies at a multiple of its size,
+counted from behind a head of four bytes.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, Literal
+
+from posetrack_cli import limits
+
+Dialect = Literal["ros1", "cdr"]
+"""What MCAP calls the encodings of their messages."""
+
+_GEOMETRY = {
+    "TransformStamped": "Header header\nstring child_frame_id\nTransform transform",
+    "Transform": "Vector3 translation\nQuaternion rotation",
+    "Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "TFMessage": "TransformStamped[] transforms",
+    "tfMessage": "TransformStamped[] transforms",
+}
+_IMAGES = {
+    "Image": "Header header\nuint32 height\nuint32 width\nstring encoding\n"
+    "uint8 is_bigendian\nuint32 step\nuint8[] data",
+    "CompressedImage": "Header header\nstring format\nuint8[] data",
+}
+_CAMERA_INFO = "Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
+DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
+    "ros1": {
+        "Header": "uint32 seq\ntime stamp\nstring frame_id",
+        "CameraInfo": _CAMERA_INFO + "float64[] D\nfloat64[9] K\nfloat64[9] R\nfloat64[12] P",
+        **_IMAGES,
+        **_GEOMETRY,
+    },
+    "cdr": {
+        "Header": "Time stamp\nstring frame_id",
+        "Time": "int32 sec\nuint32 nanosec",
+        "CameraInfo": _CAMERA_INFO + "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
+        **_IMAGES,
+        **_GEOMETRY,
+    },
+}
+"""In ROS's own notation, without the packages of types: no two that are read have the same name."""
+
+_OPEN = ("Image", "CompressedImage", "CameraInfo")
+"""Layouts that more fields may follow; others are parts of messages and must end where they end here."""
+_NUMBERS = {"uint8": "B", "uint32": "I", "int32": "i", "float64": "d"}
+_FIELD = re.compile(r"([A-Za-z][\w/]*)(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\s*(=?)")
+_RULE = re.compile(r"^=+$", re.MULTILINE)
+_PART = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")
+
+
+class OtherLayoutError(ValueError):
+    """A file's definition of a message is another one than ROS publishes."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a message.
+
+    Attributes:
+        name: its name.
+        kind: its type, without package.
+        array: "" for a single value, "[]" for any number of them, "[9]" for so many.
+    """
+
+    name: str
+    kind: str
+    array: str = ""
+
+
+def parse_fields(text: str) -> tuple[Field, ...]:
+    """Return the fields that a definition in ROS's notation lists; constants and comments are none.
+
+    Raises:
+        OtherLayoutError: a line is no field.
+    """
+    fields = []
+    for line in text.splitlines():
+        line = line.partition("#")[0].strip()
+        if not line:
+            continue
+        found = _FIELD.match(line)
+        if found is None:
+            raise OtherLayoutError("a line of its definition is no field")
+        kind, array, name, equals = found.groups()
+        if not equals:
+            bounded = array is None or "<" not in array
+            fields.append(Field(name, kind.rpartition("/")[2], (array or "") if bounded else "[]"))
+    return tuple(fields)
+
+
+LAYOUTS = {
+    dialect: {name: parse_fields(text) for name, text in definitions.items()}
+    for dialect, definitions in DEFINITIONS.items()
+}
+
+
+def check_definition(dialect: Dialect, name: str, text: str) -> None:
+    """Compare the definition that a file gives of a message, and of its parts, with the published one.
+
+    Raises:
+        OtherLayoutError: they differ, or it is longer than any.
+    """
+    if len(text) > limits.DEFINITION_CHARACTERS:
+        raise OtherLayoutError("its definition is longer than any of ROS")
+    layouts = LAYOUTS[dialect]
+    own, *parts = _RULE.split(text)
+    _check_fields(name, parse_fields(own), layouts[name])
+    for part in parts:
+        head = _PART.match(part)
+        kind = head.group(1).rpartition("/")[2] if head is not None else ""
+        if head is not None and kind in layouts:
+            _check_fields(kind, parse_fields(part[head.end() :]), layouts[kind])
+
+
+def ros_decoder(dialect: Dialect, name: str) -> Callable[[bytes], Any]:
+    """Return what decodes messages of a type, given without its package, into objects with their fields.
+
+    A stamp has ``sec`` and ``nanosec`` in both dialects.
+
+    Raises:
+        KeyError: no such message is read.
+    """
+    LAYOUTS[dialect][name]
+    reader = _Ros1Reader if dialect == "ros1" else _CdrReader
+
+    def decode(data: bytes) -> Any:
+        return reader(data).message(name)
+
+    return decode
+
+
+def _check_fields(name: str, found: tuple[Field, ...], published: tuple[Field, ...]) -> None:
+    if name in _OPEN:
+        found = found[: len(published)]
+    if found != published:
+        raise OtherLayoutError(f"its definition of {name} has other fields than ROS publishes")
+
+
+class _Ros1Reader:
+    """Reads values one after the other.
+
+    Raises:
+        ValueError, struct.error: in every method, where the message ends early.
+    """
+
+    dialect: Dialect = "ros1"
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._position, self._order = data, 0, "<"
+
+    def message(self, name: str) -> Any:
+        values = {field.name: self._field(field) for field in LAYOUTS[self.dialect][name]}
+        return SimpleNamespace(**values)
+
+    def _field(self, field: Field) -> Any:
+        if not field.array:
+            return self._value(field.kind)
+        count = int(field.array[1:-1]) if field.array != "[]" else self._number("I")
+        if field.kind == "uint8":
+            return self._bytes(count)
+        if field.kind in _NUMBERS:
+            return self._numbers(_NUMBERS[field.kind], count)
+        if count > limits.TRANSFORMS:
+            raise ValueError(f"{count} {field.kind}")
+        return [self._value(field.kind) for _ in range(count)]
+
+    def _value(self, kind: str) -> Any:
+        if kind in _NUMBERS:
+            return self._number(_NUMBERS[kind])
+        if kind == "string":
+            return self._string()
+        if kind == "time":
+            return SimpleNamespace(sec=self._number("I"), nanosec=self._number("I"))
+        return self.message(kind)
+
+    def _number(self, code: str) -> Any:
+        return self._numbers(code, 1)[0]
+
+    def _numbers(self, code: str, count: int) -> tuple[Any, ...]:
+        if not count:
+            return ()
+        size = struct.calcsize(code)
+        self._align(size)
+        self._check(size * count)
+        values = struct.unpack_from(f"{self._order}{count}{code}", self._data, self._position)
+        self._position += size * count
+        return values
+
+    def _string(self) -> str:
+        return self._bytes(self._number("I")).decode(errors="replace")
+
+    def _bytes(self, count: int) -> bytes:
+        self._check(count)
+        begin = self._position
+        self._position += count
+        return self._data[begin : self._position]
+
+    def _check(self, size: int) -> None:
+        """Before anything is made of a number of values that the message only claims."""
+        if self._position + size > len(self._data):
+            raise ValueError(f"message of {len(self._data)} bytes ends early")
+
+    def _align(self, size: int) -> None:
+        """Nothing is aligned in ROS 1."""
+
+
+class _CdrReader(_Ros1Reader):
+    """Reads values that are aligned, and strings that end with a zero."""
+
+    dialect: Dialect = "cdr"
+    _HEAD = 4
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        if len(data) < self._HEAD or data[0] or data[1] > 1:
+            raise ValueError("message without the head of plain CDR")
+        self._position, self._order = self._HEAD, "<" if data[1] else ">"
+
+    def _string(self) -> str:
+        return super()._string().rstrip("\0")
+
+    def _align(self, size: int) -> None:
+        self._position += -(self._position - self._HEAD) % size
