@@ -15,7 +15,17 @@ import numpy as np
 from hypothesis import strategies as st
 
 from hostile import seeds
-from hostile.values import changed_bytes, changed_text, changed_tree, integers, json_text, packed_numbers, texts, trees, utf8
+from hostile.values import (
+    changed_bytes,
+    changed_text,
+    changed_tree,
+    integers,
+    json_text,
+    packed_numbers,
+    texts,
+    trees,
+    utf8,
+)
 
 Array = np.ndarray[Any, Any]
 
@@ -33,7 +43,9 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
 def png_file(width: int, height: int, depth: int, colour: int, data: bytes, *extra: bytes) -> bytes:
     """Return a PNG of a header that may lie, compressed rows, and further chunks in between."""
     head = PNG_HEADER.pack(width, height, depth, colour, 0, 0, 0)
-    return b"".join([PNG_MAGIC, png_chunk(b"IHDR", head), *extra, png_chunk(b"IDAT", data), png_chunk(b"IEND", b"")])
+    return b"".join(
+        [PNG_MAGIC, png_chunk(b"IHDR", head), *extra, png_chunk(b"IDAT", data), png_chunk(b"IEND", b"")]
+    )
 
 
 def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
@@ -53,10 +65,14 @@ def changed_png(draw: st.DrawFn, data: bytes) -> bytes:
         how = draw(st.sampled_from(("header", "header", "rows", "packed", "extra", "drop", "double", "cut")))
         k = draw(st.integers(0, len(chunks) - 1))
         if how == "header":
-            chunks = [(kind, _changed_header(draw, body) if kind == b"IHDR" else body) for kind, body in chunks]
+            chunks = [
+                (kind, _changed_header(draw, body) if kind == b"IHDR" else body) for kind, body in chunks
+            ]
         elif how == "rows":
             size = draw(st.sampled_from((0, 1, 1000, 10**6, 3 * 10**7)))
-            chunks = [(kind, zlib.compress(bytes(size)) if kind == b"IDAT" else body) for kind, body in chunks]
+            chunks = [
+                (kind, zlib.compress(bytes(size)) if kind == b"IDAT" else body) for kind, body in chunks
+            ]
         elif how == "packed":
             chunks[k] = (chunks[k][0], draw(changed_bytes(chunks[k][1])))
         elif how == "extra":
@@ -74,23 +90,31 @@ def _changed_header(draw: st.DrawFn, body: bytes) -> bytes:
     fields = list(PNG_HEADER.unpack(body))
     k = draw(st.integers(0, len(fields) - 1))
     side = st.sampled_from((0, 1, 20000, 65535, 2**20, 2**24, 2**31 - 1, 2**31, 2**32 - 1))
-    fields[k] = draw(side if k < 2 else st.integers(0, 255) if draw(st.booleans()) else st.sampled_from((1, 2, 4, 8, 16)))
+    fields[k] = draw(
+        side if k < 2 else st.integers(0, 255) if draw(st.booleans()) else st.sampled_from((1, 2, 4, 8, 16))
+    )
     return PNG_HEADER.pack(*fields)
 
 
 def _extra_chunk() -> st.SearchStrategy[tuple[bytes, bytes]]:
     bomb = zlib.compress(bytes(30_000_000), 9)
     return st.one_of(
-        st.tuples(st.sampled_from((b"PLTE", b"tRNS", b"gAMA", b"acTL", b"fcTL", b"eXIf", b"sBIT")), st.binary(max_size=40)),
-        st.sampled_from(((b"zTXt", b"a\0\0" + bomb), (b"iCCP", b"icc\0\0" + bomb), (b"iTXt", b"a\0\1\0\0\0" + bomb))),
+        st.tuples(
+            st.sampled_from((b"PLTE", b"tRNS", b"gAMA", b"acTL", b"fcTL", b"eXIf", b"sBIT")),
+            st.binary(max_size=40),
+        ),
+        st.sampled_from(
+            ((b"zTXt", b"a\0\0" + bomb), (b"iCCP", b"icc\0\0" + bomb), (b"iTXt", b"a\0\1\0\0\0" + bomb))
+        ),
         st.tuples(st.sampled_from((b"tEXt", b"ABCD", b"abcd")), texts().map(utf8)),
     )
 
 
 # Where headers of other formats hold numbers: (offset, bytes, order)
 HEADERS: Mapping[str, tuple[tuple[int, int, str], ...]] = {
-    ".bmp": ((2, 4, "little"), (10, 4, "little"), (14, 4, "little"), (18, 4, "little"), (22, 4, "little"), (28, 2, "little"))
-    + ((30, 4, "little"), (34, 4, "little"), (46, 4, "little")),
+    ".bmp": tuple(
+        (offset, 2 if offset == 28 else 4, "little") for offset in (2, 10, 14, 18, 22, 28, 30, 34, 46)
+    ),
     ".webp": ((4, 4, "little"), (16, 4, "little"), (21, 4, "little"), (26, 2, "little"), (28, 2, "little")),
 }
 
@@ -102,7 +126,9 @@ def changed_image(draw: st.DrawFn, suffix: str, image: Array) -> bytes:
     if suffix == ".png" and draw(st.integers(0, 4)) > 0:
         return draw(changed_png(data))
     if suffix == ".pgm" and draw(st.booleans()):
-        sizes = st.sampled_from(("0", "1", "64", "20000", "100000", "2147483647", "4294967296", "-1", "a", "9" * 400))
+        sizes = st.sampled_from(
+            ("0", "1", "64", "20000", "100000", "2147483647", "4294967296", "-1", "a", "9" * 400)
+        )
         head = f"P{draw(st.integers(1, 7))}\n{draw(sizes)} {draw(sizes)}\n{draw(sizes)}\n"
         return head.encode() + draw(st.sampled_from((b"", data[20:])))
     if suffix in (".tif", ".tiff") and draw(st.booleans()):
@@ -142,7 +168,12 @@ def _changed_jpeg(draw: st.DrawFn, data: bytes) -> bytes:
         marker, length = data[place + 1], int.from_bytes(data[place + 2 : place + 4], "big")
         places.append((place + 2, 2, "big"))
         if marker in (0xC0, 0xC1, 0xC2):
-            places += [(place + 4, 1, "big"), (place + 5, 2, "big"), (place + 7, 2, "big"), (place + 9, 1, "big")] * 3
+            places += [
+                (place + 4, 1, "big"),
+                (place + 5, 2, "big"),
+                (place + 7, 2, "big"),
+                (place + 9, 1, "big"),
+            ] * 3
         place += 2 + length
     return _changed_numbers(draw, data, tuple(places))
 
@@ -156,7 +187,8 @@ PLAYLISTS = (
     "#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n",
     "ffconcat version 1.0\nfile other.avi\n",
     "ffconcat version 1.0\nfile /dev/zero\n",
-    "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
+    "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\n"
+    "a=rtpmap:96 H264/90000\n",
     '<?xml version="1.0"?><MPD xmlns="urn:mpeg:dash:schema:mpd:2011"><BaseURL>other.avi</BaseURL></MPD>',
     "[InternetShortcut]\nURL=file:///etc/passwd\n",
     "RTSPtext\nrtsp://127.0.0.1:9/\n",
@@ -167,7 +199,7 @@ PLAYLISTS = (
 
 @st.composite
 def changed_video(draw: st.DrawFn, data: bytes) -> bytes:
-    """A video whose boxes, tables and frames are changed, or a text that a player would follow to other files."""
+    """A video whose boxes, tables and frames are changed, or a text that leads players to other files."""
     if draw(st.integers(0, 5)) == 0:
         return utf8(draw(st.sampled_from(PLAYLISTS)))
     out = bytearray(data)
@@ -177,7 +209,9 @@ def changed_video(draw: st.DrawFn, data: bytes) -> bytes:
             continue
         heads = [at for at in range(0, max(0, len(out) - 8)) if bytes(out[at : at + 4]) in VIDEO_MARKS]
         if heads:
-            place = draw(st.sampled_from(heads)) + draw(st.sampled_from((-4, 4, 8, 12, 16, 20, 24, 28, 32, 36, 40)))
+            place = draw(st.sampled_from(heads)) + draw(
+                st.sampled_from((-4, 4, 8, 12, 16, 20, 24, 28, 32, 36, 40))
+            )
             new = draw(packed_numbers())
             place = max(0, place)
             out[place : place + len(new)] = new
@@ -186,7 +220,21 @@ def changed_video(draw: st.DrawFn, data: bytes) -> bytes:
 
 VIDEO_MARKS = (
     *(b"RIFF", b"avih", b"strh", b"strf", b"movi", b"idx1", b"00dc", b"LIST"),
-    *(b"ftyp", b"moov", b"mvhd", b"trak", b"tkhd", b"mdhd", b"stts", b"stsz", b"stco", b"stsc", b"stsd", b"mdat", b"elst"),
+    *(
+        b"ftyp",
+        b"moov",
+        b"mvhd",
+        b"trak",
+        b"tkhd",
+        b"mdhd",
+        b"stts",
+        b"stsz",
+        b"stco",
+        b"stsc",
+        b"stsd",
+        b"mdat",
+        b"elst",
+    ),
 )
 
 
@@ -208,7 +256,9 @@ def changed_glb(draw: st.DrawFn) -> bytes:
         content = json.loads(text)
         count, loop = draw(st.sampled_from(((3000, False), (10, True), (1, True))))
         first = len(content["nodes"])
-        content["nodes"] += [{"children": [first + k + 1]} for k in range(count)] + [{"children": [first] if loop else []}]
+        content["nodes"] += [{"children": [first + k + 1]} for k in range(count)] + [
+            {"children": [first] if loop else []}
+        ]
         content["nodes"][draw(st.integers(0, 25))]["children"] = [first]
         text = json.dumps(content).encode()
     data = seeds.glb_bytes(text, binary)
@@ -224,7 +274,10 @@ def npz_arrays(data: bytes) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def npz_bytes(members: list[tuple[str, bytes]], *, packed: bool = False) -> bytes:
+def npz_bytes(
+    members: list[tuple[str, bytes]], *, packed: bool = False, bomb: tuple[str, tuple[int, ...]] | None = None
+) -> bytes:
+    """Return an npz file; with a bomb it also has zeros of a name and shape, at most 160 MB, packed."""
     import warnings
 
     stream = io.BytesIO()
@@ -233,6 +286,10 @@ def npz_bytes(members: list[tuple[str, bytes]], *, packed: bool = False) -> byte
         warnings.simplefilter("ignore")  # of two members of one name
         for name, content in members:
             archive.writestr(zipfile.ZipInfo(name or "x"), content, kind)
+        if bomb is not None:
+            head = npy_bytes(str({"descr": "<f8", "fortran_order": False, "shape": bomb[1]}), b"")
+            size = min(int(np.prod([float(side) for side in bomb[1]])) * 8, 160_000_000)
+            archive.writestr(zipfile.ZipInfo(bomb[0] or "x"), head + bytes(size), zipfile.ZIP_DEFLATED, 1)
     return stream.getvalue()
 
 
@@ -259,7 +316,11 @@ def changed_npz(draw: st.DrawFn, data: bytes) -> bytes:
     """An npz file with arrays of other shapes, types and numbers, or members gone, doubled or huge."""
     members = list(npz_arrays(data).items())
     for _ in range(draw(st.integers(1, 3))):
-        how = draw(st.sampled_from(("numbers", "numbers", "array", "array", "head", "json", "json", "member", "bytes", "bomb")))
+        how = draw(
+            st.sampled_from(
+                ("numbers", "numbers", "array", "array", "head", "json", "json", "member", "bytes", "bomb")
+            )
+        )
         k = draw(st.integers(0, len(members) - 1))
         name, content = members[k]
         if how == "json":
@@ -272,10 +333,10 @@ def changed_npz(draw: st.DrawFn, data: bytes) -> bytes:
         elif how == "bytes":
             members[k] = (name, draw(changed_bytes(content)))
         elif how == "bomb":
-            shape = draw(st.sampled_from(((50_000_000,), (2**31,), (2**40,), (2**63,), (0, 2**62), (1,) * 40)))
-            size = min(int(np.prod([float(s) for s in shape])) * 8, 300_000_000)
-            members[k] = (name, npy_bytes(str({"descr": "<f8", "fortran_order": False, "shape": shape}), bytes(size)))
-            return npz_bytes(members, packed=True)
+            shape = draw(
+                st.sampled_from(((50_000_000,), (2**31,), (2**40,), (2**63,), (0, 2**62), (1,) * 40))
+            )
+            return npz_bytes([*members[:k], *members[k + 1 :]], bomb=(name, shape))
         else:
             members[k] = (name, draw(_changed_npy(content, how)))
     if draw(st.integers(0, 9)) == 0:
@@ -288,7 +349,10 @@ def _change_members(draw: st.DrawFn, members: list[tuple[str, bytes]], k: int) -
     if how == "drop" and len(members) > 1:
         del members[k]
     elif how == "rename":
-        members[k] = (draw(st.sampled_from(("x", "x.npy", "../../pwned", "json.npy", "array..npy", "\x1b[2J"))), members[k][1])
+        members[k] = (
+            draw(st.sampled_from(("x", "x.npy", "../../pwned", "json.npy", "array..npy", "\x1b[2J"))),
+            members[k][1],
+        )
     else:
         members.append(members[k] if how == "double" else ("new.npy", npy_of(np.zeros(3))))
 
@@ -303,12 +367,18 @@ def _changed_npy(draw: st.DrawFn, content: bytes, how: str) -> bytes:
     if how == "head":
         shapes = ((), (1,), (2**31,), (2**62,), (-1,), (0,), tuple(array.shape[::-1]), (*array.shape, 1))
         key = draw(st.sampled_from(("shape", "descr", "fortran_order")))
-        values = {"shape": shapes, "descr": ("<f8", "<f4", "|O", "<U4", ">f8", "V9", "x", "<M8[ns]"), "fortran_order": (True, 3)}
+        values = {
+            "shape": shapes,
+            "descr": ("<f8", "<f4", "|O", "<U4", ">f8", "V9", "x", "<M8[ns]"),
+            "fortran_order": (True, 3),
+        }
         head = {**head, key: draw(st.sampled_from(values[key]))}
         return npy_bytes(str(head), body)
     if how == "array":
         return npy_of(draw(_other_array(array)))
-    values_at_edge = st.sampled_from((0.0, -1.0, 1.0, 1e30, 1e300, np.nan, np.inf, 2.0**31, 2.0**62, -(2.0**62)))
+    values_at_edge = st.sampled_from(
+        (0.0, -1.0, 1.0, 1e30, 1e300, np.nan, np.inf, 2.0**31, 2.0**62, -(2.0**62))
+    )
     array = array.copy()
     if array.size and array.dtype.kind in "fiub":
         places = draw(st.lists(st.integers(0, array.size - 1), min_size=1, max_size=3))
@@ -322,7 +392,13 @@ def _changed_npy(draw: st.DrawFn, content: bytes, how: str) -> bytes:
 
 
 def _other_array(array: Array) -> st.SearchStrategy[Array]:
-    options: list[Array] = [np.zeros(0), np.zeros(()), np.zeros((3, 3)), np.array(["a", "\x1b[2J"]), np.zeros(1 << 20)]
+    options: list[Array] = [
+        np.zeros(0),
+        np.zeros(()),
+        np.zeros((3, 3)),
+        np.array(["a", "\x1b[2J"]),
+        np.zeros(1 << 14),
+    ]
     options += [array.astype(kind) for kind in ("f4", "i8", "u1", "c16", "?") if array.dtype.kind in "fiub"]
     if array.ndim:
         options += [array[:0], array[:-1], np.concatenate([array, array]), array.reshape(-1), array[None]]

@@ -141,10 +141,15 @@ def run(options: argparse.Namespace) -> int:
                     break
                 search(harness, seeds, target, options.batch, number, tally)
                 if not options.quiet:
-                    print(f"{(time.monotonic() - began) / 60.0:6.1f} min  {line_of(tally)}", file=sys.stderr, flush=True)
+                    print(
+                        f"{(time.monotonic() - began) / 60.0:6.1f} min  {line_of(tally)}",
+                        file=sys.stderr,
+                        flush=True,
+                    )
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-    report(tally, options, (time.monotonic() - began) / 60.0)
+    finally:
+        report(tally, options, (time.monotonic() - began) / 60.0)
     return 1 if tally.failures else 0
 
 
@@ -169,7 +174,9 @@ def report(tally: Tally, options: argparse.Namespace, minutes: float) -> None:
     for target in TARGETS:
         if tally.tried[target]:
             codes = {c.split()[1]: n for c, n in sorted(tally.codes.items()) if c.split()[0] == target}
-            print(f"{target:16}{tally.tried[target]:7} tried {tally.failed[target]:6} failed   exit codes {codes}")
+            print(
+                f"{target:16}{tally.tried[target]:7} tried {tally.failed[target]:5} failed, exit codes {codes}"
+            )
     for number, (name, failure) in enumerate(sorted(tally.failures.items(), key=lambda f: -f[1].count), 1):
         print(f"\n{number}. {name} ({failure.count} times)\n   {failure.case!r}")
         for broken in failure.broken:
@@ -215,19 +222,30 @@ def again(folders: list[Path]) -> int:
             broken = violations(case, outcome)
             failed += bool(broken)
             print(f"{folder.name}: exit code {outcome.code}, {'; '.join(broken) or 'as it must be'}")
-            print("   " + outcome.error.decode("utf-8", "backslashreplace").strip()[-3000:].replace("\n", "\n   "))
+            print(
+                "   "
+                + outcome.error.decode("utf-8", "backslashreplace").strip()[-3000:].replace("\n", "\n   ")
+            )
     return 1 if failed else 0
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="scripts/fuzz", description="Search for inputs that break the invariant.")
+    parser = argparse.ArgumentParser(
+        prog="scripts/fuzz", description="Search for inputs that break the invariant."
+    )
     parser.add_argument("--minutes", type=float, default=1.0, help="how long; the seeds take one more")
     parser.add_argument("--target", action="append", choices=list(TARGETS), help="only this one; repeatable")
-    parser.add_argument("--seed", type=int, default=None, help="of the search; by default a fresh one, which is told")
+    parser.add_argument(
+        "--seed", type=int, default=None, help="of the search; by default a fresh one, which is told"
+    )
     parser.add_argument("--batch", type=int, default=BATCH, help="cases of one target at a time")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the smallest case of each way to fail")
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="keep the smallest case of each way to fail"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the counts")
-    parser.add_argument("--again", type=Path, nargs="+", metavar="FOLDER", help="only run cases that were kept")
+    parser.add_argument(
+        "--again", type=Path, nargs="+", metavar="FOLDER", help="only run cases that were kept"
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing but the end")
     options = parser.parse_args()
     if options.again:

@@ -13,7 +13,9 @@ MEMORY_BYTES = 1 << 30
 ENDINGS = ("", ".part", ".part.state", ".part.state.tmp")
 """Of names that the command may make beside its output while it is unfinished."""
 
-_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+_CONTROLS = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
+)
 _SAID = ("Traceback", "internal error", "Warning:", "[ WARN:", "[ERROR", "[mov,", "libpng", "TIFF")
 
 
@@ -93,10 +95,7 @@ def _files(case: Case, outcome: Outcome) -> Iterator[str]:
     for name in sorted(outcome.before.keys() | outcome.after.keys()):
         if outcome.before.get(name) == outcome.after.get(name):
             continue
-        if name not in outcome.after:
-            what = "gone"
-        else:
-            what = "changed" if name in outcome.before else "made"
+        what = "gone" if name not in outcome.after else "changed" if name in outcome.before else "made"
         if what == "gone" and _is_kept(case, outcome, name):
             yield f"file {name} was deleted while resuming"
         elif not _is_output(case, name):

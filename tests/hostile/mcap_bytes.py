@@ -1,7 +1,8 @@
 """A small reader and writer of MCAP that states whatever it is told to.
 
-A file is a list of records, each a dict: ``op`` and its fields, of a chunk also ``inner``, its own records. What the
-format derives (lengths, offsets, CRCs, sizes, counts, the summary) is right unless a field of that name says otherwise.
+A file is a list of records, each a dict: ``op`` and its fields, of a chunk also ``inner``, its own records.
+What the format derives (lengths, offsets, CRCs, sizes, counts, the summary) is right unless a field of that
+name says otherwise.
 """
 
 from __future__ import annotations
@@ -25,8 +26,20 @@ FIELDS: dict[int, tuple[tuple[str, str], ...]] = {
     HEADER: (("profile", "s"), ("library", "s")),
     FOOTER: (("summary_start", "u8"), ("summary_offset_start", "u8"), ("summary_crc", "u4")),
     SCHEMA: (("id", "u2"), ("name", "s"), ("encoding", "s"), ("data", "b")),
-    CHANNEL: (("id", "u2"), ("schema_id", "u2"), ("topic", "s"), ("message_encoding", "s"), ("metadata", "m")),
-    MESSAGE: (("channel_id", "u2"), ("sequence", "u4"), ("log_time", "u8"), ("publish_time", "u8"), ("data", "r")),
+    CHANNEL: (
+        ("id", "u2"),
+        ("schema_id", "u2"),
+        ("topic", "s"),
+        ("message_encoding", "s"),
+        ("metadata", "m"),
+    ),
+    MESSAGE: (
+        ("channel_id", "u2"),
+        ("sequence", "u4"),
+        ("log_time", "u8"),
+        ("publish_time", "u8"),
+        ("data", "r"),
+    ),
     CHUNK: (
         ("message_start_time", "u8"),
         ("message_end_time", "u8"),
@@ -146,7 +159,13 @@ def _index_of(record: Record, start: int, length: int) -> Record | None:
     if record["op"] == ATTACHMENT:
         kept = {k: record.get(k, d) for k, d in (("log_time", 0), ("create_time", 0), ("name", ""))}
         size = len(record.get("data", b""))
-        return {"op": ATTACHMENT_INDEX, **place, **kept, "media_type": record.get("media_type", ""), "data_size": size}
+        return {
+            "op": ATTACHMENT_INDEX,
+            **place,
+            **kept,
+            "media_type": record.get("media_type", ""),
+            "data_size": size,
+        }
     if record["op"] == CHUNK:
         times = [r.get("log_time", 0) for r in record.get("inner", ()) if r["op"] == MESSAGE]
         fields = chunk_fields(record)

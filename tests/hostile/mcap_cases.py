@@ -39,9 +39,13 @@ def changed_file(draw: st.DrawFn, records: list[Record], most: int = 3) -> bytes
     """A file whose records are changed in one to ``most`` ways; then perhaps cut."""
     records = deepcopy(records)
     for _ in range(draw(st.integers(1, most))):
-        change = draw(st.sampled_from((_field, _field, _field, _field, _list, _list, _length, _chunk, _chunk, _new)))
+        change = draw(
+            st.sampled_from((_field, _field, _field, _field, _list, _list, _length, _chunk, _chunk, _new))
+        )
         change(draw, records)
-    how = draw(st.sampled_from(("whole", "whole", "whole", "no summary", "lying summary", "lying summary", "cut")))
+    how = draw(
+        st.sampled_from(("whole", "whole", "whole", "no summary", "lying summary", "lying summary", "cut"))
+    )
     if how == "lying summary":
         return draw(lying_summary(records))
     data = file_bytes(records, summary=how != "no summary")
@@ -62,7 +66,10 @@ def field_value(kind: str, before: Any) -> st.SearchStrategy[Any]:
     if kind.startswith("u"):
         return st.one_of(integers(), st.sampled_from(_near(before)))
     if kind == "s":
-        return st.one_of(texts(), st.sampled_from(("zstd", "lz4", "", "ros1", "ros1msg", "cdr", "json", "protobuf", "ros2msg")))
+        return st.one_of(
+            texts(),
+            st.sampled_from(("zstd", "lz4", "", "ros1", "ros1msg", "cdr", "json", "protobuf", "ros2msg")),
+        )
     if kind in "bBr":
         data = before if isinstance(before, bytes) else b""
         return st.one_of(changed_bytes(data), texts().map(utf8), st.just(b""))
@@ -164,12 +171,23 @@ def _new(draw: st.DrawFn, records: list[Record]) -> None:
             "message_encoding": st.sampled_from(("", "json", "cdr", "ros1", "protobuf", "x")),
             "metadata": st.dictionaries(texts(), texts(), max_size=2),
         },
-        MESSAGE: {"channel_id": identity, "log_time": integers(), "publish_time": integers(), "data": st.binary(max_size=60)},
+        MESSAGE: {
+            "channel_id": identity,
+            "log_time": integers(),
+            "publish_time": integers(),
+            "data": st.binary(max_size=60),
+        },
         METADATA: {
-            "name": st.sampled_from(("posetrack.run", "posetrack.subject", "posetrack.summary", "posetrack.cameras", "\x1b[2J")),
+            "name": st.sampled_from(
+                ("posetrack.run", "posetrack.subject", "posetrack.summary", "posetrack.cameras", "\x1b[2J")
+            ),
             "metadata": st.dictionaries(texts(), texts(), max_size=3),
         },
-        ATTACHMENT: {"name": st.one_of(st.just("model.npz"), texts()), "media_type": texts(), "data": st.binary(max_size=60)},
+        ATTACHMENT: {
+            "name": st.one_of(st.just("model.npz"), texts()),
+            "media_type": texts(),
+            "data": st.binary(max_size=60),
+        },
         DATA_END: {"data_section_crc": integers()},
         CHUNK: {"inner": st.just([])},
         FOOTER: {"summary_start": integers()},
@@ -183,7 +201,7 @@ def _new(draw: st.DrawFn, records: list[Record]) -> None:
 
 @st.composite
 def lying_summary(draw: st.DrawFn, records: list[Record]) -> bytes:
-    """A file with a summary whose offsets, counts and names are not those of its data section; the CRC is right."""
+    """A file whose summary, with a right CRC, tells offsets, counts and names that its data has not."""
     out = bytearray(MAGIC)
     spans = []
     for record in records:

@@ -17,7 +17,7 @@ TIME_1, TIME_2 = "time", "builtin_interfaces/Time"
 
 @dataclass(frozen=True)
 class Field:
-    """A field of a message: type as ROS writes it, name, value; of a nested message the fields are the value."""
+    """A field of a message: type as ROS writes it, name, and value; of a nested message its fields."""
 
     kind: str
     name: str
@@ -46,7 +46,11 @@ _STRUCTS = {
 def header(ros: int, stamp_ns: int, frame_id: str) -> Field:
     sec, nanosec = divmod(stamp_ns, 10**9)
     if ros == 1:
-        fields = (Field("uint32", "seq", 0), Field("time", "stamp", (sec, nanosec)), Field("string", "frame_id", frame_id))
+        fields = (
+            Field("uint32", "seq", 0),
+            Field("time", "stamp", (sec, nanosec)),
+            Field("string", "frame_id", frame_id),
+        )
     else:
         time = (Field("int32", "sec", sec), Field("uint32", "nanosec", nanosec))
         fields = (Field(TIME_2, "stamp", time), Field("string", "frame_id", frame_id))
@@ -194,7 +198,18 @@ class _Writer:
 # Changed ones
 
 
-KINDS = ("uint8", "uint32", "string", "float64", "uint8[]", "float64[9]", "float64[]", "time", "Header", "std_msgs/Header")
+KINDS = (
+    "uint8",
+    "uint32",
+    "string",
+    "float64",
+    "uint8[]",
+    "float64[9]",
+    "float64[]",
+    "time",
+    "Header",
+    "std_msgs/Header",
+)
 CODE = (
     'string __import__("os").system("id>pwned");X=1',
     'uint8 a\nstring __import__("os").system("id>pwned");X=1',
@@ -225,13 +240,17 @@ def changed_layout(draw: st.DrawFn, layout: Layout) -> Layout:
             break
         k = draw(st.integers(0, len(fields) - 1))
         field = fields[k]
-        how = draw(st.sampled_from(("value", "value", "value", "value", "drop", "double", "rename", "kind", "into")))
+        how = draw(
+            st.sampled_from(("value", "value", "value", "value", "drop", "double", "rename", "kind", "into"))
+        )
         if how == "drop":
             del fields[k]
         elif how == "double":
             fields.insert(k, field)
         elif how == "rename":
-            fields[k] = replace(field, name=draw(st.sampled_from(("a", "data", "__class__", "height", "header"))))
+            fields[k] = replace(
+                field, name=draw(st.sampled_from(("a", "data", "__class__", "height", "header")))
+            )
         elif how == "kind":
             kind = draw(st.sampled_from(KINDS))
             fields[k] = replace(field, kind=kind, value=draw(field_value(kind)))
@@ -294,7 +313,11 @@ def ros_records(draw: st.DrawFn, ros: int, topics: dict[str, tuple[str, list[Lay
     hit = draw(st.sampled_from(sorted(topics)))
     for number, (topic, (kind, layouts)) in enumerate(topics.items(), 1):
         own = list(layouts)
-        how = draw(st.sampled_from(("fields", "fields", "values", "values", "text", "code", "bytes"))) if topic == hit else ""
+        how = (
+            draw(st.sampled_from(("fields", "fields", "values", "values", "text", "code", "bytes")))
+            if topic == hit
+            else ""
+        )
         text = utf8(definition(own[0]))
         if how == "fields":
             own = [draw(changed_layout(own[0]))] * len(own)
@@ -316,10 +339,23 @@ def ros_records(draw: st.DrawFn, ros: int, topics: dict[str, tuple[str, list[Lay
         if how == "text" and draw(st.integers(0, 3)) == 0:
             schema = draw(st.sampled_from(("ros1msg", "ros2msg", "ros2idl", "", "protobuf", "jsonschema")))
         records.append({"op": SCHEMA, "id": number, "name": name, "encoding": schema, "data": text})
-        channel = {"op": CHANNEL, "id": number, "schema_id": number, "topic": topic, "message_encoding": encoding}
+        channel = {
+            "op": CHANNEL,
+            "id": number,
+            "schema_id": number,
+            "topic": topic,
+            "message_encoding": encoding,
+        }
         records.append({**channel, "metadata": {}})
         records += [
-            {"op": MESSAGE, "channel_id": number, "sequence": k, "log_time": 10 + k, "publish_time": 10 + k, "data": d}
+            {
+                "op": MESSAGE,
+                "channel_id": number,
+                "sequence": k,
+                "log_time": 10 + k,
+                "publish_time": 10 + k,
+                "data": d,
+            }
             for k, d in enumerate(data)
         ]
     return records
@@ -341,7 +377,7 @@ def changed_protobuf(draw: st.DrawFn, message: Any) -> bytes:
 
 
 def _change_message(draw: st.DrawFn, message: Any) -> None:
-    field = draw(st.sampled_from(message.DESCRIPTOR.fields))
+    field = draw(st.sampled_from(list(message.DESCRIPTOR.fields)))
     if field.message_type is not None:
         if _is_repeated(field):
             entries = getattr(message, field.name)
@@ -390,11 +426,17 @@ def _scalar(field: Any) -> st.SearchStrategy[Any]:
         return st.one_of(st.binary(max_size=40), st.just(bytes(10_000)))
     if field.type in (field.TYPE_DOUBLE, field.TYPE_FLOAT):
         return numbers().map(_finite_float)
-    bits = 64 if field.type in (field.TYPE_INT64, field.TYPE_UINT64, field.TYPE_FIXED64, field.TYPE_SFIXED64) else 32
+    bits = (
+        64
+        if field.type in (field.TYPE_INT64, field.TYPE_UINT64, field.TYPE_FIXED64, field.TYPE_SFIXED64)
+        else 32
+    )
     signed = field.type in (field.TYPE_INT32, field.TYPE_INT64, field.TYPE_SFIXED32, field.TYPE_SFIXED64)
     if field.type in (field.TYPE_BOOL, field.TYPE_ENUM):
         return st.integers(0, 1)
-    return integers().map(lambda n: (n + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1) if signed else n % (1 << bits))
+    return integers().map(
+        lambda n: (n + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1) if signed else n % (1 << bits)
+    )
 
 
 def _finite_float(number: Any) -> float:
@@ -411,29 +453,43 @@ def changed_descriptor(draw: st.DrawFn, data: bytes) -> bytes:
 
     files = FileDescriptorSet.FromString(data)
     for _ in range(draw(st.integers(1, 3))):
-        message = draw(st.sampled_from([m for f in files.file for m in f.message_type] or [None]))
-        if message is None or not message.field:
-            continue
-        field = draw(st.sampled_from(list(message.field)))
-        how = draw(st.sampled_from(("name", "number", "type", "label", "drop", "type_name", "file", "message", "depends")))
-        if how == "name":
-            field.name = draw(st.sampled_from(("data", "x", "__class__", "width", "")))
-        elif how == "number":
-            field.number = draw(st.sampled_from((0, 1, 2, 5, -1, 2**29, 2**31 - 1)))
-        elif how == "type":
-            field.type = draw(st.integers(1, 18))
-            field.ClearField("type_name")
-        elif how == "label":
-            field.label = draw(st.integers(1, 3))
-        elif how == "drop":
-            message.field.remove(field)
-        elif how == "type_name":
-            field.type = 11
-            field.type_name = draw(st.sampled_from((".foxglove.RawImage", ".x.Y", "", f".{files.file[0].package}.{message.name}")))
-        elif how == "file":
-            files.file[0].name = draw(st.sampled_from(("", "../../pwned", "google/protobuf/timestamp.proto", "\x1b[2J")))
-        elif how == "message":
-            message.name = draw(st.sampled_from(("", "X", "RawImage")))
-        else:
-            files.file[-1].dependency.append(draw(st.sampled_from(("nowhere.proto", files.file[-1].name))))
+        found = [message for file in files.file for message in file.message_type if message.field]
+        if found:
+            change = draw(st.sampled_from((_change_field, _change_field, _change_type, _change_file)))
+            change(draw, files, draw(st.sampled_from(found)))
     return bytes(files.SerializeToString())
+
+
+def _change_field(draw: st.DrawFn, files: Any, message: Any) -> None:
+    field = draw(st.sampled_from(list(message.field)))
+    how = draw(st.sampled_from(("name", "number", "label", "drop")))
+    if how == "name":
+        field.name = draw(st.sampled_from(("data", "x", "__class__", "width", "")))
+    elif how == "number":
+        field.number = draw(st.sampled_from((0, 1, 2, 5, -1, 2**29, 2**31 - 1)))
+    elif how == "label":
+        field.label = draw(st.integers(1, 3))
+    else:
+        message.field.remove(field)
+
+
+def _change_type(draw: st.DrawFn, files: Any, message: Any) -> None:
+    field = draw(st.sampled_from(list(message.field)))
+    if draw(st.booleans()):
+        field.type = draw(st.integers(1, 18))
+        field.ClearField("type_name")
+    else:
+        field.type = field.TYPE_MESSAGE
+        own = f".{files.file[0].package}.{message.name}"
+        field.type_name = draw(st.sampled_from((own, ".foxglove.RawImage", ".x.Y", "")))
+
+
+def _change_file(draw: st.DrawFn, files: Any, message: Any) -> None:
+    how = draw(st.sampled_from(("name", "message", "depends")))
+    if how == "name":
+        names = ("", "../../pwned", "google/protobuf/timestamp.proto", "\x1b[2J")
+        files.file[0].name = draw(st.sampled_from(names))
+    elif how == "message":
+        message.name = draw(st.sampled_from(("", "X", "RawImage")))
+    else:
+        files.file[-1].dependency.append(draw(st.sampled_from(("nowhere.proto", files.file[-1].name))))

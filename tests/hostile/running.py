@@ -29,8 +29,8 @@ WORK_S = {
     ("calibrate", "stereo"): 3.0,
     ("view",): 5.0,
 }
-"""Seconds that a command takes for small valid input, on a busy machine: a GL context is opened, compiled code
-is loaded from its cache, frames are tracked."""
+"""Seconds that a command takes for small valid input, on a busy machine: it opens a GL context, loads
+compiled code from its cache, and tracks frames."""
 ROOT = Path(__file__).parents[2]
 FRESH_LIMIT_S = 300.0
 FRESH = (sys.executable, "-m", "posetrack_cli.cli.main")
@@ -90,16 +90,24 @@ class Harness:
         codes: list[int] = self._ask({"warm": commands})["code"]
         return codes
 
-    def run(self, case: Case, *, stop_after: int | None = None, keep: Path | None = None) -> Outcome:
+    def run(
+        self, case: Case, *, stop_after: int | None = None, keep: Path | None = None, instead: str = ""
+    ) -> Outcome:
         """Run a case in a folder of its own.
 
         Args:
             case: the files and the command line.
             stop_after: frames after which the run believes that it was interrupted.
             keep: a folder that is not there yet; the case's folder becomes it.
+            instead: Python that runs in the place of the command, to show what the harness sees.
         """
         with self._laid_out(case, keep) as laid:
-            request = {"folder": str(laid.folder), "command": case.command, "stop_after": stop_after}
+            request: dict[str, Any] = {
+                "folder": str(laid.folder),
+                "command": case.command,
+                "stop_after": stop_after,
+            }
+            request["instead"] = instead
             answer = self._ask(request | laid.streams() | {"cpu_s": cpu_limit_s(case)})
             return laid.outcome(answer)
 
@@ -138,7 +146,9 @@ class Harness:
                     ended = "too long"
                 child.returncode = code = os.waitstatus_to_exitcode(status)
             cpu_s = usage.ru_utime + usage.ru_stime
-            return laid.outcome({"code": code, "ended": ended, "cpu_s": cpu_s, "peak_bytes": usage.ru_maxrss * 1024})
+            return laid.outcome(
+                {"code": code, "ended": ended, "cpu_s": cpu_s, "peak_bytes": usage.ru_maxrss * 1024}
+            )
 
     def _laid_out(self, case: Case, keep: Path | None) -> _LaidOut:
         self._count += 1

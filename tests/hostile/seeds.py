@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ class Seeds:
     results: Mapping[str, bytes]
     interrupted: Mapping[str, tuple[bytes, bytes]]
     models: Mapping[str, bytes]
-    commands: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    commands: Mapping[str, tuple[str, ...]]
 
     @property
     def face_model(self) -> bytes:
@@ -112,7 +112,9 @@ def _made_files(
     case = Case("seed", command, files, ("out.mcap", "model.npz"))
     made, outcome = harness.run_and_read(case, stop_after=stop_after)
     if outcome.code not in ((0,) if stop_after is None else (130,)):
-        raise RuntimeError(f"no seed from {case.command_line()}: {outcome.code} {outcome.error.decode()}{outcome.stacks}")
+        raise RuntimeError(
+            f"no seed from {case.command_line()}: {outcome.code} {outcome.error.decode()}{outcome.stacks}"
+        )
     return made
 
 
@@ -220,7 +222,10 @@ def rig_toml(cameras: tuple[str, ...] = ("left", "right")) -> str:
     for k, name in enumerate(cameras):
         lines += [f"[cameras.{name}]", "fx = 250.0", "fy = 250.0", "cx = 79.5", "cy = 59.5"]
         if k:
-            lines += ["rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]", "translation_mm = [-120.0, 0.0, 0.0]"]
+            lines += [
+                "rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]",
+                "translation_mm = [-120.0, 0.0, 0.0]",
+            ]
     return "\n".join(lines) + "\n"
 
 
@@ -236,7 +241,9 @@ def truth_csv() -> str:
 
     header = ",".join(["stamp_ns", *(f"{name}_{axis}_mm" for name in JOINT_NAMES for axis in "xyz")])
     rows = [
-        ",".join([str(START_NS + k * PERIOD_NS), *(f"{j + 0.5 * k:.1f}" for j in range(3 * len(JOINT_NAMES)))])
+        ",".join(
+            [str(START_NS + k * PERIOD_NS), *(f"{j + 0.5 * k:.1f}" for j in range(3 * len(JOINT_NAMES)))]
+        )
         for k in range(FRAMES)
     ]
     return "\n".join([header, *rows]) + "\n"
@@ -274,7 +281,9 @@ def glb_bytes(text: bytes, binary: bytes) -> bytes:
     """Return a GLB container of a JSON text and a binary chunk."""
     text += b" " * (-len(text) % 4)
     binary += bytes(-len(binary) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    chunks = (
+        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 

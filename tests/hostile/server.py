@@ -19,7 +19,7 @@ import sys
 import time
 import traceback
 import warnings
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +29,27 @@ ADDRESS_BYTES = 6 * GIB
 BLOCKED_S = 10.0
 """A child that has not computed for so long waits for something that never comes."""
 WALL_LIMIT_S = 240.0
-SPAWNING = ("subprocess.Popen", "os.system", "os.fork", "os.forkpty", "os.exec", "os.posix_spawn", "pty.spawn")
+SPAWNING = (
+    "subprocess.Popen",
+    "os.system",
+    "os.fork",
+    "os.forkpty",
+    "os.exec",
+    "os.posix_spawn",
+    "pty.spawn",
+)
 REACHING = ("socket.connect", "socket.bind", "socket.getaddrinfo", "urllib.Request")
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-CHANGING = ("os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.symlink", "os.link", "os.truncate", "os.chmod")
+CHANGING = (
+    "os.remove",
+    "os.rename",
+    "os.rmdir",
+    "os.mkdir",
+    "os.symlink",
+    "os.link",
+    "os.truncate",
+    "os.chmod",
+)
 
 
 def serve() -> None:
@@ -43,10 +60,7 @@ def serve() -> None:
     print(json.dumps({"ready": True}), file=answers, flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        if "warm" in request:
-            answer = {"code": _warm(request["warm"])}
-        else:
-            answer = run_child(request)
+        answer = {"code": _warm(request["warm"])} if "warm" in request else run_child(request)
         print(json.dumps(answer), file=answers, flush=True)
 
 
@@ -61,15 +75,22 @@ def prepare() -> None:
     tqdm.tqdm.monitor_interval = 0
     for module in pkgutil.walk_packages(posetrack_cli.__path__, "posetrack_cli."):
         importlib.import_module(module.name)
-    for name in ("encodings.idna", "multiprocessing.util", "http.client", "numpy.lib.format", "importlib.resources"):
+    for name in (
+        "encodings.idna",
+        "multiprocessing.util",
+        "http.client",
+        "numpy.lib.format",
+        "importlib.resources",
+    ):
         importlib.import_module(name)
 
 
 def _warm(commands: list[list[str]]) -> list[int]:
-    """Run commands in this process, so that its children have compiled code loaded; none may open a GL context."""
+    """Run commands in this process: its children have compiled code loaded. None may open a GL context."""
     from posetrack_cli.cli.main import run
 
-    return [run(command) for command in commands]
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):  # noqa: PTH123
+        return [run(command) for command in commands]
 
 
 def run_child(request: dict[str, Any]) -> dict[str, Any]:
@@ -145,7 +166,7 @@ def _be_child(request: dict[str, Any], report: int) -> None:
         _say(report, {"idle_bytes": _resident_bytes()})
         events = _audited(request["folder"], request["temporary"])
         with _stopped_after(request.get("stop_after")):
-            code = _called(["posetrack", *request["command"]])
+            code = _called(["posetrack", *request["command"]], request["instead"])
         events.append("end")
         _say(report, {"modules": _foreign(set(sys.modules) - known), "events": events[:-1]})
     except BaseException:  # the harness's own mistakes must not look like the product's
@@ -154,14 +175,14 @@ def _be_child(request: dict[str, Any], report: int) -> None:
         os._exit(code)
 
 
-def _called(argv: list[str]) -> int:
-    """Call ``main()`` and return the exit code, as the interpreter does it."""
+def _called(argv: list[str], instead: str) -> int:
+    """Call ``main()``, or run some Python instead, and return the exit code, as the interpreter does it."""
     from posetrack_cli.cli.main import main
 
     sys.argv = argv
     code: Any = 0
     try:
-        main()
+        exec(instead, {}) if instead else main()
     except SystemExit as error:
         code = error.code
         if code is None:
@@ -192,15 +213,15 @@ def _redirect(request: dict[str, Any]) -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in ((1, "out"), (2, "error")):
         os.dup2(os.open(request[name], os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600), number)
-    sys.stdin = sys.__stdin__ = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 PTH123
-    sys.stdout = sys.__stdout__ = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 PTH123
-    sys.stderr = sys.__stderr__ = open(  # noqa: SIM115 PTH123
+    sys.stdin = sys.__stdin__ = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stdout = sys.__stdout__ = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.__stderr__ = open(  # noqa: SIM115
         2, "w", buffering=1, encoding="utf-8", errors="backslashreplace", closefd=False
     )
 
 
 def _audited(folder: str, temporary: str) -> list[str]:
-    """Return a list that grows with what this process does that no recording may make it do; "end" ends it."""
+    """Return a list that grows with what this process does and no recording may make it do, until "end"."""
     events: list[str] = []
     own = tuple(os.path.realpath(name) + os.sep for name in (folder, temporary, _cache_folder()))
 
@@ -209,9 +230,12 @@ def _audited(folder: str, temporary: str) -> list[str]:
             return
         if event in REACHING or (event in SPAWNING and not _looks_for_libraries(arguments)):
             events.append(f"{event} {arguments!r}"[:500])
-        elif event == "open" and len(arguments) == 3 and isinstance(arguments[2], int) and arguments[2] & WRITING:
-            _check_written(events, event, arguments[0], own)
-        elif event in CHANGING:
+        elif (
+            event == "open"
+            and len(arguments) == 3
+            and isinstance(arguments[2], int)
+            and arguments[2] & WRITING
+        ) or event in CHANGING:
             _check_written(events, event, arguments[0], own)
 
     sys.addaudithook(heard)
@@ -241,7 +265,12 @@ def _foreign(names: set[str]) -> list[str]:
     """Return the modules that are neither Python's, nor installed, nor the package's."""
     import posetrack_cli
 
-    homes = {sys.prefix, sys.base_prefix, str(Path(posetrack_cli.__file__).parent), os.path.realpath(sys.base_prefix)}
+    homes = {
+        sys.prefix,
+        sys.base_prefix,
+        str(Path(posetrack_cli.__file__).parent),
+        os.path.realpath(sys.base_prefix),
+    }
     found = []
     for name in sorted(names):
         module = sys.modules.get(name)

@@ -55,10 +55,14 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
     )
 
 
-def made_of(target: str, name: str, content: st.SearchStrategy[bytes], command: Any, **files: Content) -> Strategy:
+def made_of(
+    target: str, name: str, content: st.SearchStrategy[bytes], command: Any, **files: Content
+) -> Strategy:
     """Cases of one changed file beside others."""
     return st.builds(
-        lambda data, words: Case(target, words, {name: data, **files}, (*OUT, "out.html", "out.npz", "v", "out.toml")),
+        lambda data, words: Case(
+            target, words, {name: data, **files}, (*OUT, "out.html", "out.npz", "v", "out.toml")
+        ),
         content,
         command,
     )
@@ -76,7 +80,12 @@ def mcap(seeds: Seeds) -> Strategy:
         made_of("mcap", name, st.sampled_from(records).flatmap(changed_file), of_recording(name)),
         made_of("mcap", name, st.sampled_from(records).flatmap(changed_file), of_recording(name)),
         made_of("mcap", name, st.sampled_from(results).flatmap(changed_file), of_result(name)),
-        made_of("mcap", name, st.sampled_from([*seeds.results.values(), seeds.hand]).flatmap(changed_bytes), of_result(name)),
+        made_of(
+            "mcap",
+            name,
+            st.sampled_from([*seeds.results.values(), seeds.hand]).flatmap(changed_bytes),
+            of_result(name),
+        ),
     )
 
 
@@ -97,7 +106,10 @@ def _ros(seeds: Seeds, version: int) -> Strategy:
         "deep": {"/cam/image": ("sensor_msgs/CompressedImage", deep)},
         "grey": {"/cam/image": ("sensor_msgs/CompressedImage", packed)},
     }
-    more = {"/cam/camera_info": ("sensor_msgs/CameraInfo", info), "/tf": ("tf2_msgs/TFMessage", [ros.transforms(version, 9)])}
+    more = {
+        "/cam/camera_info": ("sensor_msgs/CameraInfo", info),
+        "/tf": ("tf2_msgs/TFMessage", [ros.transforms(version, 9)]),
+    }
     topics = st.sampled_from([whole[kind] | more for kind in ("raw", "deep", "grey", "raw")])
     content = topics.flatmap(lambda chosen: ros.ros_records(version, chosen)).map(
         lambda inner: file_bytes([{"op": 1}, {"op": CHUNK, "inner": inner}])
@@ -127,10 +139,12 @@ def protobuf(seeds: Seeds) -> Strategy:
         own = [m for m in messages(records) if kinds[m["channel_id"]].startswith("foxglove.")]
         if draw(st.integers(0, 3)) == 0:
             chosen = draw(st.sampled_from([s for s in schemas.values() if s["encoding"] == "protobuf"]))
-            chosen["data"] = draw(st.one_of(ros.changed_descriptor(chosen["data"]), changed_bytes(chosen["data"])))
+            chosen["data"] = draw(
+                st.one_of(ros.changed_descriptor(chosen["data"]), changed_bytes(chosen["data"]))
+            )
         else:
-            for _ in range(draw(st.integers(1, 2))):
-                message = draw(st.sampled_from(own))
+            places = st.lists(st.integers(0, len(own) - 1), min_size=1, max_size=2, unique=True)
+            for message in (own[k] for k in draw(places)):
                 parsed = _foxglove(kinds[message["channel_id"]]).FromString(message["data"])
                 message["data"] = draw(ros.changed_protobuf(parsed))
         return file_bytes(records)
@@ -200,7 +214,12 @@ def _change_estimate(draw: st.DrawFn, own: list[Record]) -> None:
 
 def _result_with_state(seeds: Seeds, kind: str) -> dict[str, Content]:
     part, state = seeds.interrupted[kind]
-    return {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads, "out.mcap.part": part, "out.mcap.part.state": state}
+    return {
+        "hand.mcap": seeds.hand,
+        "heads.mcap": seeds.heads,
+        "out.mcap.part": part,
+        "out.mcap.part.state": state,
+    }
 
 
 def states(seeds: Seeds) -> Strategy:
@@ -214,17 +233,21 @@ def states(seeds: Seeds) -> Strategy:
         data = files[name]
         assert isinstance(data, bytes)
         if name.endswith(".state"):
-            files[name] = resigned(draw(changed_npz(data))) if draw(st.integers(0, 3)) else draw(changed_npz(data))
+            files[name] = (
+                resigned(draw(changed_npz(data))) if draw(st.integers(0, 3)) else draw(changed_npz(data))
+            )
         else:
             files[name] = draw(changed_bytes(data))
         words = (*seeds.commands[kind], "-o", "out.mcap", "--resume")
-        return Case("states", words, {n: c for n, c in files.items() if n in words or n.startswith("out")}, OUT)
+        return Case(
+            "states", words, {n: c for n, c in files.items() if n in words or n.startswith("out")}, OUT
+        )
 
     return case()
 
 
 def resigned(state: bytes) -> bytes:
-    """Return a state with the digest that its contents ask for, so that what lies behind that check is met, too."""
+    """Return a state with the digest that its contents ask for: what lies behind that check is met, too."""
     return state
 
 
@@ -234,7 +257,13 @@ def models(seeds: Seeds) -> Strategy:
     stereo = ("head", "stereo", "heads.mcap", *tail, "--load-model", "m.npz")
     mono = ("head", "mono", "heads.mcap", *tail, "--cameras", "left", "--passes", "1")
     return st.one_of(
-        made_of("models", "m.npz", changed_npz(seeds.models["stereo"]), st.just(stereo), **{"heads.mcap": seeds.heads}),
+        made_of(
+            "models",
+            "m.npz",
+            changed_npz(seeds.models["stereo"]),
+            st.just(stereo),
+            **{"heads.mcap": seeds.heads},
+        ),
         made_of(
             "models",
             "m.npz",
@@ -287,8 +316,20 @@ def cameras(seeds: Seeds) -> Strategy:
     several = of.grey_folder(seeds)
     toml = "rec/camera.toml"
     return st.one_of(
-        made_of("cameras", toml, changed_text(of.CAMERA_TOML, TOML_PIECES), of_recording("rec", heads=False), **_but(single, toml)),
-        made_of("cameras", toml, changed_text(of.rig_toml(), TOML_PIECES), of_recording("rec", depth=False), **_but(several, toml)),
+        made_of(
+            "cameras",
+            toml,
+            changed_text(of.CAMERA_TOML, TOML_PIECES),
+            of_recording("rec", heads=False),
+            **_but(single, toml),
+        ),
+        made_of(
+            "cameras",
+            toml,
+            changed_text(of.rig_toml(), TOML_PIECES),
+            of_recording("rec", depth=False),
+            **_but(several, toml),
+        ),
         made_of(
             "cameras",
             "c.toml",
@@ -311,14 +352,35 @@ def configurations(seeds: Seeds) -> Strategy:
         kind: (Path(__file__).parents[2] / "configs" / f"{kind}.toml").read_text()
         for kind in ("hand", "head-stereo", "head-mono")
     }
-    pose = "position_mm = [0.0, 0.0, 800.0]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\nangles_rad = " + str([0.0] * 15) + "\n"
+    pose = (
+        "position_mm = [0.0, 0.0, 800.0]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\nangles_rad = "
+        + str([0.0] * 15)
+        + "\n"
+    )
     tail = ("-o", "out.mcap")
-    mono = ("head", "mono", "heads.mcap", *tail, *HEAD, "--cameras", "left", "--passes", "1", "--config", "c.toml")
+    mono = (
+        "head",
+        "mono",
+        "heads.mcap",
+        *tail,
+        *HEAD,
+        "--cameras",
+        "left",
+        "--passes",
+        "1",
+        "--config",
+        "c.toml",
+    )
     stereo = ("head", "stereo", "heads.mcap", *tail, *HEAD, "--config", "c.toml")
     hand = ("hand", "run", "hand.mcap", *tail, *HAND, "--config", "c.toml")
     begin = ("hand", "run", "hand.mcap", *tail, *HAND[:4], "--end", "1", "--init", "c.toml")
     files = {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads}
-    choices = ((texts_of["head-mono"], mono), (texts_of["head-stereo"], stereo), (texts_of["hand"], hand), (pose, begin))
+    choices = (
+        (texts_of["head-mono"], mono),
+        (texts_of["head-stereo"], stereo),
+        (texts_of["hand"], hand),
+        (pose, begin),
+    )
     return st.one_of(
         *(
             made_of(
@@ -362,13 +424,55 @@ def tables(seeds: Seeds) -> Strategy:
     mono = ("head", "mono", "rec", *tail, "--cameras", "left", "--passes", "1", "--init", "c.csv")
     result = {"r.mcap": seeds.results["hand"]}
     return st.one_of(
-        made_of("tables", stamps, changed_text(of.stamps_csv(), CSV_PIECES), of_recording("rec", heads=False), **_but(folder, stamps)),
-        made_of("tables", stamps, changed_text(of.stamps_csv(), CSV_PIECES), of_recording("rec", depth=False), **_but(heads, stamps)),
-        made_of("tables", "t.csv", changed_text(of.truth_csv(), CSV_PIECES), st.just(("convert", "rec", "out.mcap", "--truth", "t.csv")), **folder),
-        made_of("tables", "t.csv", changed_text(of.truth_csv(), CSV_PIECES), st.just(("eval", "r.mcap", "--truth", "t.csv")), **result),
-        made_of("tables", "c.csv", changed_text(of.clicked_csv(), CSV_PIECES), st.sampled_from((clicked, mono)), **heads),
-        made_of("tables", "g.txt", changed_text("coverage < 0.5\njoint_error_mm.mean > 1000\n", CSV_PIECES), st.just(("eval", "r.mcap", "--gates", "g.txt")), **result),
-        made_of("tables", "b.json", changed_tree({"metrics": {"coverage": 1.0}, "version": 1}).map(lambda t: utf8(json_text(t))), st.just(("eval", "r.mcap", "--baseline", "b.json")), **result),
+        made_of(
+            "tables",
+            stamps,
+            changed_text(of.stamps_csv(), CSV_PIECES),
+            of_recording("rec", heads=False),
+            **_but(folder, stamps),
+        ),
+        made_of(
+            "tables",
+            stamps,
+            changed_text(of.stamps_csv(), CSV_PIECES),
+            of_recording("rec", depth=False),
+            **_but(heads, stamps),
+        ),
+        made_of(
+            "tables",
+            "t.csv",
+            changed_text(of.truth_csv(), CSV_PIECES),
+            st.just(("convert", "rec", "out.mcap", "--truth", "t.csv")),
+            **folder,
+        ),
+        made_of(
+            "tables",
+            "t.csv",
+            changed_text(of.truth_csv(), CSV_PIECES),
+            st.just(("eval", "r.mcap", "--truth", "t.csv")),
+            **result,
+        ),
+        made_of(
+            "tables",
+            "c.csv",
+            changed_text(of.clicked_csv(), CSV_PIECES),
+            st.sampled_from((clicked, mono)),
+            **heads,
+        ),
+        made_of(
+            "tables",
+            "g.txt",
+            changed_text("coverage < 0.5\njoint_error_mm.mean > 1000\n", CSV_PIECES),
+            st.just(("eval", "r.mcap", "--gates", "g.txt")),
+            **result,
+        ),
+        made_of(
+            "tables",
+            "b.json",
+            changed_tree({"metrics": {"coverage": 1.0}, "version": 1}).map(lambda t: utf8(json_text(t))),
+            st.just(("eval", "r.mcap", "--baseline", "b.json")),
+            **result,
+        ),
     )
 
 
@@ -384,17 +488,37 @@ def images(seeds: Seeds) -> Strategy:
         name = f"rec/000001{suffix}"
         files = {n: c for n, c in depth.items() if suffix == ".png" or not n.endswith(".png")}
         if suffix != ".png":
-            files |= {f"rec/{k:06d}{suffix}": of.encoded(suffix, image) for k, image in enumerate(seeds.depth)}
+            files |= {
+                f"rec/{k:06d}{suffix}": of.encoded(suffix, image) for k, image in enumerate(seeds.depth)
+            }
             files["rec/timestamps.csv"] = of.stamps_csv().replace(".png", suffix).encode()
-        cases.append(made_of("images", name, changed_image(suffix, one), of_recording("rec", heads=False), **_but(files, name)))
+        cases.append(
+            made_of(
+                "images",
+                name,
+                changed_image(suffix, one),
+                of_recording("rec", heads=False),
+                **_but(files, name),
+            )
+        )
     for suffix in (".png", ".jpg", ".bmp", ".webp", ".tif"):
         name = f"rec/left/000001{suffix}"
         files = dict(grey)
         if suffix != ".png":
             files = {n: c for n, c in grey.items() if not n.startswith("rec/left")}
-            files |= {f"rec/left/{k:06d}{suffix}": of.encoded(suffix, image) for k, image in enumerate(seeds.grey)}
+            files |= {
+                f"rec/left/{k:06d}{suffix}": of.encoded(suffix, image) for k, image in enumerate(seeds.grey)
+            }
         image = np.ascontiguousarray(seeds.grey[1])
-        cases.append(made_of("images", name, changed_image(suffix, image), of_recording("rec", depth=False), **_but(files, name)))
+        cases.append(
+            made_of(
+                "images",
+                name,
+                changed_image(suffix, image),
+                of_recording("rec", depth=False),
+                **_but(files, name),
+            )
+        )
     return st.one_of(*cases, _images_in_messages(seeds))
 
 
@@ -424,7 +548,9 @@ def videos(seeds: Seeds) -> Strategy:
     cases = []
     for suffix, code in ((".avi", "MJPG"), (".mp4", "mp4v"), (".mkv", "MJPG")):
         name = f"v{suffix}"
-        words = commands((3, ("info", name)), (2, ("head", "mono", name, "-o", "out.mcap", *HEAD, "--passes", "1")))
+        words = commands(
+            (3, ("info", name)), (2, ("head", "mono", name, "-o", "out.mcap", *HEAD, "--passes", "1"))
+        )
         other: dict[str, Content] = {"other.avi": of.video(".avi", "MJPG")}
         cases.append(made_of("videos", name, changed_video(of.video(suffix, code)), words, **other))
     return st.one_of(*cases)
@@ -441,7 +567,9 @@ def meshes(seeds: Seeds) -> Strategy:
 
 def names(seeds: Seeds) -> Strategy:
     """Names of files and cameras, links and pipes in the place of files."""
-    odd = texts().filter(lambda t: 0 < len(utf8(t)) < 200 and "\0" not in t and "/" not in t and t not in ("..", "."))
+    odd = texts().filter(
+        lambda t: 0 < len(utf8(t)) < 200 and "\0" not in t and "/" not in t and t not in ("..", ".")
+    )
     safe = odd.map(lambda t: utf8(t).decode("utf-8", "surrogateescape")).map(lambda t: "./" + t)
 
     @st.composite
@@ -456,25 +584,41 @@ def names(seeds: Seeds) -> Strategy:
             return Case("names", words, {name: content}, (*OUT, "out.html", "out.npz"))
         if how == "camera":
             plain = name.removeprefix("./")
-            files: dict[str, Content] = {f"rec/{plain}/0.png": of.png(seeds.grey[0]), "rec/b/0.png": of.png(seeds.grey[0])}
+            files: dict[str, Content] = {
+                f"rec/{plain}/0.png": of.png(seeds.grey[0]),
+                "rec/b/0.png": of.png(seeds.grey[0]),
+            }
             return Case("names", draw(of_recording("rec", depth=False)), files, OUT)
         if how == "frames":
             plain = name.removeprefix("./")
-            frames: dict[str, Content] = {f"rec/{plain}.png": of.png(seeds.depth[0]), "rec/camera.toml": of.CAMERA_TOML.encode()}
+            frames: dict[str, Content] = {
+                f"rec/{plain}.png": of.png(seeds.depth[0]),
+                "rec/camera.toml": of.CAMERA_TOML.encode(),
+            }
             return Case("names", draw(of_recording("rec", heads=False)), frames, OUT)
         if how == "output":
             words = ("convert", "r.mcap", "out.mcap", *draw(st.sampled_from(((), ("--overwrite",)))))
-            place = draw(st.sampled_from(("out.mcap", "out.mcap.part", "out.mcap.part.state", "out.mcap.part.state.tmp")))
-            special = draw(st.sampled_from((Link("r.mcap"), Link("other"), Link("/dev/null"), Pipe(), b"", b"x")))
+            place = draw(
+                st.sampled_from(
+                    ("out.mcap", "out.mcap.part", "out.mcap.part.state", "out.mcap.part.state.tmp")
+                )
+            )
+            special = draw(
+                st.sampled_from((Link("r.mcap"), Link("other"), Link("/dev/null"), Pipe(), b"", b"x"))
+            )
             return Case("names", words, {"r.mcap": seeds.hand, place: special, "other": b"1"}, ())
-        special = draw(st.sampled_from((Link("/dev/zero"), Link("nowhere"), Link("x"), Link("."), Link("/dev/full"))))
+        special = draw(
+            st.sampled_from((Link("/dev/zero"), Link("nowhere"), Link("x"), Link("."), Link("/dev/full")))
+        )
         if how == "special":
             special = Pipe()
         place = draw(st.sampled_from(("x", "rec/camera.toml", "rec/timestamps.csv", "rec/000001.png", "rec")))
         folder = of.depth_folder(seeds)
         files = {n: c for n, c in folder.items() if not n.startswith(place)} | {place: special}
         if place == "x":
-            words = draw(st.one_of(of_recording("x"), of_result("x"), st.sampled_from(_options_of_files("x"))))
+            words = draw(
+                st.one_of(of_recording("x"), of_result("x"), st.sampled_from(_options_of_files("x")))
+            )
             if "r.mcap" in words:
                 files["r.mcap"] = result
         else:

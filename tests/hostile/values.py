@@ -12,7 +12,23 @@ from hypothesis import strategies as st
 
 INTEGERS = (0, 1, -1, 2, 3, 7, 127, 128, 255, 256, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**53)
 LARGE = (2**62, 2**63 - 1, 2**63, 2**64 - 1, 2**64, 10**18, 10**30, -(2**31), -(2**63), -(2**64))
-FLOATS = (0.0, -0.0, 1e-320, 1e-9, 0.5, -1.0, 1e9, 1e30, 1e39, 1e154, 1e300, -1e300, math.inf, -math.inf, math.nan)
+FLOATS = (
+    0.0,
+    -0.0,
+    1e-320,
+    1e-9,
+    0.5,
+    -1.0,
+    1e9,
+    1e30,
+    1e39,
+    1e154,
+    1e300,
+    -1e300,
+    math.inf,
+    -math.inf,
+    math.nan,
+)
 TEXTS = (
     "",
     " ",
@@ -63,13 +79,17 @@ def texts() -> st.SearchStrategy[str]:
 
 
 def leaves() -> st.SearchStrategy[Any]:
-    return st.one_of(numbers(), texts(), st.none(), st.booleans(), st.sampled_from(([], {}, [[]], [None], [0] * 1000)))
+    return st.one_of(
+        numbers(), texts(), st.none(), st.booleans(), st.sampled_from(([], {}, [[]], [None], [0] * 1000))
+    )
 
 
 def trees() -> st.SearchStrategy[Any]:
     """Any JSON value of a few entries; sometimes nested far."""
     small = st.recursive(
-        leaves(), lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts(), inner, max_size=3), max_leaves=6
+        leaves(),
+        lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts(), inner, max_size=3),
+        max_leaves=6,
     )
     return st.one_of(small, st.builds(nested, st.sampled_from((10, 100, 900, 5000)), st.booleans()))
 
@@ -155,7 +175,11 @@ def _truncate(draw: st.DrawFn, data: bytes, place: int) -> bytes:
 
 
 def _low_bit(draw: st.DrawFn, data: bytes, place: int) -> bytes:
-    return data[:place] + bytes([data[place] ^ (1 << draw(st.integers(0, 7)))]) + data[place + 1 :] if data else data
+    return (
+        data[:place] + bytes([data[place] ^ (1 << draw(st.integers(0, 7)))]) + data[place + 1 :]
+        if data
+        else data
+    )
 
 
 _BYTE_CHANGES: tuple[Callable[[st.DrawFn, bytes, int], bytes], ...] = (
