@@ -1,0 +1,68 @@
+"""Small files that state to be large, made without ever being so."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from functools import cache
+
+import lz4.block
+
+from hostile.file_cases import npy_bytes, png_file
+
+MIB = 1 << 20
+_RLE_BYTES = 1 << 17
+
+
+@cache
+def zstd_zeros(mebibytes: int) -> bytes:
+    """Return a zstd frame of zeros, 4 bytes for each 128 KiB (RFC 8878, 3.1.1)."""
+    size = mebibytes * MIB
+    head = struct.pack("<IBBQ", 0xFD2FB528, 0xC0, 0x38, size)  # 8 bytes of content size; window of 128 KiB
+    block = (_RLE_BYTES << 3 | 1 << 1).to_bytes(3, "little") + b"\0"
+    last = (_RLE_BYTES << 3 | 1 << 1 | 1).to_bytes(3, "little") + b"\0"
+    return head + block * (size // _RLE_BYTES - 1) + last
+
+
+@cache
+def lz4_zeros(mebibytes: int) -> bytes:
+    """Return an lz4 frame of zeros in independent blocks of 4 MiB; 1/255 of what it states."""
+    block = lz4.block.compress(bytes(4 * MIB), store_size=False)
+    # version 1, independent blocks, no sums; blocks of 4 MiB; the header's checksum is that of these two bytes
+    head = struct.pack("<I", 0x184D2204) + b"\x60\x70\x73"
+    return head + (struct.pack("<I", len(block)) + block) * (mebibytes // 4) + struct.pack("<I", 0)
+
+
+def _deflated_zeros(mebibytes: int, tail: bytes = b"") -> bytes:
+    """Return a raw deflate stream of zeros and a tail: one block, repeated."""
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    block = packer.compress(bytes(MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return block * mebibytes + packer.compress(tail) + packer.flush()
+
+
+@cache
+def png_zeros(side: int, depth: int) -> bytes:
+    """Return a whole grey PNG that is black."""
+    size = side * (1 + side * depth // 8)
+    mebibytes, rest = divmod(size, MIB)
+    packed = b"\x78\xda" + _deflated_zeros(mebibytes, bytes(rest))
+    adler = ((size % 65521) << 16) | 1
+    return png_file(side, side, depth, 0, packed + struct.pack(">I", adler))
+
+
+@cache
+def npz_zeros(mebibytes: int, name: str) -> bytes:
+    """Return an npz file of one array of zeros."""
+    head = npy_bytes(str({"descr": "|u1", "fortran_order": False, "shape": (mebibytes * MIB,)}), b"")
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = packer.compress(head) + packer.flush(zlib.Z_FULL_FLUSH) + _deflated_zeros(mebibytes)
+    crc, block = zlib.crc32(head), bytes(MIB)
+    for _ in range(mebibytes):
+        crc = zlib.crc32(block, crc)
+    encoded = name.encode()
+    about = (20, 0, 8, 0, 33, crc, len(packed), len(head) + mebibytes * MIB, len(encoded), 0)
+    local = struct.pack("<4s5H3I2H", b"PK\3\4", *about) + encoded + packed
+    central = struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, *about, 0, 0, 0, 0, 0) + encoded
+    end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 1, 1, len(central), len(local), 0)
+    return local + central + end
