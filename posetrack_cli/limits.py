@@ -45,6 +45,8 @@ MESSAGES = 1 << 40
 
 IMAGE_PIXELS = 1 << 25
 """Of one image: 8K video has 33.2 million pixels."""
+JPEG_SCANS = 100
+"""Of a progressive JPEG, each of which goes over the whole image: encoders write about ten."""
 
 # Files that are read whole
 

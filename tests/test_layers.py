@@ -25,7 +25,7 @@ LAYERS = (
 APART = {"hand": "head", "head": "hand"}
 """Beside each other: neither knows the other."""
 BELOW_ALL = {
-    "": set(),
+    "": {"limits"},
     "arrays": set(),
     "text": set(),
     "limits": set(),

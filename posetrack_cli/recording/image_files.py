@@ -19,6 +19,16 @@ DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
 GREY_SUFFIXES = (*DEPTH_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".ppm", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+WEBP_BEGIN = b"RIFF"
+SIGNATURES = (
+    *(PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN, b"II*\0", b"MM\0*", b"BM"),
+    *(b"P%d" % kind for kind in range(1, 7)),
+)
+"""How the files begin that are decoded."""
+JPEG_SCAN = b"\xff\xda"
+PNG_SIZE, PNG_SIZE_AT = struct.Struct(">II"), 16
+TOO_LARGE = "CV_IO_MAX_IMAGE"
+"""In OpenCV's error for an image beyond ``limits.IMAGE_PIXELS``, which the package tells it at its import."""
 PNG_LEVEL = 9
 PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
@@ -81,22 +91,39 @@ def decode_codes(data: bytes, where: str) -> ImageArray:
 
 
 def decode_any(data: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> ImageArray:
-    """Decode an image file of any kind; unless OpenCV's flags say otherwise bits and channels as stored.
+    """Decode an image file of one of ``SIGNATURES``; unless flags say otherwise, bits and channels as stored.
 
     Raises:
-        UnreadableImageError: if the bytes are no image or an incomplete one.
+        UnreadableImageError: if the bytes are no such image, an incomplete one, or one beyond ``limits``.
     """
     if not data:
         raise UnreadableImageError("file is empty")
+    if not data.startswith(SIGNATURES):  # OpenCV knows many more kinds, and would try them
+        raise UnreadableImageError("image is of a kind that is not read")
     if _is_cut(data):
         raise UnreadableImageError("image is incomplete")
+    _check_bounds(data)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
+        if TOO_LARGE in str(error):
+            raise UnreadableImageError(f"image has more than {limits.IMAGE_PIXELS} pixels") from error
         raise UnreadableImageError("image cannot be decoded") from error
     if image is None:  # OpenCV's way to say so
         raise UnreadableImageError("image cannot be decoded")
     return image
+
+
+def _check_bounds(data: bytes) -> None:
+    """Refuse what takes a decoder for ever; OpenCV itself refuses other images that are too large."""
+    if data.startswith(PNG_SIGNATURE):
+        if data[PNG_SIZE_AT - 4 : PNG_SIZE_AT] != b"IHDR":
+            raise UnreadableImageError("image cannot be decoded")
+        width, height = PNG_SIZE.unpack_from(data, PNG_SIZE_AT)
+        if width * height > limits.IMAGE_PIXELS:
+            raise UnreadableImageError(f"image has more than {limits.IMAGE_PIXELS} pixels")
+    if data.startswith(JPEG_BEGIN) and data.count(JPEG_SCAN) > limits.JPEG_SCANS:
+        raise UnreadableImageError(f"image has more than {limits.JPEG_SCANS} scans")
 
 
 def _is_cut(data: bytes) -> bool:

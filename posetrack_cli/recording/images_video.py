@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input
@@ -27,6 +28,29 @@ from posetrack_cli.recording.video_stamps import VideoStamps
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 QUIET = "-8"
+BEGIN_BYTES = 189
+CONTAINERS = (
+    (4, (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")),  # MP4 and QuickTime
+    (8, (b"AVI ",)),
+    (
+        0,
+        (
+            b"\x1a\x45\xdf\xa3",  # Matroska and WebM
+            b"\x00\x00\x01\xba",  # MPEG program stream
+            b"\x00\x00\x01\xb3",  # MPEG video alone
+            b"\x30\x26\xb2\x75",  # ASF, of .wmv
+            b"OggS",
+            b"FLV\x01",
+        ),
+    ),
+    (188, (b"G",)),  # MPEG transport stream: its second packet, as its first byte is no sign
+)
+"""How videos begin: from this byte on, one of these."""
+CAPTURE_OPTIONS = (
+    "protocol_whitelist;file|format_whitelist;mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,"
+    "mpeg,mpegvideo,mpegts,asf,ogg,flv"
+)
+"""For FFmpeg, in OpenCV's notation."""
 MOST_FAILURES = 300
 """Frames in a row that cannot be decoded; after more of them nothing that can be is looked for."""
 UNDECODABLE, MISSING = "video frame cannot be decoded", "video frame missing"
@@ -163,23 +187,35 @@ def _first_image(video: cv2.VideoCapture, path: Path) -> ImageArray:
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is named as a video or OpenCV can open it as one."""
-    if path.suffix.lower() in SUFFIXES:
-        return True
-    video = _capture(path)
-    try:
-        return bool(video.isOpened())
-    finally:
-        video.release()
+    """Whether a file is named as a video or begins as one."""
+    return path.suffix.lower() in SUFFIXES or _begins_as_video(path)
 
 
-def _capture(path: Path) -> cv2.VideoCapture:
+def _begins_as_video(path: Path) -> bool:
+    with open_input(path) as file:
+        begin = file.read(BEGIN_BYTES)
+    return any(begin.startswith(sign, at) for at, signs in CONTAINERS for sign in signs)
+
+
+def _capture(path: Path) -> cv2.VideoCapture | None:
+    """Return an open video; None for what is none.
+
+    FFmpeg also takes text for a video, which names other files, or hosts, to read. So it is asked only for
+    files that begin as videos do, and told which kinds to take them for.
+    """
+    if not _begins_as_video(path):
+        return None
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", QUIET)  # an error is told in one line, by us
+    os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = CAPTURE_OPTIONS
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     try:
-        return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
+        video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
     finally:
         cv2.utils.logging.setLogLevel(level)
+    if not video.isOpened():
+        video.release()
+        return None
+    return video
 
 
 @contextmanager
@@ -189,11 +225,22 @@ def opened(path: Path) -> Iterator[cv2.VideoCapture]:
     Raises:
         RecordingError: if OpenCV cannot open it.
     """
-    video = _capture(path)
     try:
-        if not video.isOpened():
-            found = "an MP4 file that ends before its index" if _lacks_index(path) else ""
-            raise RecordingError("is no video that can be read", where=path, found=found)
+        video = _capture(path)
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+    if video is None:
+        found = "an MP4 file that ends before its index" if _lacks_index(path) else ""
+        raise RecordingError("is no video that can be read", where=path, found=found)
+    try:
+        width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > limits.IMAGE_PIXELS:
+            raise RecordingError(
+                "video is larger than any that is read",
+                where=path,
+                found=f"{width}x{height}",
+                expected=f"at most {limits.IMAGE_PIXELS} pixels",
+            )
         yield video
     finally:
         video.release()

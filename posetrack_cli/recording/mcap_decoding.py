@@ -66,7 +66,6 @@ class MessageDecoder:
             UndecodableMessageError: if it does not fit its layout, the layout is not known, or it is larger
                 than any of its kind.
         """
-        what = f"message on {channel.topic} does not decode"
         try:
             if channel.id not in self._decoders:
                 self._decoders[channel.id] = _decoder(schema, channel)
@@ -77,9 +76,9 @@ class MessageDecoder:
                 raise OtherLayoutError(f"it is larger than {limits.MESSAGE_BYTES} bytes")
             return decoder(message.data)
         except OtherLayoutError as error:
-            raise UndecodableMessageError(f"{what}, {error}") from error
+            raise UndecodableMessageError(f"{_undecodable(channel)}, {error}") from error
         except Exception as error:  # decoders raise whatever the bytes lead to
-            raise UndecodableMessageError(what) from error
+            raise UndecodableMessageError(_undecodable(channel)) from error
 
 
 def kind_of(schema: Schema | None) -> str | None:
@@ -100,6 +99,10 @@ def stamp_of(decoded: Any, message: Message) -> int:
 def frame_id_of(decoded: Any) -> str:
     """Return the coordinate frame an image or calibration belongs to."""
     return str(getattr(decoded, "header", decoded).frame_id)
+
+
+def _undecodable(channel: Channel) -> str:
+    return f"message on {channel.topic} does not decode"
 
 
 def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] | OtherLayoutError:

@@ -17,11 +17,9 @@ from posetrack_cli.recording.grey import (
     grey_of,
     kind_of_image,
 )
-from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE
+from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN
 from posetrack_cli.recording.mcap_decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.stored import UnreadableImageError
-
-WEBP = b"RIFF"
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,9 @@ def holds_grey(decoded: Any, kind: str | None) -> bool:
     """Whether an image message can be made grey, as far as its head tells."""
     if kind == RAW_IMAGE:
         return str(decoded.encoding) in RAW_GREY
-    return kind == COMPRESSED_IMAGE and bytes(decoded.data).startswith((PNG_SIGNATURE, JPEG_BEGIN, WEBP))
+    return kind == COMPRESSED_IMAGE and bytes(decoded.data).startswith(
+        (PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN)
+    )
 
 
 def kind_of_message(decoded: Any, kind: str, where: str, bits: int | None = None) -> StoredKind:
@@ -97,7 +97,10 @@ def grey_of_message(decoded: Any, kind: str, stored: StoredKind, where: str) -> 
     pixels = _stored_pixels(decoded)
     check_size(pixels, stored, where)
     conversion = RAW_GREY[str(decoded.encoding)].conversion
-    return grey_of(pixels if conversion is None else cv2.cvtColor(pixels, conversion), stored.bits)
+    try:
+        return grey_of(pixels if conversion is None else cv2.cvtColor(pixels, conversion), stored.bits)
+    except cv2.error as error:  # a width or height that the encoding cannot have
+        raise UnreadableImageError(f"{decoded.encoding} cannot be {stored.width}x{stored.height}") from error
 
 
 def _stored_pixels(decoded: Any) -> ImageArray:

@@ -76,7 +76,9 @@ class McapSurvey:
                 stamp = stamp_of(self._decoder.decode(*item), item[2])
             except UndecodableMessageError as error:
                 self.losses.add(str(error), f"at {stamp} ns")
-        self._timelines.setdefault(topic.name, Timeline()).add(stamp)
+        if topic.name not in self._timelines:
+            self._timelines[topic.name] = Timeline()
+        self._timelines[topic.name].add(stamp)
 
     def _topic(self, topic: Topic) -> dict[str, Any]:
         image = topic.image

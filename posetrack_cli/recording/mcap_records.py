@@ -18,6 +18,9 @@ from posetrack_cli.recording.mcap_chunks import ChunkLimitError, check_size, dec
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, length of the content
 CHUNK_HEAD_BYTES = 64  # what a chunk's record holds besides its data, rounded up
+_SCHEMA, _CHANNEL, _MESSAGE = map(
+    int, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+)  # enums compare slowly
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 ChunkRecord: TypeAlias = Schema | Channel | Message
@@ -154,10 +157,10 @@ def content_records(
         position, count = end, count + 1
         if count > most:
             raise ChunkLimitError(f"chunk of more than {most} records")
-        if opcode == Opcode.MESSAGE:
+        if opcode == _MESSAGE:
             if int.from_bytes(data[start : start + 2], "little") not in unwanted:
                 yield _message(data, start, end)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        elif opcode in (_SCHEMA, _CHANNEL):
             record = known.parsed(opcode, data[start:end])
             if record is not None:
                 yield record
