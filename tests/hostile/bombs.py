@@ -28,7 +28,7 @@ def zstd_zeros(mebibytes: int) -> bytes:
 def lz4_zeros(mebibytes: int) -> bytes:
     """Return an lz4 frame of zeros in independent blocks of 4 MiB; 1/255 of what it states."""
     block = lz4.block.compress(bytes(4 * MIB), store_size=False)
-    # version 1, independent blocks, no sums; blocks of 4 MiB; the header's checksum is that of these two bytes
+    # version 1, independent blocks, no sums; blocks of 4 MiB; the header's checksum is that of these two
     head = struct.pack("<I", 0x184D2204) + b"\x60\x70\x73"
     return head + (struct.pack("<I", len(block)) + block) * (mebibytes // 4) + struct.pack("<I", 0)
 

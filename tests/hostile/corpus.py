@@ -410,7 +410,7 @@ for _value in (1e30, 1e38, 1e-38, -1.0, float("inf"), float("nan")):
 
 
 def damaged_npz(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """Yield ways to damage an npz file: each array gone, of another shape, type or number; the JSON changed."""
+    """Yield ways to damage an npz file: each array gone, or of another shape, type or number."""
     arrays = npz_arrays(data)
 
     def other(name: str, content: bytes) -> bytes:

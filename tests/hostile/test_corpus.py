@@ -1,4 +1,4 @@
-"""Every attack that once worked, again: small files made here, one test for each kind and all its commands."""
+"""Every attack that once worked, again: small files made here, and commands that are given them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_playlist_is_not_followed(name: str, harness: Harness, seeds: Seeds) -
 def test_damaged_states(kind: str, harness: Harness, seeds: Seeds) -> None:
     """A damaged state is refused in one line, or leads to the bytes of a run that was not interrupted."""
     part, state = seeds.interrupted[kind]
-    recording = {name: data for name, data in (("hand.mcap", seeds.hand), ("heads.mcap", seeds.heads))}
+    recording = {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads}
     command = (*seeds.commands[kind], "-o", "out.mcap", "--resume")
     failures = []
     for name, damaged in [*damaged_npz(state), *damaged_json(state, "json.npy")]:
