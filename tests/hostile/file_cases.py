@@ -19,8 +19,10 @@ from hostile.values import (
     changed_bytes,
     changed_text,
     changed_tree,
+    composite,
     integers,
     json_text,
+    one_of,
     packed_numbers,
     texts,
     trees,
@@ -57,7 +59,7 @@ def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     return chunks
 
 
-@st.composite
+@composite
 def changed_png(draw: st.DrawFn, data: bytes) -> bytes:
     """A PNG with a header field, a chunk or the compressed rows changed; CRCs are right."""
     chunks = png_chunks(data)
@@ -119,7 +121,7 @@ HEADERS: Mapping[str, tuple[tuple[int, int, str], ...]] = {
 }
 
 
-@st.composite
+@composite
 def changed_image(draw: st.DrawFn, suffix: str, image: Array) -> bytes:
     """An image file of a format, its header or bytes changed."""
     data = seeds.encoded(suffix, image)
@@ -130,7 +132,7 @@ def changed_image(draw: st.DrawFn, suffix: str, image: Array) -> bytes:
             ("0", "1", "64", "20000", "100000", "2147483647", "4294967296", "-1", "a", "9" * 400)
         )
         head = f"P{draw(st.integers(1, 7))}\n{draw(sizes)} {draw(sizes)}\n{draw(sizes)}\n"
-        return head.encode() + draw(st.sampled_from((b"", data[20:])))
+        return head.encode() + draw(one_of((b"", data[20:])))
     if suffix in (".tif", ".tiff") and draw(st.booleans()):
         return _changed_tiff(draw, data)
     if suffix in (".jpg", ".jpeg") and draw(st.booleans()):
@@ -197,7 +199,7 @@ PLAYLISTS = (
 )
 
 
-@st.composite
+@composite
 def changed_video(draw: st.DrawFn, data: bytes) -> bytes:
     """A video whose boxes, tables and frames are changed, or a text that leads players to other files."""
     if draw(st.integers(0, 5)) == 0:
@@ -241,7 +243,7 @@ VIDEO_MARKS = (
 # Meshes
 
 
-@st.composite
+@composite
 def changed_glb(draw: st.DrawFn) -> bytes:
     """A skinned hand with entries of its JSON, bytes of its numbers or the container changed."""
     text, binary = seeds.glb_parts(seeds.glb())
@@ -311,7 +313,7 @@ def npy_of(array: Array) -> bytes:
     return stream.getvalue()
 
 
-@st.composite
+@composite
 def changed_npz(draw: st.DrawFn, data: bytes) -> bytes:
     """An npz file with arrays of other shapes, types and numbers, or members gone, doubled or huge."""
     members = list(npz_arrays(data).items())
@@ -357,7 +359,7 @@ def _change_members(draw: st.DrawFn, members: list[tuple[str, bytes]], k: int) -
         members.append(members[k] if how == "double" else ("new.npy", npy_of(np.zeros(3))))
 
 
-@st.composite
+@composite
 def _changed_npy(draw: st.DrawFn, content: bytes, how: str) -> bytes:
     try:
         head, body = npy_parts(content)
@@ -402,7 +404,7 @@ def _other_array(array: Array) -> st.SearchStrategy[Array]:
     options += [array.astype(kind) for kind in ("f4", "i8", "u1", "c16", "?") if array.dtype.kind in "fiub"]
     if array.ndim:
         options += [array[:0], array[:-1], np.concatenate([array, array]), array.reshape(-1), array[None]]
-    return st.sampled_from(options)
+    return one_of(options)
 
 
 def _json_of(content: bytes) -> Any:
@@ -414,7 +416,7 @@ def _json_of(content: bytes) -> Any:
         return None
 
 
-@st.composite
+@composite
 def _changed_json(draw: st.DrawFn, content: bytes) -> bytes:
     array = np.load(io.BytesIO(content), allow_pickle=False)
     tree = _json_of(content)

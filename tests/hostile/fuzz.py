@@ -174,9 +174,7 @@ def report(tally: Tally, options: argparse.Namespace, minutes: float) -> None:
     for target in TARGETS:
         if tally.tried[target]:
             codes = {c.split()[1]: n for c, n in sorted(tally.codes.items()) if c.split()[0] == target}
-            print(
-                f"{target:16}{tally.tried[target]:7} tried {tally.failed[target]:5} failed, codes {codes}"
-            )
+            print(f"{target:16}{tally.tried[target]:7} tried {tally.failed[target]:5} failed, codes {codes}")
     for number, (name, failure) in enumerate(sorted(tally.failures.items(), key=lambda f: -f[1].count), 1):
         print(f"\n{number}. {name} ({failure.count} times)\n   {failure.case!r}")
         for broken in failure.broken:

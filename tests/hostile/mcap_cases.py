@@ -31,10 +31,10 @@ from hostile.mcap_bytes import (
     summary_records,
 )
 from hostile.seeds import every
-from hostile.values import changed_bytes, integers, packed_numbers, texts, utf8
+from hostile.values import changed_bytes, composite, integers, one_of, packed_numbers, texts, utf8
 
 
-@st.composite
+@composite
 def changed_file(draw: st.DrawFn, records: list[Record], most: int = 3) -> bytes:
     """A file whose records are changed in one to ``most`` ways; then perhaps cut."""
     records = deepcopy(records)
@@ -54,7 +54,7 @@ def changed_file(draw: st.DrawFn, records: list[Record], most: int = 3) -> bytes
 
 def _field(draw: st.DrawFn, records: list[Record]) -> None:
     """One field of one record holds something else."""
-    record = draw(st.sampled_from(every(records)))
+    record = draw(one_of(every(records)))
     fields = FIELDS.get(record["op"], ())
     if not fields:
         return
@@ -86,7 +86,7 @@ def _near(before: Any) -> tuple[int, ...]:
 def _list(draw: st.DrawFn, records: list[Record]) -> None:
     """Records are dropped, doubled, moved or exchanged, in the file or in a chunk."""
     lists = [records, *(r["inner"] for r in records if r.get("inner"))]
-    own = draw(st.sampled_from(lists))
+    own = draw(one_of(lists))
     if not own:
         return
     k = draw(st.integers(0, len(own) - 1))
@@ -105,7 +105,7 @@ def _list(draw: st.DrawFn, records: list[Record]) -> None:
 
 def _length(draw: st.DrawFn, records: list[Record]) -> None:
     """A record's head or its own lengths lie, or its content ends early."""
-    record = draw(st.sampled_from(every(records)))
+    record = draw(one_of(every(records)))
     how = draw(st.sampled_from(("opcode", "length", "content")))
     if how == "opcode":
         content = content_bytes(record)
@@ -123,7 +123,7 @@ def _chunk(draw: st.DrawFn, records: list[Record]) -> None:
     chunks = [r for r in records if r["op"] == CHUNK]
     if not chunks:
         return
-    chunk = draw(st.sampled_from(chunks))
+    chunk = draw(one_of(chunks))
     how = draw(st.sampled_from(("compression", "inner", "bomb", "size", "split", "nested")))
     if how == "compression":
         chunk["compression"] = draw(st.sampled_from(("", "zstd", "lz4", "lzma", "ZSTD", "\x1b[2J")))
@@ -195,11 +195,11 @@ def _new(draw: st.DrawFn, records: list[Record]) -> None:
     op = draw(st.sampled_from(sorted(kinds)))
     record = {"op": op} | {name: draw(value) for name, value in kinds[op].items()}
     chunks = [r["inner"] for r in records if r.get("inner")]
-    own = draw(st.sampled_from([records, *chunks]))
+    own = draw(one_of([records, *chunks]))
     own.insert(draw(st.integers(0, len(own))), record)
 
 
-@st.composite
+@composite
 def lying_summary(draw: st.DrawFn, records: list[Record]) -> bytes:
     """A file whose summary, with a right CRC, tells offsets, counts and names that its data has not."""
     out = bytearray(MAGIC)

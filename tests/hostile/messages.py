@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from hostile.mcap_bytes import CHANNEL, MESSAGE, SCHEMA, Record
-from hostile.values import changed_bytes, changed_text, integers, numbers, texts, utf8
+from hostile.values import changed_bytes, changed_text, composite, integers, numbers, one_of, texts, utf8
 
 RULE = "=" * 80
 TIME_1, TIME_2 = "time", "builtin_interfaces/Time"
@@ -231,7 +231,7 @@ CODE = (
 )
 
 
-@st.composite
+@composite
 def changed_layout(draw: st.DrawFn, layout: Layout) -> Layout:
     """A layout with a field changed, gone, doubled, renamed or of another type; text and bytes go along."""
     fields = list(layout)
@@ -306,7 +306,7 @@ def field_value(kind: str) -> st.SearchStrategy[Any]:
     return numbers() if kind.startswith("float") else integers()
 
 
-@st.composite
+@composite
 def ros_records(draw: st.DrawFn, ros: int, topics: dict[str, tuple[str, list[Layout]]]) -> list[Record]:
     """Schemas, channels and messages of ROS layouts by topic and type, some of them changed."""
     records: list[Record] = []
@@ -328,7 +328,7 @@ def ros_records(draw: st.DrawFn, ros: int, topics: dict[str, tuple[str, list[Lay
         elif how == "text":
             text = draw(changed_text(definition(own[0]), CODE))
         elif how == "code":
-            text = draw(st.sampled_from((utf8(draw(st.sampled_from(CODE)) + "\n"), text)))
+            text = draw(one_of((utf8(draw(st.sampled_from(CODE)) + "\n"), text)))
             text = utf8(draw(st.sampled_from(CODE)) + "\n") + text
         data = [ros1_bytes(layout) if ros == 1 else cdr_bytes(layout) for layout in own]
         if how == "bytes":
@@ -364,7 +364,7 @@ def ros_records(draw: st.DrawFn, ros: int, topics: dict[str, tuple[str, list[Lay
 # Protobuf
 
 
-@st.composite
+@composite
 def changed_protobuf(draw: st.DrawFn, message: Any) -> bytes:
     """A protobuf message with fields at the edges, or its bytes changed."""
     copy = type(message)()
@@ -446,7 +446,7 @@ def _finite_float(number: Any) -> float:
         return 1e300
 
 
-@st.composite
+@composite
 def changed_descriptor(draw: st.DrawFn, data: bytes) -> bytes:
     """A protobuf schema with fields of other names, numbers, types, or types that hold themselves."""
     from google.protobuf.descriptor_pb2 import FileDescriptorSet

@@ -16,7 +16,16 @@ from hostile.file_cases import changed_glb, changed_image, changed_npz, changed_
 from hostile.mcap_bytes import CHUNK, METADATA, SCHEMA, Record, file_bytes, read_records
 from hostile.mcap_cases import changed_file
 from hostile.seeds import Seeds, messages
-from hostile.values import changed_bytes, changed_text, changed_tree, json_text, texts, utf8
+from hostile.values import (
+    changed_bytes,
+    changed_text,
+    changed_tree,
+    composite,
+    json_text,
+    one_of,
+    texts,
+    utf8,
+)
 
 Strategy = st.SearchStrategy[Case]
 OUT = ("out.mcap",)
@@ -77,13 +86,13 @@ def mcap(seeds: Seeds) -> Strategy:
     records = [read_records(data) for data in (seeds.hand, seeds.heads)]
     results = [read_records(data) for data in seeds.results.values()]
     return st.one_of(
-        made_of("mcap", name, st.sampled_from(records).flatmap(changed_file), of_recording(name)),
-        made_of("mcap", name, st.sampled_from(records).flatmap(changed_file), of_recording(name)),
-        made_of("mcap", name, st.sampled_from(results).flatmap(changed_file), of_result(name)),
+        made_of("mcap", name, one_of(records).flatmap(changed_file), of_recording(name)),
+        made_of("mcap", name, one_of(records).flatmap(changed_file), of_recording(name)),
+        made_of("mcap", name, one_of(results).flatmap(changed_file), of_result(name)),
         made_of(
             "mcap",
             name,
-            st.sampled_from([*seeds.results.values(), seeds.hand]).flatmap(changed_bytes),
+            one_of([*seeds.results.values(), seeds.hand]).flatmap(changed_bytes),
             of_result(name),
         ),
     )
@@ -110,7 +119,7 @@ def _ros(seeds: Seeds, version: int) -> Strategy:
         "/cam/camera_info": ("sensor_msgs/CameraInfo", info),
         "/tf": ("tf2_msgs/TFMessage", [ros.transforms(version, 9)]),
     }
-    topics = st.sampled_from([whole[kind] | more for kind in ("raw", "deep", "grey", "raw")])
+    topics = one_of([whole[kind] | more for kind in ("raw", "deep", "grey", "raw")])
     content = topics.flatmap(lambda chosen: ros.ros_records(version, chosen)).map(
         lambda inner: file_bytes([{"op": 1}, {"op": CHUNK, "inner": inner}])
     )
@@ -131,9 +140,9 @@ def protobuf(seeds: Seeds) -> Strategy:
     """Foxglove messages, and their schemas."""
     name = "r.mcap"
 
-    @st.composite
+    @composite
     def content(draw: st.DrawFn) -> bytes:
-        records = read_records(draw(st.sampled_from((seeds.hand, seeds.heads, *seeds.results.values()))))
+        records = read_records(draw(one_of((seeds.hand, seeds.heads, *seeds.results.values()))))
         schemas = {r["id"]: r for r in of.every(records) if r["op"] == SCHEMA}
         kinds = of.message_types(records)
         own = [m for m in messages(records) if kinds[m["channel_id"]].startswith("foxglove.")]
@@ -167,15 +176,15 @@ def results(seeds: Seeds) -> Strategy:
     """Metadata records, estimates and truth of results."""
     name = "r.mcap"
 
-    @st.composite
+    @composite
     def content(draw: st.DrawFn) -> bytes:
-        records = read_records(draw(st.sampled_from(list(seeds.results.values()))))
+        records = read_records(draw(one_of(seeds.results.values())))
         kinds = of.message_types(records)
         own = [m for m in messages(records) if kinds[m["channel_id"]] == "posetrack.Estimate"]
         about = [r for r in of.every(records) if r["op"] == METADATA]
         for _ in range(draw(st.integers(1, 3))):
             if draw(st.integers(0, 2)):
-                _change_metadata(draw, draw(st.sampled_from(about)))
+                _change_metadata(draw, draw(one_of(about)))
             else:
                 _change_estimate(draw, own)
         return file_bytes(records)
@@ -204,7 +213,7 @@ def _change_metadata(draw: st.DrawFn, record: Record) -> None:
 
 
 def _change_estimate(draw: st.DrawFn, own: list[Record]) -> None:
-    message = draw(st.sampled_from(own))
+    message = draw(one_of(own))
     try:
         tree = json.loads(message["data"])
         message["data"] = utf8(json_text(draw(changed_tree(tree))))
@@ -225,7 +234,7 @@ def _result_with_state(seeds: Seeds, kind: str) -> dict[str, Content]:
 def states(seeds: Seeds) -> Strategy:
     """Checkpoints and unfinished results, with ``--resume``."""
 
-    @st.composite
+    @composite
     def case(draw: st.DrawFn) -> Case:
         kind = draw(st.sampled_from(("mono", "mono", "stereo", "stereo", "hand")))
         files = _result_with_state(seeds, kind)
@@ -525,13 +534,13 @@ def images(seeds: Seeds) -> Strategy:
 def _images_in_messages(seeds: Seeds) -> Strategy:
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-    @st.composite
+    @composite
     def content(draw: st.DrawFn) -> bytes:
         of_depth = draw(st.booleans())
         records = read_records(seeds.hand if of_depth else seeds.heads)
         kinds = of.message_types(records)
         own = [m for m in messages(records) if kinds[m["channel_id"]] == "foxglove.CompressedImage"]
-        message = draw(st.sampled_from(own))
+        message = draw(one_of(own))
         parsed = CompressedImage.FromString(message["data"])
         suffix = draw(st.sampled_from((".png", ".png", ".png", ".jpg", ".webp")))
         image = seeds.depth[0] if of_depth and suffix == ".png" else seeds.grey[0]
@@ -572,14 +581,14 @@ def names(seeds: Seeds) -> Strategy:
     )
     safe = odd.map(lambda t: utf8(t).decode("utf-8", "surrogateescape")).map(lambda t: "./" + t)
 
-    @st.composite
+    @composite
     def case(draw: st.DrawFn) -> Case:
         how = draw(st.sampled_from(("name", "camera", "special", "link", "output", "frames")))
         name = draw(safe)
         result = seeds.results["hand"]
         words: tuple[str, ...]
         if how == "name":
-            content = draw(st.sampled_from((seeds.hand, result, b"", b"x", of.CAMERA_TOML.encode())))
+            content = draw(one_of((seeds.hand, result, b"", b"x", of.CAMERA_TOML.encode())))
             words = draw(st.one_of(of_recording(name), of_result(name)))
             return Case("names", words, {name: content}, (*OUT, "out.html", "out.npz"))
         if how == "camera":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from hypothesis import strategies as st
@@ -101,7 +101,33 @@ def nested(depth: int, mapping: bool) -> Any:
     return value
 
 
-@st.composite
+class _Held:
+    """Arguments that hypothesis does not print: whole files are among them."""
+
+    def __init__(self, arguments: tuple[Any, ...], named: dict[str, Any]) -> None:
+        self.arguments, self.named = arguments, named
+
+    def __repr__(self) -> str:
+        return "..."
+
+
+def composite(function: Callable[..., Any]) -> Callable[..., st.SearchStrategy[Any]]:
+    """As ``hypothesis.strategies.composite``, of arguments of any size."""
+
+    def drawn(draw: st.DrawFn, held: _Held) -> Any:
+        return function(draw, *held.arguments, **held.named)
+
+    made = st.composite(drawn)
+    return lambda *arguments, **named: made(_Held(arguments, named))
+
+
+def one_of(values: Iterable[Any]) -> st.SearchStrategy[Any]:
+    """As ``hypothesis.strategies.sampled_from``, of values of any size."""
+    held = list(values)
+    return st.integers(0, len(held) - 1).map(lambda k: held[k])
+
+
+@composite
 def changed_tree(draw: st.DrawFn, tree: Any, most: int = 3) -> Any:
     """A JSON value with one to ``most`` places changed."""
     for _ in range(draw(st.integers(1, most))):
@@ -142,7 +168,7 @@ def json_text(tree: Any) -> str:
         sys.setrecursionlimit(limit)
 
 
-@st.composite
+@composite
 def changed_bytes(draw: st.DrawFn, data: bytes, most: int = 4) -> bytes:
     """Bytes with parts overwritten, cut out, doubled or inserted, or the end missing."""
     for _ in range(draw(st.integers(1, most))):
@@ -207,7 +233,7 @@ def utf8(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
-@st.composite
+@composite
 def changed_text(draw: st.DrawFn, text: str, pieces: tuple[str, ...] = ()) -> bytes:
     """A text of lines with words, lines and bytes changed."""
     lines = text.split("\n")
