@@ -84,7 +84,7 @@ def failure_class(broken: list[str], outcome: Outcome) -> str:
     if not where and outcome.stacks:
         where = ":".join(places[0]) if places else ""
     error = re.findall(r"^(\w+(?:\.\w+)*(?:Error|Exception|Interrupt))\b", text, re.MULTILINE)
-    what = error[-1] if error and where else re.sub(r"[0-9.]+", "#", broken[0])[:120]
+    what = error[-1] if error and where else re.sub(r"U\+\w+|[0-9.@]+|/\S+", "#", broken[0])[:90]
     return f"{what} {where}".strip()
 
 

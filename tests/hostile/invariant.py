@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 from hostile.case import Case
 from hostile.running import CPU_S, Outcome, work_s
+from posetrack_cli.text import printable
 
 MEMORY_BYTES = 1 << 30
 """Above the idle process."""
@@ -55,9 +57,11 @@ def _lines(case: Case, outcome: Outcome) -> Iterator[str]:
         yield "a line 'posetrack: ...' without a failure"
     if any("out of memory" in line for line in own):
         yield "out of memory: nothing else had stopped it"
-    for line in lines:
-        if line not in own and not _is_remark(case, line):
-            yield f"a foreign line on standard error: {line[:300]}"
+    foreign = [line for line in lines if line not in own and not _is_remark(case, line)]
+    if any(line.startswith("Traceback") for line in foreign):
+        foreign = foreign[-1:]
+    for line in foreign[:4]:
+        yield f"a foreign line on standard error: {line[:300]}"
     both = lines + outcome.out.decode("utf-8", "replace").splitlines()
     for word in _SAID:
         if any(word in line for line in both if not line.startswith("posetrack: ") or word in _SAID[:2]):
@@ -66,7 +70,8 @@ def _lines(case: Case, outcome: Outcome) -> Iterator[str]:
 
 def _is_remark(case: Case, line: str) -> bool:
     """Whether a line has one of the forms that commands remark something in."""
-    names = [argument for argument in case.command if not argument.startswith("-")]
+    given = [argument for argument in case.command if not argument.startswith("-")]
+    names = [printable(name) for argument in given for name in (argument, Path(argument).stem)]
     about = any(line.startswith(f"{name}: ") for name in names)
     return about or line.endswith(" ...")
 

@@ -160,6 +160,7 @@ def _be_child(request: dict[str, Any], report: int) -> None:
         _redirect(request)
         stacks = os.open(request["stacks"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         faulthandler.register(signal.SIGUSR1, stacks, all_threads=True)
+        faulthandler.register(signal.SIGXCPU, stacks, all_threads=True, chain=True)
         faulthandler.enable(stacks)
         warnings.simplefilter("default", category=RuntimeWarning, append=True)  # forgets which were shown
         known = set(sys.modules)
@@ -203,7 +204,7 @@ def _limit(cpu_s: int) -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     most = pages * resource.getpagesize() + ADDRESS_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 2))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (GIB, GIB))
 

@@ -615,7 +615,7 @@ def names(seeds: Seeds) -> Strategy:
             special = draw(
                 st.sampled_from((Link("r.mcap"), Link("other"), Link("/dev/null"), Pipe(), b"", b"x"))
             )
-            return Case("names", words, {"r.mcap": seeds.hand, place: special, "other": b"1"}, ())
+            return Case("names", words, {"r.mcap": seeds.hand, place: special, "other": b"1"}, OUT)
         special = draw(
             st.sampled_from((Link("/dev/zero"), Link("nowhere"), Link("x"), Link("."), Link("/dev/full")))
         )
