@@ -45,11 +45,11 @@ def small_disk(folder: Path, size: int) -> Iterator[Disk]:
         OSError: it cannot be mounted: not root, or not allowed to.
     """
     folder.mkdir()
-    _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
-    try:
+    try:  # around the mounting, too: Ctrl-C may come at its end
+        _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
         yield Disk(folder, None, lambda: _mount("-o", f"remount,size={64 * size + (64 << 20)}", str(folder)))
     finally:
-        subprocess.run(["umount", "--lazy", str(folder)], check=True, capture_output=True)
+        subprocess.run(["umount", "--lazy", str(folder)], capture_output=True)  # or was not mounted
 
 
 @contextmanager

@@ -179,7 +179,7 @@ def soak_kills(
     with tqdm(total=kills, desc="kills", unit="kill", disable=None) as bar:
         while (done := killed.total()) < kills and missed <= MISSES * kills:
             case, reference = cases[runs % len(cases)]
-            moments = plan(rng, kills - done, cold=runs % COLD_EVERY == COLD_EVERY - 1)
+            moments = plan(rng, kills - done, cold=runs % COLD_EVERY == 1)
             cold = any(moment.phase == "compiling" for moment in moments)
             killing = Killing(case, reference, folder / f"run-{runs}", cold=cold)
             fine = findings.troubles_of(f"{case.name}, killed run {runs}", killing.run(moments))
