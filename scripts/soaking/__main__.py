@@ -45,7 +45,7 @@ def main(
     """Let trackers run long, kill them, fill their disk, start them cold; exit code 1 if any suffers."""
     signal.signal(signal.SIGTERM, _leave)  # what is mounted is unmounted
     amounts = replace(QUICK if quick else FULL, **{name: n for name, n in given.items() if n is not None})
-    machine = describe(quick=quick, seed=seed)
+    machine = describe(amounts, seed)
     for key, value in machine.items():
         print(f"{key}: {value}", flush=True)
     findings = Findings()
@@ -65,4 +65,4 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(prog_name="scripts/soak")

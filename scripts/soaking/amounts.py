@@ -25,6 +25,9 @@ class Amounts:
     recorded: int
     short: int
 
+    def __str__(self) -> str:
+        return f"{self.frames} frames, {self.kills} kills, {self.disks} disks, {self.at_once} at once"
+
 
 FULL = Amounts(20_000, 100, 10, 4, 90, 60)
 QUICK = Amounts(90, 3, 1, 2, 20, 20)

@@ -24,11 +24,11 @@ PARTS = ("frames", "kills", "disk", "cold")
 References = Mapping[str, tuple[Case, Reference]]
 
 
-def describe(*, quick: bool, seed: int) -> dict[str, str]:
+def describe(amounts: Amounts, seed: int) -> dict[str, str]:
     """What figures were measured on, and how."""
     context = open_context()
     try:
-        return describe_machine(context) | {"length": "quick" if quick else "full", "seed": str(seed)}
+        return describe_machine(context) | {"amounts": str(amounts), "seed": str(seed)}
     finally:
         context.release()
 

@@ -83,11 +83,6 @@ def started(
         environment: variables in place of, or beside, this process's own.
         file_bytes: no file may grow larger than this; None for no limit.
     """
-
-    def limit() -> None:
-        if file_bytes is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
-
     with said.open("wb") as stream:
         process = subprocess.Popen(
             command,
@@ -95,9 +90,10 @@ def started(
             stdout=subprocess.DEVNULL,
             stderr=stream,
             env={**os.environ, **(environment or {})},
-            preexec_fn=limit,
         )
     try:
+        if file_bytes is not None:  # long before it has loaded what it writes with
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
         yield Started(process, said)
     finally:
         if process.poll() is None:

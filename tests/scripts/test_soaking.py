@@ -87,7 +87,7 @@ def test_no_disk_has_the_room_that_is_needed() -> None:
 
 def test_a_soak_tells_memory_that_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Recordings, "long_case", lambda self, tracker: made_up("grows", 90))
-    monkeypatch.setattr("soaking.__main__.describe", lambda **named: {"cores": "2"})
+    monkeypatch.setattr("soaking.__main__.describe", lambda amounts, seed: {"cores": "2"})
     monkeypatch.setattr("soaking.frames.SLOWER", 1e6)  # no test looks at how long anything takes
     monkeypatch.setattr("soaking.frames.SAMPLE_S", 0.02)
     files = ["--json", str(tmp_path / "s.json"), "--markdown", str(tmp_path / "s.md")]
