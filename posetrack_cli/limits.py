@@ -45,8 +45,10 @@ MESSAGES = 1 << 40
 
 IMAGE_PIXELS = 1 << 25
 """Of one image: 8K video has 33.2 million pixels."""
-JPEG_SCANS = 100
+JPEG_SCANS = 30
 """Of a progressive JPEG, each of which goes over the whole image: encoders write about ten."""
+TILE_PIXELS = 1 << 22
+"""Of one tile of a TIFF, which is decoded whole for the smallest image: writers use 128 to 1024 squared."""
 
 # Files that are read whole
 

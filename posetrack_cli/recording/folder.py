@@ -11,11 +11,17 @@ from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, CameraFile, load_camera_file, no_intrinsics
 from posetrack_cli.recording.depth import depth_from_codes
 from posetrack_cli.recording.identity import files_digest, shown_name
-from posetrack_cli.recording.image_files import PNG_SIGNATURE, decode_codes, list_images, read_image
+from posetrack_cli.recording.image_files import (
+    PNG_SIGNATURE,
+    decode_codes,
+    first_decoded,
+    list_images,
+    read_image,
+)
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.single_camera import SingleCameraRecording
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamps_at_rate
-from posetrack_cli.recording.stored import StoredFrame, UnreadableImageError
+from posetrack_cli.recording.stored import StoredFrame
 
 
 class FolderRecording(SingleCameraRecording):
@@ -160,9 +166,4 @@ def first_readable(images: list[Path]) -> ImageArray:
     Raises:
         RecordingError: if none can, or it is not a 16-bit single-channel image.
     """
-    for image in images:
-        try:
-            return decode_codes(read_image(image), str(image))
-        except UnreadableImageError:
-            continue
-    raise RecordingError("no image can be decoded", where=images[0].parent, found=f"{len(images)} files")
+    return first_decoded(images, lambda image: decode_codes(read_image(image), str(image)))

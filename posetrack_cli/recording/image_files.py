@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -15,13 +17,17 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import read_input
 from posetrack_cli.recording.stored import UnreadableImageError
 
+Decoded = TypeVar("Decoded")
+
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm")
 GREY_SUFFIXES = (*DEPTH_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".ppm", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 WEBP_BEGIN = b"RIFF"
+TIFF_BEGIN = b"II*\0", b"MM\0*"
+TIFF_ENTRY_BYTES, TIFF_SHORT, TIFF_TILE_TAGS = 12, 3, (322, 323)
 SIGNATURES = (
-    *(PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN, b"II*\0", b"MM\0*", b"BM"),
+    *(PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN, *TIFF_BEGIN, b"BM"),
     *(b"P%d" % kind for kind in range(1, 7)),
 )
 """How the files begin that are decoded."""
@@ -66,6 +72,26 @@ def read_image(path: Path) -> bytes:
         return read_input(path, limits.IMAGE_BYTES)
     except OSError as error:
         raise UnreadableImageError("file cannot be read") from error
+
+
+def first_decoded(images: Sequence[Path], decode: Callable[[Path], Decoded]) -> Decoded:
+    """Return what the first image that can be decoded gives.
+
+    Args:
+        images: of one folder, at least one.
+        decode: raises UnreadableImageError where it cannot be.
+
+    Raises:
+        RecordingError: none can.
+    """
+    reason = ""
+    for image in images:
+        try:
+            return decode(image)
+        except UnreadableImageError as error:
+            reason = reason or str(error)
+    found = f"{len(images)} files, of the first: {reason}"
+    raise RecordingError("no image can be decoded", where=images[0].parent, found=found)
 
 
 def decode_codes(data: bytes, where: str) -> ImageArray:

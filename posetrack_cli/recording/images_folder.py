@@ -14,13 +14,12 @@ from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.grey import StoredKind, decode_as_stored, decode_grey, kind_of_image
 from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import files_digest, shown_name
-from posetrack_cli.recording.image_files import read_image
+from posetrack_cli.recording.image_files import first_decoded, read_image
 from posetrack_cli.recording.image_folders import Stamped, find_folders, stamped_images, stamps_files
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage, StoredImages, match_images
 from posetrack_cli.recording.rig_file import Rig, found_rig, load_rig
 from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
-from posetrack_cli.recording.stored import UnreadableImageError
 
 
 class ImagesFolderRecording(SeveralCamerasRecording):
@@ -185,12 +184,10 @@ def _check_calibrated(path: Path, rig: Rig, folders: Mapping[str, object]) -> No
 
 def _first_kind(rig: Rig, name: str, images: list[Path]) -> StoredKind:
     """Tell what a camera's images are like from the first that can be decoded."""
-    for image in images:
-        try:
-            return kind_of_image(decode_as_stored(read_image(image)), image, rig.cameras[name].bits)
-        except UnreadableImageError:
-            continue
-    raise RecordingError("no image can be decoded", where=images[0].parent, found=f"{len(images)} files")
+    bits = rig.cameras[name].bits
+    return first_decoded(
+        images, lambda image: kind_of_image(decode_as_stored(read_image(image)), image, bits)
+    )
 
 
 def _grey(image: Path, kind: StoredKind, window: Window) -> ImageArray:

@@ -14,10 +14,15 @@ from posetrack_cli.recording.base import Loss
 from posetrack_cli.recording.camera_file import load_camera_file
 from posetrack_cli.recording.folder import camera_path
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.image_files import DEPTH_SUFFIXES, decode_any, list_images, read_image
+from posetrack_cli.recording.image_files import (
+    DEPTH_SUFFIXES,
+    decode_any,
+    first_decoded,
+    list_images,
+    read_image,
+)
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps
-from posetrack_cli.recording.stored import UnreadableImageError
 from posetrack_cli.recording.timeline import Timeline
 
 
@@ -58,7 +63,7 @@ def _describe_any_folder(path: Path) -> dict[str, Any]:
 
     folders = find_folders(path)
     if "" in folders:
-        first = _first_image(folders[""])
+        first = first_decoded(folders[""], _as_stored)
         if first.ndim == 2 and first.dtype == np.uint16 and folders[""][0].suffix.lower() in DEPTH_SUFFIXES:
             return describe_folder(path)
     return describe_image_folders(path, folders)
@@ -67,7 +72,7 @@ def _describe_any_folder(path: Path) -> dict[str, Any]:
 def describe_folder(path: Path) -> dict[str, Any]:
     """Describe a folder of depth images: number, size, stamps, camera; what is missing has a reason."""
     images = list_images(path)
-    first = _first_image(images)
+    first = first_decoded(images, _as_stored)
     height, width = first.shape[:2]
     channels = 1 if first.ndim == 2 else first.shape[2]
     image = {"width": width, "height": height, "bits": 8 * first.dtype.itemsize, "channels": channels}
@@ -117,10 +122,5 @@ def _camera(path: Path, width: int, height: int) -> dict[str, Any]:
     return camera.values() | depth
 
 
-def _first_image(images: list[Path]) -> ImageArray:
-    for image in images:
-        try:
-            return decode_any(read_image(image))
-        except UnreadableImageError:
-            continue
-    raise RecordingError("no image can be decoded", where=images[0].parent, found=f"{len(images)} files")
+def _as_stored(image: Path) -> ImageArray:
+    return decode_any(read_image(image))

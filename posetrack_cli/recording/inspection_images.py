@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.grey import decode_as_stored, kind_of_image
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.image_files import read_image
+from posetrack_cli.recording.image_files import first_decoded, read_image
 from posetrack_cli.recording.image_folders import stamped_images
 from posetrack_cli.recording.images_folder import ImagesFolderRecording
 from posetrack_cli.recording.matching import StoredImages
-from posetrack_cli.recording.stored import UnreadableImageError
 from posetrack_cli.recording.timeline import Timeline
 
 ANY_RATE_HZ = 30.0
@@ -119,18 +118,13 @@ def _timeline(frames: Sequence[StoredImages]) -> dict[str, Any]:
 
 
 def _folder(name: str, images: Sequence[Path]) -> dict[str, Any]:
-    for image in images:
-        try:
-            kind = kind_of_image(decode_as_stored(read_image(image)), image)
-        except UnreadableImageError:
-            continue
-        return {
-            "name": name,
-            "images": len(images),
-            "first": images[0].name,
-            "last": images[-1].name,
-            "width": kind.width,
-            "height": kind.height,
-            "stored": kind.words,
-        }
-    raise RecordingError("no image can be decoded", where=images[0].parent, found=f"{len(images)} files")
+    kind = first_decoded(images, lambda image: kind_of_image(decode_as_stored(read_image(image)), image))
+    return {
+        "name": name,
+        "images": len(images),
+        "first": images[0].name,
+        "last": images[-1].name,
+        "width": kind.width,
+        "height": kind.height,
+        "stored": kind.words,
+    }

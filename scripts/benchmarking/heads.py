@@ -13,7 +13,7 @@ from benchmarking.commands import peak_memory
 from benchmarking.head_walker import SETTLING, HeadWalker
 from benchmarking.lengths import Lengths
 from benchmarking.one_camera import one_camera
-from benchmarking.recordings import link_head_recording, there_and_back
+from benchmarking.recordings import link_recording, there_and_back
 from benchmarking.rows import Row, median_ms, median_of_pairs
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.geometry.camera import Camera
@@ -52,7 +52,7 @@ def heads(lengths: Lengths) -> Iterator[Row]:
         folder = Path(name)
         write_synthetic(HeadSynthOptions(frames=lengths.head_frames, fps=FPS), folder / "seen")
         yield from tracking_alone(folder / "seen", lengths.head_steps)
-        link_head_recording(folder / "long", folder / "seen", lengths.head_memory)
+        link_recording(folder / "long", folder / "seen", lengths.head_memory)
         yield from file_to_file(folder, lengths.head_steps)
         command = ["head", "stereo", str(folder / "long"), "--fps", str(FPS)]
         yield from peak_memory("head stereo", command, lengths.head_memory, folder)

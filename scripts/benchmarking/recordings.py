@@ -11,6 +11,7 @@ import numpy as np
 
 from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.image_files import GREY_SUFFIXES, list_images
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.mcap_sink import McapSink
 from stepping import FRAME_NS
@@ -43,13 +44,19 @@ def write_hand_recording(path: Path, depths: Sequence[Any], frames: int) -> None
         sink.finish()
 
 
-def link_head_recording(path: Path, folder: Path, frames: int) -> None:
-    """A folder whose images are those of another one; it has no stamps but needs ``--fps``."""
+def link_recording(path: Path, folder: Path, frames: int) -> None:
+    """A folder whose images are those of another one; it has no stamps but needs ``--fps``.
+
+    Args:
+        path: the folder to make.
+        folder: of images, or of a folder of images per camera, with a camera file.
+        frames: how many.
+    """
     path.mkdir()
     shutil.copy(folder / CAMERA_FILE_NAME, path)
-    for camera in sorted(child for child in folder.iterdir() if child.is_dir()):
-        images = sorted(camera.iterdir())
-        (path / camera.name).mkdir()
+    for camera in sorted(child for child in folder.iterdir() if child.is_dir()) or [folder]:
+        images = list_images(camera, GREY_SUFFIXES)
+        into = path / camera.relative_to(folder)
+        into.mkdir(exist_ok=True)
         for index, shown in enumerate(there_and_back(len(images), frames)):
-            name = f"{index:06d}{images[shown].suffix}"
-            (path / camera.name / name).symlink_to(images[shown].resolve())
+            (into / f"{index:06d}{images[shown].suffix}").symlink_to(images[shown].resolve())

@@ -21,7 +21,7 @@ from benchmarking.clocks import Clocks, clocked
 from benchmarking.commands import peak_memory, usage_of
 from benchmarking.head_walker import HeadWalker
 from benchmarking.heads import FEW, MANY, deformations_of, tracking_rows
-from benchmarking.recordings import link_head_recording, there_and_back, write_hand_recording
+from benchmarking.recordings import link_recording, there_and_back, write_hand_recording
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
 from posetrack_cli.geometry.projection import pixels_from_points
@@ -132,7 +132,7 @@ def test_a_long_recording_of_a_head_shows_both_cameras_to_and_fro(tmp_path: Path
         for k in range(3):
             image = np.full((camera.height, camera.width), offset + 10 * k, np.uint8)
             cv2.imwrite(str(seen / camera.name / f"{k:06d}.png"), image)
-    link_head_recording(tmp_path / "long", seen, 7)
+    link_recording(tmp_path / "long", seen, 7)
     frames = list(open_images(tmp_path / "long", fps=30.0).frames())
     shown = [[int(image[0, 0]) for image in frame.images if image is not None] for frame in frames]
     assert shown == [[10 * k, 100 + 10 * k] for k in (0, 1, 2, 1, 0, 1, 2)]

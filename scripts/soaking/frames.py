@@ -1,0 +1,159 @@
+"""Long runs: whether memory and time per frame stay what they were in the first thousand frames."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from benchmarking.rows import Row
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.results import load_arrays
+from soaking.cases import Case
+from soaking.findings import Findings
+from soaking.processes import DONE, run_to_end, started
+from soaking.standing import standing_of
+
+GROWTH_MIB = 16.0
+"""By so much memory may grow after the first thousand frames."""
+SLOWER = 1.10
+"""So much more CPU time the last thousand frames may take than the first. This ratio is judged, as
+other work on the machine does not touch it, and reading, writing and checkpoints count in it."""
+WARM_UP = 60
+"""Frames of the run before, enough to come to every kernel."""
+MARKS = (1_000, 5_000, 10_000, 20_000)
+FIRST = 1_000
+SAMPLE_S = 0.25
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A look at a process.
+
+    Attributes:
+        frames: done.
+        resident, peak: memory, MiB.
+        cpu: time, s.
+    """
+
+    frames: int
+    resident: float
+    peak: float
+    cpu: float
+
+
+def soak_frames(case: Case, folder: Path, findings: Findings) -> None:
+    """Run a case to its end and note memory and time per frame.
+
+    A short run goes before it, so that no kernel is compiled in the long one.
+    """
+    folder.mkdir()
+    output, warm = folder / "long.mcap", folder / "warm.mcap"
+    ended = run_to_end(case.command(warm, "--end", str(WARM_UP)), folder / "warm.txt")
+    if not findings.troubles_of(f"{case.name}, {WARM_UP} frames", ended.troubles((DONE,))):
+        return
+    samples = []
+    with (
+        started(case.command(output), folder / "long.txt") as run,
+        tqdm(total=case.frames, desc=case.name, unit="frame", disable=None) as bar,
+    ):
+        for sample in watch(case, output, run.process.pid):
+            samples.append(sample)
+            bar.update(sample.frames - bar.n)
+        ended = run.end()
+    if not findings.troubles_of(f"{case.name}, {case.frames} frames", ended.troubles((DONE,))):
+        return
+    milliseconds = load_arrays(output)["milliseconds"]
+    if len(milliseconds) != case.frames:
+        findings.trouble(f"{case.name}: {len(milliseconds)} frames in the result, expected {case.frames}")
+        return
+    rows = (
+        memory_rows(case.name, samples, case.frames),
+        time_rows(case.name, milliseconds),
+        cpu_rows(case.name, samples, case.frames),
+    )
+    for row in chain(*rows):
+        findings.add(row)
+    findings.add(Row(f"{case.name}, size of the result", 1e-6 * output.stat().st_size, "MB"))
+
+
+def watch(case: Case, output: Path, process: int) -> Iterator[Sample]:
+    """Yield a sample whenever a process has gone further, until it ends."""
+    last = 0
+    while (memory := memory_of(process)) is not None:
+        standing = standing_of(case, output)
+        if standing is not None and standing.steps > last:
+            last = standing.steps
+            yield Sample(last, *memory)
+        time.sleep(SAMPLE_S)
+
+
+def memory_of(process: int) -> tuple[float, float, float] | None:
+    """Return resident and peak memory of a process, MiB, and its CPU time, s; None once it has ended."""
+    try:
+        status = Path(f"/proc/{process}/status").read_text()
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except (FileNotFoundError, ProcessLookupError):
+        return None
+    values = dict(line.split(":", 1) for line in status.splitlines())
+    if "VmRSS" not in values:  # a process that has ended and was not waited for
+        return None
+    resident, peak = (float(values[name].split()[0]) / 1024 for name in ("VmRSS", "VmHWM"))
+    return resident, peak, (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def marks_of(frames: int) -> list[int]:
+    """After how many frames memory is told: ``MARKS``, of a run too short for them a third and the end."""
+    return [*(mark for mark in MARKS if mark < frames), frames] if frames > FIRST else [frames // 3, frames]
+
+
+def memory_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[Row]:
+    """Memory after each mark, and by how much it grew after the first."""
+    if not samples:
+        return
+    marks = marks_of(frames)
+    values = [memory_after(samples, mark) for mark in marks]
+    for mark, value in zip(marks, values, strict=True):
+        yield Row(f"{name}, memory after {mark} frames", value, "MiB")
+    yield Row(f"{name}, memory at its peak", max(sample.peak for sample in samples), "MiB")
+    growth = max(values[1:]) - values[0]
+    yield Row(f"{name}, growth of memory after {marks[0]} frames", growth, "MiB", GROWTH_MIB)
+
+
+def memory_after(samples: Sequence[Sample], frames: int) -> float:
+    """The median of memory over the last tenth of so many frames, MiB, as garbage comes and goes."""
+    seen = [sample.resident for sample in samples if 0.9 * frames <= sample.frames <= frames]
+    nearest = min(samples, key=lambda sample: abs(sample.frames - frames))
+    return float(np.median(seen or [nearest.resident]))
+
+
+def time_rows(name: str, milliseconds: FloatArray) -> Iterator[Row]:
+    """The median time of a tracker's step in the first and the last thousand frames, and their ratio."""
+    count = window_of(len(milliseconds))
+    first, last = (float(np.median(part)) for part in (milliseconds[:count], milliseconds[-count:]))
+    yield Row(f"{name}, time per frame, first {count}, median", first, "ms")
+    yield Row(f"{name}, time per frame, last {count}, median", last, "ms")
+    yield Row(f"{name}, time per frame, last over first", last / first, "")
+
+
+def cpu_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[Row]:
+    """CPU time of the last thousand frames over that of the first; nothing where too few samples are."""
+    count = window_of(frames)
+    done, cpu = [sample.frames for sample in samples], [sample.cpu for sample in samples]
+    if not samples or done[-1] - done[0] < count:
+        return
+    marks = np.interp([done[0], done[0] + count, done[-1] - count, done[-1]], done, cpu)
+    if marks[1] > marks[0]:
+        ratio = float((marks[3] - marks[2]) / (marks[1] - marks[0]))
+        yield Row(f"{name}, CPU time per frame, last {count} over first", ratio, "", SLOWER)
+
+
+def window_of(frames: int) -> int:
+    """How many frames are compared at either end: a thousand, of a short run a third."""
+    return min(FIRST, frames // 3)
