@@ -15,7 +15,6 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.files import read_text
-from posetrack_cli.toml import parse_toml
 
 # What pydantic calls an error, and what we say was expected; {names} are of the error's context.
 _EXPECTED = {
@@ -144,10 +143,10 @@ def _shipped_folders() -> list[Path]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return parse_toml(read_text(path, limits.TEXT_BYTES))
+        return tomllib.loads(read_text(path, limits.TEXT_BYTES))
     except OSError as error:
         raise UsageError("configuration cannot be read", where=path, found=error.strerror or error) from error
-    except ValueError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError("not a TOML file", where=path, found=error) from error
 
 

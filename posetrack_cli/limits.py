@@ -54,8 +54,6 @@ TILE_PIXELS = 1 << 22
 
 TEXT_BYTES = 16 * MIB
 """Of a text file that is read whole: camera files, configurations, poses, stamps, clicked points."""
-TOML_KEY_PARTS = 32
-"""Of a dotted key; our own keys have four."""
 MESH_BYTES = 256 * MIB
 """Of a GLB file."""
 IMAGE_BYTES = 512 * MIB

@@ -32,8 +32,7 @@ BELOW_ALL = {
     "files": set(),
     "errors": {"text"},
     "compiled": set(),
-    "toml": {"", "limits"},
-    "configuration": {"errors", "files", "limits", "toml"},
+    "configuration": {"errors", "files", "limits"},
     "npz": {"limits"},
 }
 """What every layer may use, and which of each other these modules use themselves."""
