@@ -14,7 +14,16 @@ from hostile import bombs
 from hostile import messages as ros
 from hostile import seeds as of
 from hostile.case import Case, Content, Link, Pipe
-from hostile.file_cases import PLAYLISTS, npy_bytes, npy_of, npy_parts, npz_arrays, npz_bytes, png_file
+from hostile.file_cases import (
+    PLAYLISTS,
+    npy_bytes,
+    npy_of,
+    npy_parts,
+    npz_arrays,
+    npz_bytes,
+    png_file,
+    resigned,
+)
 from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, METADATA, SCHEMA, Record, file_bytes, read_records
 from hostile.seeds import Seeds
 from hostile.targets import HAND, HEAD, OUT
@@ -609,3 +618,49 @@ for _suffix, _code in ((".avi", "MJPG"), (".mp4", "mp4v")):
                 f"v{s}": of.video(s, c)[: int(share * len(of.video(s, c)))]
             },
         )
+
+
+# All of them
+
+
+def damaged_states(seeds: Seeds, kind: str) -> list[tuple[str, bytes]]:
+    """Return damaged states of an interrupted run, with digests that fit and without."""
+    state = seeds.interrupted[kind][1]
+    unsigned = list(damaged_json(state, "json.npy"))
+    signed = [*damaged_npz(state), *unsigned]
+    return unsigned + [(f"{name}, signed", resigned(data)) for name, data in signed]
+
+
+def state_case(seeds: Seeds, kind: str, state: bytes) -> Case:
+    """Return the command that resumes a run by a state."""
+    recording: dict[str, Content] = {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads}
+    command = (*seeds.commands[kind], "-o", "out.mcap", "--resume")
+    files = {name: data for name, data in recording.items() if name in command}
+    parts = {"out.mcap.part": seeds.interrupted[kind][0], "out.mcap.part.state": state}
+    return Case("states", command, {**files, **parts}, OUT)
+
+
+def model_cases(seeds: Seeds) -> Iterator[tuple[str, Case]]:
+    """Yield runs that are given damaged models."""
+    tail = ("heads.mcap", "-o", "out.mcap", *HEAD)
+    mono = ("head", "mono", *tail, "--cameras", "left", "--passes", "1")
+    options: dict[str, tuple[tuple[str, ...], bytes]] = {
+        "mono": ((*mono, "--load-model", "m.npz"), seeds.models["mono"]),
+        "stereo": (("head", "stereo", *tail, "--load-model", "m.npz"), seeds.models["stereo"]),
+        "face": ((*mono, "--face-model", "m.npz"), seeds.face_model),
+    }
+    for kind, (command, data) in options.items():
+        for name, damaged in [*damaged_npz(data), *damaged_json(data, "header.npy")]:
+            files: dict[str, Content] = {"heads.mcap": seeds.heads, "m.npz": damaged}
+            yield f"{kind}: {name}", Case("models", command, files, OUT)
+
+
+def every_case(seeds: Seeds) -> Iterator[Case]:
+    """Yield all attacks, and all damaged states and models."""
+    for build in CORPUS.values():
+        yield build(seeds)
+    for kind in seeds.interrupted:
+        for _, state in damaged_states(seeds, kind):
+            yield state_case(seeds, kind, state)
+    for _, case in model_cases(seeds):
+        yield case

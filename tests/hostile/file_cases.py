@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import io
 import json
 import struct
@@ -293,6 +294,29 @@ def npz_bytes(
             size = min(int(np.prod([float(side) for side in bomb[1]])) * 8, 160_000_000)
             archive.writestr(zipfile.ZipInfo(bomb[0] or "x"), head + bytes(size), zipfile.ZIP_DEFLATED, 1)
     return stream.getvalue()
+
+
+def resigned(data: bytes) -> bytes:
+    """Return a state with the digest that its contents ask for: what lies behind that check is met, too.
+
+    One that has none, or whose arrays cannot be read, stays as it is.
+    """
+    try:
+        members = npz_arrays(data)
+        arrays = {
+            name.removesuffix(".npy"): np.load(io.BytesIO(content), allow_pickle=False)
+            for name, content in members.items()
+        }
+    except Exception:  # it was changed to something else
+        return data
+    if arrays.pop("digest", None) is None:
+        return data
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(json.dumps([name, arrays[name].dtype.str, arrays[name].shape]).encode())
+        digest.update(arrays[name].tobytes())
+    signed = npy_of(np.frombuffer(digest.digest(), np.uint8))
+    return npz_bytes([(name, signed if name == "digest.npy" else c) for name, c in members.items()])
 
 
 def npy_parts(data: bytes) -> tuple[dict[str, Any], bytes]:

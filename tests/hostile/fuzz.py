@@ -21,6 +21,7 @@ from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hostile.case import Case, load, save
+from hostile.corpus import every_case
 from hostile.invariant import violations
 from hostile.running import Harness, Outcome
 from hostile.seeds import Seeds, make_seeds, warm_up
@@ -128,6 +129,15 @@ def search(harness: Harness, seeds: Seeds, target: str, count: int, number: int,
             raise
 
 
+def attempt_corpus(harness: Harness, seeds: Seeds, tally: Tally, until: float) -> None:
+    """Try all attacks that once worked, before others are looked for."""
+    for case in every_case(seeds):
+        if time.monotonic() > until:
+            return
+        outcome = harness.run(case)
+        tally.add(case, outcome, violations(case, outcome))
+
+
 def run(options: argparse.Namespace) -> int:
     tally, began = Tally(), time.monotonic()
     until = began + 60.0 * options.minutes
@@ -136,6 +146,8 @@ def run(options: argparse.Namespace) -> int:
         with Harness() as harness:
             seeds = make_seeds(harness)
             warm_up(harness, seeds)
+            if not options.target:
+                attempt_corpus(harness, seeds, tally, until)
             for target, number in _turns(options):
                 if time.monotonic() > until:
                     break
@@ -171,7 +183,7 @@ def line_of(tally: Tally) -> str:
 
 def report(tally: Tally, options: argparse.Namespace, minutes: float) -> None:
     """Print what was tried and what failed, and keep it where it is asked for."""
-    for target in TARGETS:
+    for target in ("corpus", *TARGETS):
         if tally.tried[target]:
             codes = {c.split()[1]: n for c, n in sorted(tally.codes.items()) if c.split()[0] == target}
             print(f"{target:16}{tally.tried[target]:7} tried {tally.failed[target]:5} failed, codes {codes}")
