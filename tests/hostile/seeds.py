@@ -15,7 +15,7 @@ import numpy as np
 
 from hostile.case import Case, Content
 from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, Record, file_bytes, read_records
-from hostile.running import Harness
+from hostile.running import SEED, Harness
 
 sys.path.append(str(Path(__file__).parents[1] / "hand"))  # glb_support
 
@@ -109,7 +109,7 @@ def _made(harness: Harness, command: tuple[str, ...], files: Mapping[str, Conten
 def _made_files(
     harness: Harness, command: tuple[str, ...], files: Mapping[str, Content], stop_after: int | None = None
 ) -> dict[str, bytes]:
-    case = Case("seed", command, files, ("out.mcap", "model.npz"))
+    case = Case(SEED, command, files, ("out.mcap", "model.npz"))
     made, outcome = harness.run_and_read(case, stop_after=stop_after)
     if outcome.code not in ((0,) if stop_after is None else (130,)):
         raise RuntimeError(

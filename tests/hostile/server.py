@@ -28,7 +28,7 @@ ADDRESS_BYTES = 6 * GIB
 """Of address space, beyond that of the idle process: threads and drivers reserve much that they never use."""
 BLOCKED_S = 10.0
 """A child that has not computed for so long waits for something that never comes."""
-WALL_LIMIT_S = 240.0
+WALL_LIMIT_S = 900.0
 SPAWNING = (
     "subprocess.Popen",
     "os.system",
