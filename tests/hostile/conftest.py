@@ -8,18 +8,21 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # hostile is a package
 
-from hostile.running import Harness
-from hostile.seeds import Seeds, make_seeds, warm_up
+from hostile.running import Harness, Pool
+from hostile.seeds import Seeds, make_seeds
 
 
 @pytest.fixture(scope="session")
-def harness() -> Iterator[Harness]:
-    with Harness() as opened:
+def pool() -> Iterator[Pool]:
+    with Pool() as opened:
         yield opened
 
 
 @pytest.fixture(scope="session")
-def seeds(harness: Harness) -> Seeds:
-    made = make_seeds(harness)
-    warm_up(harness, made)
-    return made
+def harness(pool: Pool) -> Harness:
+    return pool.harnesses[0]
+
+
+@pytest.fixture(scope="session")
+def seeds(pool: Pool) -> Seeds:
+    return make_seeds(pool)

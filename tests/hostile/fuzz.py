@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from hostile.case import Case, load, save
 from hostile.corpus import every_case
 from hostile.invariant import violations
-from hostile.running import Harness, Outcome
-from hostile.seeds import Seeds, make_seeds, warm_up
+from hostile.running import Harness, Outcome, Pool
+from hostile.seeds import Seeds, make_seeds
 from hostile.targets import TARGETS
 
 BATCH = 40
@@ -129,13 +130,12 @@ def search(harness: Harness, seeds: Seeds, target: str, count: int, number: int,
             raise
 
 
-def attempt_corpus(harness: Harness, seeds: Seeds, tally: Tally, until: float) -> None:
+def attempt_corpus(pool: Pool, seeds: Seeds, tally: Tally, until: float) -> None:
     """Try all attacks that once worked, before others are looked for."""
-    for case in every_case(seeds):
-        if time.monotonic() > until:
-            return
-        outcome = harness.run(case)
-        tally.add(case, outcome, violations(case, outcome))
+    cases = every_case(seeds)
+    while time.monotonic() < until and (some := list(islice(cases, BATCH))):
+        for case, outcome in zip(some, pool.run(some), strict=True):
+            tally.add(case, outcome, violations(case, outcome))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -143,11 +143,10 @@ def run(options: argparse.Namespace) -> int:
     until = began + 60.0 * options.minutes
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with Harness() as harness:
-            seeds = make_seeds(harness)
-            warm_up(harness, seeds)
+        with Pool() as pool:
+            seeds, harness = make_seeds(pool), pool.harnesses[0]
             if not options.target:
-                attempt_corpus(harness, seeds, tally, until)
+                attempt_corpus(pool, seeds, tally, until)
             for target, number in _turns(options):
                 if time.monotonic() > until:
                     break

@@ -10,9 +10,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from queue import SimpleQueue
+from typing import Any, TypeVar
 
 from hostile.case import Case
 
@@ -35,6 +38,9 @@ ROOT = Path(__file__).parents[2]
 FRESH_LIMIT_S = 300.0
 SEED, COMPILING_S = "seed", 900
 FRESH = (sys.executable, "-m", "posetrack_cli.cli.main")
+
+
+T, R = TypeVar("T"), TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -208,6 +214,39 @@ def cpu_limit_s(case: Case) -> int:
     A seed may have to compile what all others only load.
     """
     return COMPILING_S if case.target == SEED else int(2 * CPU_S + work_s(case)) + 5
+
+
+class Pool:
+    """Some harnesses that run cases at the same time; to be closed, as by ``with``."""
+
+    def __init__(self, count: int = 2) -> None:
+        self.harnesses = [Harness() for _ in range(count)]
+        self._free: SimpleQueue[Harness] = SimpleQueue()
+        for harness in self.harnesses:
+            self._free.put(harness)
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for harness in self.harnesses:
+            harness.close()
+
+    def map(self, work: Callable[[Harness, T], R], items: Iterable[T]) -> list[R]:
+        """Do some work for every item, each with a harness of its own; return what came of it, in order."""
+
+        def one(item: T) -> R:
+            harness = self._free.get()
+            try:
+                return work(harness, item)
+            finally:
+                self._free.put(harness)
+
+        with ThreadPoolExecutor(len(self.harnesses)) as threads:
+            return list(threads.map(one, items))
+
+    def run(self, cases: Iterable[Case]) -> list[Outcome]:
+        return self.map(Harness.run, cases)
 
 
 class _LaidOut:

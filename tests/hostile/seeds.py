@@ -15,7 +15,7 @@ import numpy as np
 
 from hostile.case import Case, Content
 from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, Record, file_bytes, read_records
-from hostile.running import SEED, Harness
+from hostile.running import SEED, Harness, Pool
 
 sys.path.append(str(Path(__file__).parents[1] / "hand"))  # glb_support
 
@@ -66,33 +66,54 @@ COMMANDS = {
 }
 
 
-def make_seeds(harness: Harness) -> Seeds:
-    """Make all seeds; takes some seconds."""
-    large = _made(harness, ("hand", "synth", "--frames", str(FRAMES), "--seed", "3", "--no-drops"), {})
-    hand, depth = _reduced(large)
-    size = ("--image-size", "160x120", "--image-format", "png", "--motion", "slight")
-    heads = _made(harness, ("head", "synth", "--frames", str(FRAMES), "--seed", "3", *size), {})
-    files: dict[str, Content] = {"hand.mcap": hand, "heads.mcap": heads}
-    results, interrupted, models = {}, {}, {}
-    for kind, command in COMMANDS.items():
-        recording = {name: files[name] for name in files if name in command}
-        made = _made_files(harness, (*command, "-o", "out.mcap", *_model_options(kind)), recording)
-        results[kind] = made["out.mcap"]
-        if "model.npz" in made:
-            models[kind] = made["model.npz"]
-        stopped = _made_files(harness, (*command, "-o", "out.mcap"), recording, stop_after=2)
-        interrupted[kind] = stopped["out.mcap.part"], stopped["out.mcap.part.state"]
-    return Seeds(depth, _grey(heads), hand, heads, results, interrupted, models, COMMANDS)
+def make_seeds(pool: Pool) -> Seeds:
+    """Make all seeds, and warm the harnesses up; takes some seconds."""
+    hand, heads = pool.map(_recording, ("hand", "heads"))
+    files: dict[str, Content] = {"hand.mcap": _reduced(hand)[0], "heads.mcap": heads}
+    made = dict(zip(COMMANDS, pool.map(lambda h, kind: _tracked(h, kind, files), COMMANDS), strict=True))
+    seeds = Seeds(
+        depth=_reduced(hand)[1],
+        grey=_grey(heads),
+        hand=bytes(files["hand.mcap"]),
+        heads=heads,
+        results={kind: result for kind, (result, _, _) in made.items()},
+        interrupted={kind: stopped for kind, (_, stopped, _) in made.items()},
+        models={kind: model for kind, (_, _, model) in made.items() if model},
+        commands=COMMANDS,
+    )
+    pool.map(lambda harness, _: _warm_up(harness, seeds), pool.harnesses)
+    return seeds
 
 
-def warm_up(harness: Harness, seeds: Seeds) -> None:
+def _recording(harness: Harness, kind: str) -> bytes:
+    command: tuple[str, ...] = ("hand", "synth", "--frames", str(FRAMES), "--seed", "3", "--no-drops")
+    if kind == "heads":
+        size = ("--image-size", "160x120", "--image-format", "png", "--motion", "slight")
+        command = ("head", "synth", "--frames", str(FRAMES), "--seed", "3", *size)
+    return _made_files(harness, (*command, "-o", "out.mcap"), {})["out.mcap"]
+
+
+def _tracked(
+    harness: Harness, kind: str, files: Mapping[str, Content]
+) -> tuple[bytes, tuple[bytes, bytes], bytes]:
+    """Return a result, part and state of an interrupted run, and what was learned."""
+    command = COMMANDS[kind]
+    recording = {name: files[name] for name in files if name in command}
+    made = _made_files(harness, (*command, "-o", "out.mcap", *_model_options(kind)), recording)
+    stopped = _made_files(harness, (*command, "-o", "out.mcap"), recording, stop_after=2)
+    parts = stopped["out.mcap.part"], stopped["out.mcap.part.state"]
+    return made["out.mcap"], parts, made.get("model.npz", b"")
+
+
+def _warm_up(harness: Harness, seeds: Seeds) -> None:
     """Load the compiled code of heads once, for all children; what needs GL is theirs."""
-    folder = Path(harness.scratch) / "warm"
-    folder.mkdir()
+    folder = harness.scratch / "warm"
+    folder.mkdir(exist_ok=True)
     (folder / "heads.mcap").write_bytes(seeds.heads)
     swap = {"heads.mcap": str(folder / "heads.mcap")}
+    tail = ("--end", "2", "--overwrite")
     commands = [
-        [*(swap.get(word, word) for word in COMMANDS[kind]), "-o", str(folder / f"{kind}.mcap"), "--end", "2"]
+        [*(swap.get(word, word) for word in COMMANDS[kind]), "-o", str(folder / f"{kind}.mcap"), *tail]
         for kind in ("stereo", "mono")
     ]
     harness.warm(commands)
@@ -100,10 +121,6 @@ def warm_up(harness: Harness, seeds: Seeds) -> None:
 
 def _model_options(kind: str) -> tuple[str, ...]:
     return () if kind == "hand" else ("--save-model", "model.npz")
-
-
-def _made(harness: Harness, command: tuple[str, ...], files: Mapping[str, Content]) -> bytes:
-    return _made_files(harness, (*command, "-o", "out.mcap"), files)["out.mcap"]
 
 
 def _made_files(
