@@ -85,6 +85,9 @@ def failure_class(broken: list[str], outcome: Outcome) -> str:
     where = ":".join(places[-1]) if places and "Traceback" in text else ""
     if not where and outcome.stacks:
         where = ":".join(places[0]) if places else ""
+    bug = re.search(r"internal error: (\S+?):? .* at (posetrack_cli/\S+:\d+);", text)
+    if bug:
+        return f"{bug.group(1)} {bug.group(2)}"
     error = re.findall(r"^(\w+(?:\.\w+)*(?:Error|Exception|Interrupt))\b", text, re.MULTILINE)
     what = error[-1] if error and where else re.sub(r"U\+\w+|[0-9.@]+|/\S+", "#", broken[0])[:90]
     return f"{what} {where}".strip()

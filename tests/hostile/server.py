@@ -299,7 +299,7 @@ def _stopped_after(frames: int | None) -> Any:
     asked = iter(range(frames))
 
     @contextmanager
-    def signals() -> Any:
+    def signals(*_: object) -> Any:
         yield lambda: next(asked, None) is None
 
     for name, module in list(sys.modules.items()):
