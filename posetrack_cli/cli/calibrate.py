@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 SQUARES = re.compile(r"(\d{1,4})[xX](\d{1,4})")
@@ -78,12 +79,12 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     with whole_or_nothing(output) as part:
         part.write_text(found.file_text(images), encoding="utf-8")
     for line in found.lines():
-        click.echo(line)
+        print_line(line)
     for doubt in found.doubts():
-        click.echo(f"doubtful: {doubt}", err=True)
-    click.echo(f"{output}: cameras {', '.join(camera.name for camera in found.cameras)}")
+        print_note(f"doubtful: {doubt}")
+    print_line(f"{output}: cameras {', '.join(camera.name for camera in found.cameras)}")
     if losses.losses:
-        click.echo(f"{images}: {loss_line(losses.losses)}", err=True)
+        print_note(f"{images}: {loss_line(losses.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
