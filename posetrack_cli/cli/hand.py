@@ -19,7 +19,7 @@ from posetrack_cli.cli.run_options import (
     result_options,
 )
 from posetrack_cli.cli.running import close, kept, progress
-from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.cli.signals import stop_signals_of_a_run
 from posetrack_cli.cli.standard_output import print_note
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def hand_run(recording: Path, **options: Any) -> None:
     with compiling_said():
         run, total, found = _prepare(recording, options)
         with (
-            stop_signals() as stopped,
+            stop_signals_of_a_run() as stopped,
             progress(total, options["start"], options["stride"], "hand") as report,
             kept(output),
         ):

@@ -55,9 +55,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_info_of_a_hostile_file_is_lines_of_text(
-    recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_of_a_hostile_file_is_lines_of_text(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["info", str(recording)]) == EXIT_DONE
     out, error = capsys.readouterr()
     assert ESCAPED in out and error == ""
