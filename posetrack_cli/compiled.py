@@ -122,11 +122,11 @@ def announced(report: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextmanager
-def interrupted_by(stopped: Callable[[], bool]) -> Iterator[Callable[[], bool]]:
-    """Compile nothing more once a run is to stop, and yield a function that tells whether it compiles now.
+def watched(start: Callable[[], None]) -> Iterator[Callable[[], bool]]:
+    """Yield a function that tells whether any thread compiles a kernel just now.
 
     Args:
-        stopped: asked, in the thread that compiles, before each kernel; then KeyboardInterrupt is raised.
+        start: called before each, in the thread that compiles; may raise.
     """
     depth, lock = [0], Lock()
 
@@ -134,12 +134,11 @@ def interrupted_by(stopped: Callable[[], bool]) -> Iterator[Callable[[], bool]]:
         with lock:
             depth[0] += by
 
-    def start() -> None:
+    def begin() -> None:
         change(1)
-        if stopped():
-            raise KeyboardInterrupt
+        start()
 
-    with _listening(start, lambda: change(-1)):
+    with _listening(begin, lambda: change(-1)):
         yield lambda: depth[0] > 0
 
 

@@ -19,7 +19,7 @@ from posetrack_cli.cli.run_options import (
     result_options,
 )
 from posetrack_cli.cli.running import close, kept, progress
-from posetrack_cli.cli.signals import stop_signals_of_a_run
+from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.cli.standard_output import print_note
 
 if TYPE_CHECKING:
@@ -101,10 +101,10 @@ def hand_run(recording: Path, **options: Any) -> None:
     configuration and seed give the same bytes.
     """
     output = options["output"]
-    with compiling_said():
+    with compiling_said(output) as is_compiling:
         run, total, found = _prepare(recording, options)
         with (
-            stop_signals_of_a_run() as stopped,
+            stop_signals(is_compiling) as stopped,
             progress(total, options["start"], options["stride"], "hand") as report,
             kept(output),
         ):

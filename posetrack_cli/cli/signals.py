@@ -1,34 +1,16 @@
-"""How long commands are stopped: Ctrl-C ends them after the frame at hand."""
+"""How long commands are stopped: Ctrl-C ends them after the frame at hand, and waits for no compiler."""
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-@contextmanager
-def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells whether Ctrl-C or SIGTERM came; a second Ctrl-C stops at once."""
-    asked = threading.Event()
-    with _handled(asked, at_once=lambda: False):
-        yield asked.is_set
-
-
-@contextmanager
-def stop_signals_of_a_run() -> Iterator[Callable[[], bool]]:
-    """The same for a command that compiles kernels, which takes up to a minute: that is not waited for.
-
-    KeyboardInterrupt is raised then, as it is by a second Ctrl-C.
-    """
-    from posetrack_cli.compiled import interrupted_by
-
-    asked = threading.Event()
-    with interrupted_by(asked.is_set) as is_compiling, _handled(asked, at_once=is_compiling):
-        yield asked.is_set
+GRACE_S = 1.0
+"""How long a stop may take while kernels are compiled: a compiler's single steps take up to 10 s."""
 
 
 def terminate_as_interrupted() -> None:
@@ -37,7 +19,13 @@ def terminate_as_interrupted() -> None:
 
 
 @contextmanager
-def _handled(asked: threading.Event, at_once: Callable[[], bool]) -> Iterator[None]:
+def stop_signals(at_once: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], bool]]:
+    """Yield a function that tells whether Ctrl-C or SIGTERM came.
+
+    A second Ctrl-C stops at once, by KeyboardInterrupt, and so does what comes while ``at_once`` says so.
+    """
+    asked = threading.Event()
+
     def stop(number: int, frame: object) -> None:
         asked.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -46,7 +34,39 @@ def _handled(asked: threading.Event, at_once: Callable[[], bool]) -> Iterator[No
 
     before = {number: signal.signal(number, stop) for number in SIGNALS}
     try:
-        yield
+        yield asked.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def signals_watched(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -> Iterator[threading.Event]:
+    """Yield an event that a signal to stop sets, also while the main thread is in a library and handles none.
+
+    Args:
+        is_stuck: asked ``GRACE_S`` after a signal, unless the context is left by then.
+        give_up: called where it is, in a thread of its own.
+    """
+    asked, left = threading.Event(), threading.Event()
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def watch() -> None:
+        while number := os.read(reading, 1):
+            if number[0] in SIGNALS:
+                asked.set()
+                if not left.wait(GRACE_S) and is_stuck():
+                    give_up()
+
+    thread = threading.Thread(target=watch, name="signals", daemon=True)
+    thread.start()
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    try:
+        yield asked
+    finally:
+        signal.set_wakeup_fd(before)
+        left.set()
+        os.close(writing)
+        thread.join()
+        os.close(reading)
