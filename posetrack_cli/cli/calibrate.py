@@ -61,6 +61,7 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     same name or number. Show the board some 20 times: near and far, tilted, in the middle and the corners of
     every image. What is written is the camera.toml of recordings with these cameras, errors in comments.
     """
+    from posetrack_cli.files import write_output
     from posetrack_cli.recording.calibration.boards import Board
     from posetrack_cli.recording.calibration.stereo import calibrate_stereo as calibrated
     from posetrack_cli.recording.losses import LossLog, loss_line
@@ -77,7 +78,7 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
             images, board, names=names, distortion=options["distortion"], report=report, losses=losses
         )
     with whole_or_nothing(output) as part:
-        part.write_text(found.file_text(images), encoding="utf-8")
+        write_output(part, found.file_text(images).encode())
     for line in found.lines():
         print_line(line)
     for doubt in found.doubts():

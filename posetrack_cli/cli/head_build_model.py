@@ -150,10 +150,11 @@ def _shares(percent: FloatArray, kept: int) -> str:
 def _draw(model: FaceModel, path: Path) -> None:
     from posetrack_cli.evaluation.viewing.face_model_picture import face_model_picture
     from posetrack_cli.evaluation.viewing.outputs import png_of
+    from posetrack_cli.files import write_output
     from posetrack_cli.recording.output import whole_or_nothing
 
     with whole_or_nothing(path) as part:
-        part.write_bytes(png_of(face_model_picture(model)))
+        write_output(part, png_of(face_model_picture(model)))
 
 
 def _say_losses(faces: Sequence[ObservedFace]) -> None:
