@@ -178,9 +178,10 @@ def _parents() -> Iterator[Path]:
         yield Path(caches) / "posetrack"
     else:
         yield Path(os.path.expanduser("~")) / ".cache" / "posetrack"  # noqa: PTH111 Path.home() may raise
-    temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
-    if _is_own(temporary):
-        yield temporary
+    with suppress(FileNotFoundError):  # no temporary folder can be written to
+        temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
+        if _is_own(temporary):
+            yield temporary
 
 
 def _user() -> int:

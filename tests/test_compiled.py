@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,16 @@ def test_a_folder_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
     assert answer(WHERE, HOME="/dev/null", TMPDIR=str(tmp_path)) == "None"
     assert answer(CALL, HOME="/dev/null", TMPDIR=str(tmp_path)) == "True None"  # compiled, and kept nowhere
     assert list(own.iterdir()) == []
+
+
+def test_without_any_folder_to_write_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/dev/null")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    assert compiled.cache_folder.__wrapped__() is None
 
 
 def test_numbas_settings_are_left_as_they_were() -> None:

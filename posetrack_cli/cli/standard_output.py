@@ -11,19 +11,17 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import click
-
 from posetrack_cli.text import one_line, printable
 
 
 def print_line(text: str = "") -> None:
     """Print one line of a command's answer on standard output, without control characters."""
-    click.echo(one_line(text))
+    print(one_line(text), flush=True)
 
 
 def print_note(text: str) -> None:
     """Print one line on standard error, without control characters: what else the user should know."""
-    click.echo(one_line(text), err=True)
+    print(one_line(text), file=sys.stderr, flush=True)
 
 
 def print_data(text: str) -> None:

@@ -13,7 +13,7 @@ import cv2
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import open_input
+from posetrack_cli.files import open_input, utf8_name
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
 from posetrack_cli.recording.guess import Guess
@@ -177,7 +177,8 @@ def _capture(path: Path) -> cv2.VideoCapture:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", QUIET)  # an error is told in one line, by us
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     try:
-        return cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
+        with utf8_name(path) as name:
+            return cv2.VideoCapture(name, cv2.CAP_FFMPEG)  # others take numbered images for videos
     finally:
         cv2.utils.logging.setLogLevel(level)
 

@@ -13,7 +13,7 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import open_output as open_output_file
-from posetrack_cli.files import write_output
+from posetrack_cli.files import utf8_name, write_output
 from posetrack_cli.recording.output import (
     check_not_written,
     check_place,
@@ -81,7 +81,8 @@ class VideoFile:
             lock(self._lock)
         except OSError as error:
             raise ResultError("cannot be written", where=self._path, found=error.strerror or error) from error
-        writer = cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, code, self._rate, self._size)
+        with utf8_name(self._part) as name:
+            writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, code, self._rate, self._size)
         if not writer.isOpened():
             width, height = self._size
             raise ResultError(
@@ -134,7 +135,8 @@ def _even(picture: ImageArray) -> ImageArray:
 
 def _plays(path: Path, size: tuple[int, int], count: int) -> bool:
     """Whether a video states so many pictures of this size, and the first can be read."""
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    with utf8_name(path) as name:
+        video = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
     try:
         read, picture = video.read()
         stated = round(video.get(cv2.CAP_PROP_FRAME_COUNT))
