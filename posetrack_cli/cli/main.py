@@ -44,7 +44,8 @@ def cli() -> None:
     """Track hands in recorded depth: pose, velocity and shape with their uncertainty, from MCAP or folders.
 
     Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but some data was lost or skipped; 130 stopped by
-    Ctrl-C. Results go to standard output, diagnostics and progress to standard error.
+    Ctrl-C. Results go to standard output, diagnostics and progress to standard error; POSETRACK_DEBUG=1 also
+    shows tracebacks and what libraries say.
     """
 
 

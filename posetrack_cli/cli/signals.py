@@ -15,7 +15,8 @@ GRACE_S = 1.0
 
 def terminate_as_interrupted() -> None:
     """Let SIGTERM end a command as Ctrl-C does, so that nothing half-written stays behind."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:  # whoever started this wants it to be ignored
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 @contextmanager

@@ -102,7 +102,7 @@ def test_a_missing_file_whose_name_is_no_text_is_one_line(tmp_path: Path) -> Non
 
 def test_a_recording_is_drawn_without_home_and_locale(tmp_path: Path) -> None:
     """Which reads shaders, meshes and settings of ours."""
-    arguments = ["hand", "synth", "--frames", "2", "--motion", "A", "-o", f"{NOT_UTF8}.mcap"]
+    arguments = ["hand", "synth", "--frames", "1", "--motion", "A", "-o", f"{NOT_UTF8}.mcap"]
     done = command(arguments, tmp_path, **ASCII)
     assert (done.returncode, done.stderr) == (EXIT_DONE, b"")
     assert (tmp_path / f"{NOT_UTF8}.mcap").is_file()

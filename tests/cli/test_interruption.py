@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from posetrack_cli.cli.signals import terminate_as_interrupted
 from posetrack_cli.errors import EXIT_INTERRUPTED
 from posetrack_cli.recording.output import part_path, state_path
 
@@ -108,3 +109,15 @@ def test_a_library_that_returns_to_nobody_is_left_too(tmp_path: Path) -> None:
 
 def test_a_command_without_kernels_is_terminated_as_interrupted(tmp_path: Path) -> None:
     assert interrupted("none", tmp_path / "r.mcap") == "posetrack: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("handler", "expected"), [(signal.SIG_IGN, signal.SIG_IGN), (signal.SIG_DFL, signal.default_int_handler)]
+)
+def test_a_signal_that_is_to_be_ignored_stays_so(handler: signal.Handlers, expected: object) -> None:
+    before = signal.signal(signal.SIGTERM, handler)
+    try:
+        terminate_as_interrupted()
+        assert signal.getsignal(signal.SIGTERM) == expected
+    finally:
+        signal.signal(signal.SIGTERM, before)
