@@ -39,7 +39,7 @@ def prepare_process() -> None:
         if isinstance(stream, TextIOWrapper):  # not so where it is closed
             stream.reconfigure(errors="backslashreplace")  # a name that it cannot show is no reason to fail
     faulthandler.enable(sys.stderr)
-    if not (is_debugging() or sys.warnoptions):
+    if not is_debugging():
         _silence_python_libraries()
 
 
@@ -76,6 +76,7 @@ def _divert_libraries() -> None:
 
 
 def _silence_python_libraries() -> None:
-    """Show neither warnings nor log lines: numpy's, OpenCV's and others' are no lines of ours."""
-    warnings.simplefilter("ignore")
+    """Show no log lines, and warnings only where they were asked for: they are no lines of ours."""
+    if not sys.warnoptions:  # of -W and PYTHONWARNINGS
+        warnings.simplefilter("ignore")
     logging.getLogger().addHandler(logging.NullHandler())  # without any, warnings go to standard error
