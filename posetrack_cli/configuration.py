@@ -127,6 +127,8 @@ def find_configuration(name: str | os.PathLike[str]) -> Path:
     shipped = {p.stem: p for folder in _shipped_folders() for p in sorted(folder.glob("*.toml"))}
     if str(name) in shipped:
         return shipped[str(name)]
+    if path.exists():
+        return path  # a folder or a pipe: whoever reads it says so
     raise UsageError(
         "no such configuration",
         where=name,

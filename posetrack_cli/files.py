@@ -10,8 +10,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedRandom, BufferedReader, BufferedWriter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
@@ -95,6 +98,32 @@ def write_output(path: Path, data: bytes) -> None:
     """
     with open_output(path) as stream:
         stream.write(data)
+
+
+@contextmanager
+def utf8_name(path: Path) -> Iterator[str]:
+    """Yield a name for OpenCV to open a file by: one that is not UTF-8 ends the process in OpenCV.
+
+    Raises:
+        OSError: there is none, as temporary files lie in a folder whose name is not UTF-8 either.
+    """
+    if _is_utf8(path):
+        yield str(path)
+        return
+    with TemporaryDirectory() as folder:
+        link = Path(folder) / f"file{path.suffix if _is_utf8(Path(path.suffix)) else ''}"
+        if not _is_utf8(link):
+            raise OSError(errno.EILSEQ, "a name that is not UTF-8", str(path))
+        link.symlink_to(path.resolve())
+        yield str(link)
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _writable(path: Path, flags: int) -> int:

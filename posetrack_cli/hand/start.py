@@ -96,7 +96,7 @@ def read_pose(path: Path) -> FloatArray:
     Raises:
         UsageError: no such file, or no pose in it.
     """
-    if not path.is_file():
+    if not path.exists():
         raise UsageError("no such file to start from", where=path, expected="a pose file, or --init center")
     if path.suffix == ".mcap" or is_mcap(path):  # also NAME.mcap.part
         return _first_pose(path)
@@ -113,7 +113,8 @@ def _parse(path: Path) -> dict[str, Any]:
         text = read_text(path, limits.TEXT_BYTES)
         parsed = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError, RecursionError) as error:
-        raise UsageError("start pose cannot be read", where=path, found=error) from error
+        found = getattr(error, "strerror", None) or error
+        raise UsageError("start pose cannot be read", where=path, found=found) from error
     if not isinstance(parsed, dict):
         raise UsageError(
             "start pose cannot be used",

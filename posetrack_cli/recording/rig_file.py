@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -24,6 +25,7 @@ from posetrack_cli.recording.camera_file import (
 )
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.guess import Guess
+from posetrack_cli.text import one_line, printable_json
 
 TABLE = "cameras"
 NEAREST_MM = 1.0
@@ -193,9 +195,9 @@ def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) ->
         cameras: with distinct names.
         comments: lines to begin with, written after "# ".
     """
-    parts = ["".join(f"# {line}".rstrip() + "\n" for line in comments)] if comments else []
+    parts = ["".join(f"# {one_line(line)}".rstrip() + "\n" for line in comments)] if comments else []
     cameras = list(cameras)
-    parts.append(f'reference = "{cameras[0].name}"\n')
+    parts.append(f"reference = {_quoted(cameras[0].name)}\n")
     return "\n".join([*parts, *(_table(camera) for camera in cameras)])
 
 
@@ -235,7 +237,12 @@ def _key(name: str) -> str:
     bare = name.replace("_", "").replace("-", "")
     if bare.isascii() and bare.isalnum():
         return name
-    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    """A TOML string, which JSON's escapes suit."""
+    return printable_json(json.dumps(text, ensure_ascii=False))
 
 
 def _is_placeless(camera: RigCamera | LoneCamera | Guess) -> bool:

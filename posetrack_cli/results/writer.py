@@ -14,7 +14,7 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.output import check_folder, check_free, check_not_written, part_path, state_path
+from posetrack_cli.recording.output import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_to_record
 from posetrack_cli.results.channels import ResultChannels
@@ -298,7 +298,7 @@ class ResultWriter:
         self._flushed = (-1, 0)
         self._closed = self._calibrated = False
         self._progress = Progress(0, flush_frames, 0, dict(self._statuses))
-        check_folder(path)
+        check_place(path)
         records = _first_records(run, subject, cameras)
         self._sink = McapSink(written)
         with self._guarded():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import replace
 from itertools import chain
 from typing import Any, Protocol
@@ -131,7 +131,7 @@ class Run(ABC):
 
     def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
         writer, checkpoint = self._open()
-        with writer:
+        with writer, _stopped_at_once(stopped):
             reached = self._begun(writer, checkpoint, stopped)
             if reached is None:
                 return self._outcome(writer, began, stopped=True)
@@ -154,7 +154,8 @@ class Run(ABC):
                     memory.finish(writer)
                 remarks = self._remarks(state)
                 self._finish(writer, state, remarks)
-        return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
+            return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
+        return self._outcome(writer, began, stopped=True)
 
     def _write(
         self, writer: ResultWriter, memory: FrameMemory | None, reached: Reached, estimate: Estimate
@@ -207,3 +208,13 @@ class Run(ABC):
         seconds = time.perf_counter() - began
         lost = writer.count(Status.LOST)
         return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self._losses(), stopped)
+
+
+@contextmanager
+def _stopped_at_once(stopped: Stopped) -> Iterator[None]:
+    """Let KeyboardInterrupt end a run as ``stopped`` does: a second Ctrl-C, or one while kernels compile."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not stopped():
+            raise

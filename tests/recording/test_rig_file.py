@@ -29,10 +29,11 @@ def cameras(tmp_path: Path, text: str) -> tuple[Camera, ...]:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    written = support.rig(["left", 'a camera "x"\\', "third"])
-    (tmp_path / "camera.toml").write_text(camera_file_text(written, ["measured", "", "by hand"]))
+    written = support.rig(['the "first"', 'a camera "x"\\', "third", "a\n[cameras.b]\x1b\x7f\u202e ü"])
+    comments = ["measured", "", "by hand\nreference = 1"]
+    (tmp_path / "camera.toml").write_text(camera_file_text(written, comments), encoding="utf-8")
     read = load_rig(tmp_path / "camera.toml").stored_cameras({c.name: (32, 24) for c in written})
-    assert (tmp_path / "camera.toml").read_text().startswith("# measured\n#\n# by hand\n")
+    assert (tmp_path / "camera.toml").read_text().startswith("# measured\n#\n# by hand\\nreference = 1\n")
     for before, after in zip(written, read, strict=True):
         assert before.values() == after.values()
         np.testing.assert_allclose(after.camera_T_reference, before.camera_T_reference, atol=1e-12)
