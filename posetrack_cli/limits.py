@@ -42,9 +42,13 @@ REPORT_BYTES = 256 * MIB
 
 # Arrays
 
+MODEL_BYTES = 256 * MIB
+"""Of a file of a face model, or of what was learned of a head: templates of a hundred people take less."""
 NPZ_FLOOR_BYTES = 256 * MIB
 NPZ_EXPANSION = 16
 """All arrays of an npz file take at most the floor or so many times the file; ours are not compressed."""
+PEOPLE = 5_000
+"""Whom one camera saw in a recording. A cut may bring a new person, a recording has fewer cuts."""
 NPZ_ARRAYS = 100_000
 """In one npz file."""
 

@@ -102,13 +102,15 @@ class HeadRun(Run):
         """Track every frame; see ``Run.track``.
 
         Raises:
-            NoFaceError: no face was found in any frame; nothing is left that would have to be overwritten.
+            NoFaceError: no face was found in any frame; nothing is left that would have to be overwritten,
+                but for what was interrupted before.
         """
         try:
             return super().track(report, stopped)
         except NoFaceError:
-            for path in (part_path(self._options.output), state_path(self._options.output)):
-                path.unlink(missing_ok=True)
+            if not self._options.resume:  # what is resumed is never deleted, whatever is found in it
+                for path in (part_path(self._options.output), state_path(self._options.output)):
+                    path.unlink(missing_ok=True)
             raise
 
     def _knowing(self, path: Path) -> HeadTracker[Any]:
@@ -131,23 +133,26 @@ class HeadRun(Run):
     def _started(self, frame: Frame, rng: np.random.Generator) -> Any:
         return self.tracker.start(frame, rng)
 
-    def _begun(self, writer: ResultWriter, checkpoint: Checkpoint, stopped: Stopped) -> Reached | None:
+    def _reached(self, checkpoint: Checkpoint) -> Reached:
         learned = learned_before(checkpoint)
-        if self._options.passes == 2 and not learned:
-            first = self._first_pass(writer, checkpoint, stopped)
-            if first is None:
-                return None
-            self._learn(first)
-            begun = Reached(None, self._rng())
-            writer.save_checkpoint(self._saved(begun, 0))
-            return begun
         if learned:
             self._learn(learned)
         return reached_in_pass(self.tracker, checkpoint, self._rng())
 
-    def _first_pass(self, writer: ResultWriter, checkpoint: Checkpoint, stopped: Stopped) -> Learned | None:
+    def _begun(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Reached | None:
+        if self._options.passes == 1 or self._learned:
+            return reached
+        first = self._first_pass(writer, reached, stopped)
+        if first is None:
+            return None
+        self._learn(first)
+        begun = Reached(None, self._rng())
+        writer.save_checkpoint(self._saved(begun, 0))
+        return begun
+
+    def _first_pass(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Learned | None:
         """Track without writing; return what was learned, None if stopped."""
-        state, rng, last = reached_in_pass(self.tracker, checkpoint, self._rng())
+        state, rng, last = reached
         with closing(self._frames()) as frames:
             for frame in frames:
                 if frame.index <= last:

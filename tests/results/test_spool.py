@@ -27,7 +27,7 @@ def assert_holds(records, numbers: list[int]) -> None:
 
 
 def filled(path: Path, count: int, keep: int = 0) -> RecordSpool:
-    spool = RecordSpool(path, keep)
+    spool = RecordSpool(path, keep, record(0))
     for number in range(keep, count):
         spool.append(record(number))
     return spool
@@ -54,7 +54,7 @@ def test_values_keep_their_types(tmp_path: Path) -> None:
         np.testing.assert_array_equal(back[name], expected)
         assert back[name].dtype == expected.dtype
     header = (tmp_path / "spool").read_bytes().index(b"\n") + 1
-    assert (tmp_path / "spool").stat().st_size == header + 2 * (6 * 4 + 2)
+    assert (tmp_path / "spool").stat().st_size == header + 2 * (6 * 4 + 2 + module.DIGEST_BYTES)
 
 
 def test_reading_does_not_disturb_writing(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_flushed_records_are_on_the_disk(tmp_path: Path) -> None:
     path = tmp_path / "spool"
     with filled(path, 3) as spool:
         spool.flush()
-        with RecordSpool(path, keep=3) as other:
+        with RecordSpool(path, 3, record(0)) as other:
             assert_holds(reversed(other), [2, 1, 0])
 
 
@@ -126,13 +126,13 @@ def test_a_spool_that_cannot_be_resumed_says_so(tmp_path: Path, content: bytes |
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ResultError, match="--overwrite"):
-        RecordSpool(path, keep=2)
+        RecordSpool(path, 2, record(0))
 
 
 def test_a_spool_with_too_few_records_says_so(tmp_path: Path) -> None:
     filled(tmp_path / "spool", 2).close()
     with pytest.raises(ResultError, match="ends early"):
-        RecordSpool(tmp_path / "spool", keep=3)
+        RecordSpool(tmp_path / "spool", 3, record(0))
 
 
 def test_a_folder_that_is_missing_is_told(tmp_path: Path) -> None:

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli import limits
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.files import read_input
 from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.npz import loaded_npz
+from posetrack_cli.npz import read_npz
 from posetrack_cli.recording.output import whole_or_nothing
 
 FORMAT, VERSION = "posetrack.face_model", 1
@@ -33,12 +35,12 @@ def load_face_model(path: Path | None = None) -> FaceModel:
     if not path.is_file():
         raise UsageError("no such face model", where=path)
     try:
-        with loaded_npz(path.read_bytes()) as contents:
-            _check_header(json.loads(str(contents[_HEADER])))
-            return _checked({name: contents[name] for name in contents.files})
-    except PosetrackError:
-        raise
-    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
+        contents = read_npz(read_input(path, limits.MODEL_BYTES))
+        _check_header(json.loads(str(contents[_HEADER])))
+        return _checked(contents)
+    except OSError as error:
+        raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultError(
             "is no face model",
             where=path,
