@@ -40,6 +40,18 @@ IMAGE_BYTES = 512 * MIB
 REPORT_BYTES = 256 * MIB
 """Of a JSON report given as baseline."""
 
+# Meshes: a hand's skin has some thousand points and 25 joints, a whole character ten times as many
+
+MESH_NODES = 10_000
+MESH_JOINTS = 512
+MESH_POINTS = 250_000
+"""Of all parts of a skin; scans of a hand have a tenth of it."""
+MESH_TRIANGLES = 500_000
+MESH_WEIGHTS = 1 << 24
+"""Points times joints: each point has a weight for each joint."""
+MESH_REACH = 1e6
+"""Of coordinates, lengths and scales, in a file's units: a kilometre in millimetres."""
+
 # Arrays
 
 MODEL_BYTES = 256 * MIB

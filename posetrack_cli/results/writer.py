@@ -397,6 +397,7 @@ def _check_checkpoint(
             where=part_path(path),
             found=f"every {progress.flush_frames}",
             expected=f"every {flush_frames}",
+            hint=f"resume with the options it was begun with, or {checkpoints.RESTART_HINT}",
         )
     try:
         check_numbers(progress.statuses, {status.value: COUNTS for status in Status})

@@ -34,10 +34,10 @@ STATES = {
     "known, not yet found": MonoState(people=(ONE, TWO)),
     "following": MonoState(people=(ONE,), following=FOLLOWING, checked_ns=STAMP - 5),
     "put there": MonoState(people=(ONE,), following=random_following(6, MODEL, seen=False)),
-    "another person": MonoState(
-        (ONE, TWO, random_known(7, MODEL)), 2, FOLLOWING, changes=((7, 1), (16, 2))
+    "another person": MonoState((ONE, TWO, random_known(7, MODEL)), 2, FOLLOWING, changes=((7, 1), (16, 2))),
+    "after a cut": MonoState(
+        (ONE,), 0, FOLLOWING, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True
     ),
-    "after a cut": MonoState((ONE,), 0, FOLLOWING, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True),
     "lost, a stranger comes": MonoState(
         (ONE, TWO), 1, FOLLOWING, 6, 4, DETECTED[:1], random_templates(8), search=SEARCHED
     ),
