@@ -139,7 +139,8 @@ def test_types_that_are_not_plain_are_refused(descr: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shape", "match"), [("(-1,)", "another kind"), ("(1,) * 9", "another kind"), ("(" + "1, " * 9 + ")", "as")]
+    ("shape", "match"),
+    [("(-1,)", "another kind"), ("(1,) * 9", "another kind"), ("(" + "1, " * 9 + ")", "as")],
 )
 def test_shapes_that_are_none_are_refused(shape: str, match: str) -> None:
     refused(zipped({"values.npy": npy("'<f8'", shape, bytes(8))}), f"array 'values' (of )?{match}")
