@@ -16,7 +16,7 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.files import read_input
+from posetrack_cli.files import read_input, write_output
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.npz import read_npz
@@ -54,7 +54,7 @@ def save_model(path: Path, data: bytes) -> None:
         ResultError: it cannot be written.
     """
     with whole_or_nothing(path) as part:
-        part.write_bytes(data)
+        write_output(part, data)
 
 
 def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:

@@ -209,8 +209,14 @@ def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
     replace = options.overwrite or options.resume
     check_output(options.output, overwrite=replace, source=recording.path)
     if options.save_model is not None:
-        if options.save_model.resolve() == options.output.resolve():
-            raise UsageError("result and model cannot be one file", where=options.output)
+        own = (options.output, part_path(options.output), state_path(options.output))
+        if options.save_model.resolve() in [path.resolve() for path in own]:
+            raise UsageError("result and model cannot be one file", where=options.save_model)
+        if not options.overwrite and state_path(options.save_model).exists():
+            where = part_path(options.save_model)
+            raise UsageError(
+                "is of an interrupted run", where=where, hint="choose another name for the model"
+            )
         check_target(options.save_model, overwrite=replace, source=recording.path)
 
 

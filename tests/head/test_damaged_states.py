@@ -1,4 +1,4 @@
-"""States of head trackers that no tracker made: refused before anything is put together, without a warning."""
+"""States of head trackers that no tracker made: refused before they are put together, without a warning."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Damaged checkpoints: every key left out, every value and array of another kind, each with a right digest."""
+"""Damaged checkpoints: keys left out, values and arrays of other kinds, with the digest they should have."""
 
 from __future__ import annotations
 
-import copy
 import json
 from collections.abc import Iterator
+from functools import partial
 from io import BytesIO
 from typing import Any
 
@@ -38,19 +38,12 @@ def damaged_fields(data: bytes) -> Iterator[tuple[str, bytes]]:
     """What a checkpoint's JSON could be, one key after the other left out or of another value."""
     contents = read_npz(data)
     for path in _paths(json.loads(contents["json"].tobytes())):
-
-        def at(fields: Any, path: tuple[str, ...] = path) -> Any:
-            for key in path[:-1]:
-                fields = fields[key]
-            return fields
-
-        name, key = ".".join(path), path[-1]
-        yield f"without {name}", changed_json(contents, lambda fields: at(fields).pop(key))
+        name = ".".join(path)
+        yield f"without {name}", changed_json(contents, partial(_left_out, path))
         for value in OTHER_VALUES:
-            if value == -7 and key.endswith("_ns"):
+            if value == -7 and name.endswith("_ns"):
                 continue  # a time as good as any
-            change = copy.deepcopy(value)
-            yield f"{name} {value!r:.20}", changed_json(contents, lambda f, v=change: at(f).update({key: v}))
+            yield f"{name} {value!r:.20}", changed_json(contents, partial(_put, path, value))
 
 
 def damaged_arrays(arrays: Arrays) -> Iterator[tuple[str, Arrays]]:
@@ -83,6 +76,20 @@ def wild_numbers(arrays: Arrays) -> Iterator[tuple[str, Arrays]]:
         if array.dtype.kind == "i" and array.size:
             for whole in (-1, 2**63 - 1, -(2**63)):
                 yield f"{name} of {whole}", arrays | {name: np.full_like(array, whole)}
+
+
+def _holder(path: tuple[str, ...], fields: Any) -> Any:
+    for key in path[:-1]:
+        fields = fields[key]
+    return fields
+
+
+def _left_out(path: tuple[str, ...], fields: Any) -> None:
+    del _holder(path, fields)[path[-1]]
+
+
+def _put(path: tuple[str, ...], value: Any, fields: Any) -> None:
+    _holder(path, fields)[path[-1]] = value
 
 
 def _paths(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

@@ -129,6 +129,38 @@ def test_a_spool_that_cannot_be_resumed_says_so(tmp_path: Path, content: bytes |
         RecordSpool(path, 2, record(0))
 
 
+@pytest.mark.parametrize("block", [1, 1 << 22])
+def test_records_that_are_not_as_they_were_written_are_refused(
+    tmp_path: Path, monkeypatch, block: int
+) -> None:
+    """Each changed byte, and records in each other's place."""
+    monkeypatch.setattr(module, "BLOCK_BYTES", block)
+    path = tmp_path / "spool"
+    filled(path, 3).close()
+    data = path.read_bytes()
+    start = data.index(b"\n") + 1
+    size = (len(data) - start) // 3
+    exchanged = data[:start] + data[start + size : start + 2 * size] + data[start : start + size]
+    flipped = [data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :] for at in range(0, start + 2 * size, 5)]
+    for damaged in (exchanged + data[start + 2 * size :], *flipped):
+        path.write_bytes(damaged)
+        with pytest.raises(ResultError, match=r"spool cannot be used.*--overwrite"):
+            RecordSpool(path, 2, record(0))
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))  # of a record that is dropped anyway
+    with RecordSpool(path, 2, record(0)) as spool:
+        assert_holds(reversed(spool), [1, 0])
+
+
+@pytest.mark.parametrize("keep", [0, 2])
+def test_no_link_is_followed(tmp_path: Path, keep: int) -> None:
+    filled(tmp_path / "other", 3).close()
+    before = (tmp_path / "other").read_bytes()
+    (tmp_path / "spool").symlink_to(tmp_path / "other")
+    with pytest.raises(ResultError, match="a symbolic link"):
+        RecordSpool(tmp_path / "spool", keep, record(0))
+    assert (tmp_path / "other").read_bytes() == before
+
+
 def test_a_spool_with_too_few_records_says_so(tmp_path: Path) -> None:
     filled(tmp_path / "spool", 2).close()
     with pytest.raises(ResultError, match="ends early"):

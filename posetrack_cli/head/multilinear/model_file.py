@@ -12,7 +12,7 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.files import read_input
+from posetrack_cli.files import read_input, write_output
 from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.npz import read_npz
@@ -65,7 +65,7 @@ def save_face_model(path: Path, model: FaceModel, source: str) -> None:
     stream = BytesIO()
     np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
     with whole_or_nothing(path) as part:
-        part.write_bytes(stream.getvalue())
+        write_output(part, stream.getvalue())
 
 
 def _shapes(identity: int, deformation: int) -> dict[str, tuple[int, ...]]:
