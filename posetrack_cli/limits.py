@@ -56,6 +56,8 @@ MESH_REACH = 1e6
 
 MODEL_BYTES = 256 * MIB
 """Of a file of a face model, or of what was learned of a head: templates of a hundred people take less."""
+FACE_PARAMETERS = 256
+"""Of identity, and of deformation; morphable models have up to 199 and 29."""
 NPZ_FLOOR_BYTES = 256 * MIB
 NPZ_EXPANSION = 16
 """All arrays of an npz file take at most the floor or so many times the file; ours are not compressed."""

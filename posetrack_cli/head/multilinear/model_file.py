@@ -22,6 +22,8 @@ FORMAT, VERSION = "posetrack.face_model", 1
 SHIPPED = Path(__file__).with_name("default.npz")
 """Built by ``scripts/build-face-model`` from statistics of ICT-FaceKit (USC ICT, MIT licence)."""
 _HEADER = "header"
+_LARGEST = 1e9
+"""Of coordinates, mm, and of parameters; no deviation is smaller than its reciprocal."""
 
 
 def load_face_model(path: Path | None = None) -> FaceModel:
@@ -94,16 +96,28 @@ def _checked(arrays: Mapping[str, np.ndarray[Any, Any]]) -> FaceModel:
     core = arrays["core"]
     if core.ndim != 4 or 0 in core.shape:
         raise ValueError(f"array 'core' of shape {core.shape}")
+    if max(core.shape[2:]) > limits.FACE_PARAMETERS:
+        raise ValueError(
+            f"array 'core' of {core.shape}, at most {limits.FACE_PARAMETERS} parameters of a kind"
+        )
     expected = _shapes(*core.shape[2:])
     for name, shape in expected.items():
         array = arrays[name]
         if array.dtype.kind != "f" or array.shape != shape:
             raise ValueError(f"array '{name}' as {array.dtype} {array.shape} beside 'core' of {core.shape}")
-        if not np.all(np.isfinite(array)):
-            raise ValueError(f"array '{name}' with values that are not finite")
-        if name.endswith("deviations") and np.any(array <= 0.0):
-            raise ValueError(f"array '{name}' with values that are not above 0")
+        _check_values(name, array)
     return FaceModel(**{name: arrays[name].astype(np.float64) for name in expected})
+
+
+def _check_values(name: str, array: np.ndarray[Any, Any]) -> None:
+    """Refuse values of no face: squares and quotients of those that are left are numbers, too."""
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"array '{name}' with values that are not finite")
+    if name.endswith("deviations") and np.any(array <= 0.0):
+        raise ValueError(f"array '{name}' with values that are not above 0")
+    largest = float(np.abs(array).max())
+    if largest > _LARGEST or (name.endswith("deviations") and float(array.min()) < 1.0 / _LARGEST):
+        raise ValueError(f"array '{name}' with values far beyond a face's")
 
 
 def _said(error: Exception) -> str:
