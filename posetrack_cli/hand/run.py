@@ -20,7 +20,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
-from posetrack_cli.hand.smoothing import SmoothedTrack, frame_fits, make_smoother
+from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.hand.trackers import HandTrackerProtocol, make_tracker
@@ -112,10 +112,12 @@ class HandRun(Run):
         rng = np.random.default_rng([self._options.seed, _SMOOTHING_STREAM])
         fits = frame_fits(self._config, self._hand, self._camera)
         smoother = make_smoother(self._config, dynamics(self._config), rng, fits)
-        path, keep = smoothing_path(self._options.output), writer.frames_written
-        particles = self.tracker.start(_REST, 0, np.random.default_rng()).particles
-        frame = NOTHING if fits is None else fits.keep(None, None)
-        with SmoothedTrack(path, smoother, self._anatomy, keep, particles, frame) as track:
+        kept = None
+        if writer.frames_written:
+            like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
+            kept = Kept(writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None))
+        path = smoothing_path(self._options.output)
+        with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
             yield _Smoothing(self, track, fits)
 
     def _noted(self, frame: Frame) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,10 +35,24 @@ KEPT = "filter."
 _NO_FRAME = {"frame_index": 0, "stamp_ns": 0, "status": 0, "cut": 0, "dt": 0.0, "confidence": 0.0}
 
 
+class Kept(NamedTuple):
+    """What a file of an interrupted run is to hold.
+
+    Attributes:
+        frames: how many of them stay; 1 or more.
+        particles: any state of the filter's, and
+        frame: what is kept of any frame: those that stay have to be of the same arrays.
+    """
+
+    frames: int
+    particles: ParticleState | MarginalState
+    frame: Memory = NOTHING
+
+
 class SmoothedTrack:
     """Remembers every frame of a run and then smooths them, from the last to the first.
 
-        with SmoothedTrack(path, smoother, anatomy, keep) as track:
+        with SmoothedTrack(path, smoother, anatomy, kept) as track:
             track.remember(state.particles, estimate, dt, cut, frame)  # each frame
             track.flush()                                           # before a checkpoint
             for estimate in track.backward(): ...                   # at the end
@@ -50,9 +65,7 @@ class SmoothedTrack:
         path: of the file, beside the result.
         smoother: the backward pass.
         anatomy: the hand.
-        keep: number of frames of an interrupted run that stay.
-        particles: any state of the filter's, and
-        frame: what is kept of any frame: those that stay have to be of the same arrays.
+        kept: of an interrupted run; None for nothing.
 
     Raises:
         ResultError: here and in every method, when the file cannot be written or read, or holds what no run
@@ -60,20 +73,14 @@ class SmoothedTrack:
     """
 
     def __init__(
-        self,
-        path: Path,
-        smoother: Smoother,
-        anatomy: HandAnatomy,
-        keep: int = 0,
-        particles: ParticleState | MarginalState | None = None,
-        frame: Memory = NOTHING,
+        self, path: Path, smoother: Smoother, anatomy: HandAnatomy, kept: Kept | None = None
     ) -> None:
         self._path, self._smoother, self._anatomy = path, smoother, anatomy
-        if not keep or particles is None:
+        if kept is None:
             self._spool = RecordSpool(path)
             return
-        like = _record(_NO_FRAME, smoother.remember(particles, Step(0.0, True, frame)))
-        self._spool = RecordSpool(path, keep, like)
+        like = _record(_NO_FRAME, smoother.remember(kept.particles, Step(0.0, True, kept.frame)))
+        self._spool = RecordSpool(path, kept.frames, like)
         try:
             smoother.resume(self._memory_of(next(reversed(self._spool))))
         except BaseException:

@@ -97,8 +97,9 @@ def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
     except OSError as error:
         raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
+        found = f"no {error}" if isinstance(error, KeyError) else error
         expected = "what --save-model wrote, or a result of posetrack head"
-        raise ResultError("is no model of a head", where=path, found=error, expected=expected) from error
+        raise ResultError("is no model of a head", where=path, found=found, expected=expected) from error
     learned = {name: values for name, values in contents.items() if name.startswith(_PREFIX)}
     return header, {name.removeprefix(_PREFIX): values for name, values in learned.items()}
 
