@@ -196,12 +196,16 @@ def _primitive(gltf: Gltf, primitive: dict[str, Any], joints: int) -> tuple[Floa
         )
     attributes = primitive["attributes"]
     points = gltf.numbers(attributes["POSITION"])
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points of shape {points.shape}")
     _check_reach(gltf, points)
     weights = np.zeros((len(points), joints))
     rows, count = np.arange(len(points))[:, None], 0
     while f"JOINTS_{count}" in attributes:
         bones = gltf.integers(attributes[f"JOINTS_{count}"])
         shares = gltf.numbers(attributes[f"WEIGHTS_{count}"])
+        if not bones.shape == shares.shape == (len(points), 4):
+            raise ValueError(f"joints of shape {bones.shape} and weights of {shares.shape}")
         if not np.all((np.abs(shares) <= _MOST_WEIGHT) & (bones >= 0)):
             raise ValueError("weights that are none")
         np.add.at(weights, (rows, bones), shares)
@@ -211,7 +215,10 @@ def _primitive(gltf: Gltf, primitive: dict[str, Any], joints: int) -> tuple[Floa
         found = f"{np.count_nonzero(~(total > _LEAST_LENGTH))} of {len(points)} points without a weight"
         raise UsageError("glTF mesh is not wholly bound to its joints", where=gltf.path, found=found)
     if "indices" in primitive:
-        faces = gltf.integers(primitive["indices"]).reshape(-1, 3)
+        corners = gltf.integers(primitive["indices"])
+        if corners.ndim != 1:
+            raise ValueError(f"indices of shape {corners.shape}")
+        faces = corners.reshape(-1, 3)
     else:
         faces = np.arange(len(points)).reshape(-1, 3)
     if faces.size and not 0 <= faces.min() <= faces.max() < len(points):

@@ -130,7 +130,8 @@ def check_numbers(numbers: Any, ranges: Mapping[str, Range]) -> None:
         value = numbers[name]
         if type(value) is not int or not least <= value <= most:
             found = value if type(value) is int else type(value).__name__
-            raise LayoutError(f"'{name}' as {found}, not {least} to {most}")
+            wanted = least if least == most else f"{least} to {most}"
+            raise LayoutError(f"'{name}' as {found}, not {wanted}")
 
 
 def _fits(shape: tuple[int, ...], stated: tuple[int | str, ...], lengths: dict[str, int]) -> bool:

@@ -202,6 +202,22 @@ def test_parts_that_are_read_again_and_again(tmp_path: Path, copies: int, joints
     refused(written(tmp_path / "hand.glb", repeat), f"too many {what}, found ")
 
 
+@pytest.mark.parametrize("name", ["POSITION", "JOINTS_0", "WEIGHTS_1", "indices"])
+@pytest.mark.parametrize("kind", ["SCALAR", "VEC2", "MAT4"])
+def test_elements_of_another_width(tmp_path: Path, name: str, kind: str) -> None:
+    """Joints as single numbers would be paired with all points."""
+
+    def widen(content: dict[str, Any]) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        index = (primitive["attributes"] | {"indices": primitive["indices"]})[name]
+        count = content["accessors"][index]["count"]
+        content["accessors"][index].update(type=kind, count=count // 8 if kind == "MAT4" else count)
+        content["bufferViews"][index].pop("byteStride", None)
+
+    if not (name == "indices" and kind == "SCALAR"):
+        refused(written(tmp_path / "hand.glb", widen))
+
+
 def test_numbers_that_are_none(tmp_path: Path) -> None:
     """Points and weights that are not finite, or of another scale than any hand's."""
     for accessor_index, value in ((0, np.inf), (0, np.nan), (0, 3e38), (2, np.inf), (2, np.nan), (2, -3e38)):

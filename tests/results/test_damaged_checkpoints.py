@@ -164,7 +164,7 @@ def test_flipped_bits_are_refused_or_change_nothing(path: Path) -> None:
 def test_another_version_is_told(path: Path, version: int) -> None:
     contents = read_npz(state_path(path).read_bytes())
     line = refused(path, changed_json(contents, lambda fields: fields.update(version=version)))
-    assert f"'version' as {version}, not 2 to 2" in line and HINT in line
+    assert f"'version' as {version}, not 2; start again" in line and HINT in line
 
 
 @pytest.mark.parametrize(
