@@ -49,6 +49,8 @@ MESH_POINTS = 250_000
 MESH_TRIANGLES = 500_000
 MESH_WEIGHTS = 1 << 24
 """Points times joints: each point has a weight for each joint."""
+MESH_VALENCE = 2_000
+"""Triangles at one point, also in the middle of a hole that was closed: what simplifies squares them."""
 MESH_REACH = 1e6
 """Of coordinates, lengths and scales, in a file's units: a kilometre in millimetres."""
 

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import BONE_COUNT, FINGERS, MIRROR, HandAnatomy, make_anatomy
 from posetrack_cli.rendering.gltf import damage_named, read_glb
 from posetrack_cli.rendering.gltf_skin import GltfSkin, read_skin
-from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.mesh import SkinnedMesh, edges_of
 from posetrack_cli.rendering.repair import closed, welded
 
 _PHALANGES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
@@ -36,6 +37,7 @@ _LENGTHS_MM = (90.0, 360.0)  # from the wrist to the middle finger's tip: half a
 _WELD_MM = 0.01
 _WRIST_END_MM = 8.0  # as far behind the wrist joint as the average hand's mesh ends; further is forearm
 _LEAST_PALM_MM2 = 100.0  # twice the area between wrist, index and little finger: a hundredth of a hand's
+_MOST_OPEN = 1.0 / 3.0  # share of the edges; a skin is open at the wrist, and perhaps around nails
 _FLAT = 0.03  # thumb and fingers this little out of the palm's plane do not tell its side
 
 
@@ -77,7 +79,7 @@ def straightened(skin: GltfSkin, path: Path) -> FileHand:
     mesh = welded(SkinnedMesh(vertices, _bone_weights(skin, places), triangles), _WELD_MM)
     anatomy, transforms = _zero_angles(joints, average, scale)
     mesh = SkinnedMesh(mesh.posed(transforms[None])[0], mesh.weights, mesh.triangles)
-    mesh = _without_forearm(mesh, anatomy.scale)
+    mesh = _without_forearm(mesh, anatomy.scale, path)
     anatomy = replace(anatomy, segments=_segments_to_the_skin(anatomy, mesh))
     return FileHand(replace(anatomy, radii=_radii(anatomy, mesh, path)), mesh)
 
@@ -237,11 +239,28 @@ def _between(one: FloatArray, other: FloatArray) -> FloatArray:
     return turn
 
 
-def _without_forearm(mesh: SkinnedMesh, scale: float) -> SkinnedMesh:
-    """Flatten what lies behind the wrist onto a plane, and close the hole that a sleeve leaves."""
+def _without_forearm(mesh: SkinnedMesh, scale: float, path: Path) -> SkinnedMesh:
+    """Flatten what lies behind the wrist onto a plane, and close the hole that a sleeve leaves.
+
+    Raises:
+        UsageError: the mesh is no surface with a few holes.
+    """
     vertices = mesh.vertices.copy()
     vertices[:, 1] = np.minimum(vertices[:, 1], _WRIST_END_MM * scale)
-    return closed(welded(replace(mesh, vertices=vertices), _WELD_MM))
+    flat = welded(replace(mesh, vertices=vertices), _WELD_MM)
+    edges, of_triangle = edges_of(flat.triangles)
+    single = np.count_nonzero(np.bincount(of_triangle.ravel(), minlength=len(edges)) == 1)
+    if single > _MOST_OPEN * len(edges):
+        found = f"{single} of {len(edges)} edges with one triangle only"
+        raise UsageError("skin is no surface", where=path, found=found)
+    whole = closed(flat)
+    most = int(np.bincount(whole.triangles.ravel(), minlength=1).max())
+    if most > limits.MESH_VALENCE:
+        found = f"{most} triangles at one point"
+        raise UsageError(
+            "skin is no surface", where=path, found=found, expected=f"at most {limits.MESH_VALENCE}"
+        )
+    return whole
 
 
 def _segments_to_the_skin(anatomy: HandAnatomy, mesh: SkinnedMesh) -> FloatArray:

@@ -289,6 +289,30 @@ def test_fingers_without_skin(tmp_path: Path) -> None:
     refused(path, "thumb without skin")
 
 
+def test_a_fan_of_very_many_triangles(tmp_path: Path) -> None:
+    """What simplifies a mesh takes the square of the triangles at a point."""
+    writer = hand_glb(make_anatomy(), POSE)
+    points = writer.content["accessors"][0]["count"]
+    fan = 2 * limits.MESH_VALENCE
+    corners = 1 + np.arange(fan) % (points - 2)
+    triangles = np.stack([np.zeros(fan, dtype=int), corners, corners + 1], axis=1)
+    index = writer.accessor(triangles.astype("<u2").ravel(), 5123, "SCALAR")
+    writer.content["meshes"][0]["primitives"][0]["indices"] = index
+    path = tmp_path / "hand.glb"
+    path.write_bytes(writer.bytes())
+    refused(path, "skin is no surface|without skin")
+
+
+def test_triangles_that_hang_together_nowhere(tmp_path: Path) -> None:
+    writer = hand_glb(make_anatomy(), POSE)
+    rng, points = np.random.default_rng(0), writer.content["accessors"][0]["count"]
+    index = writer.accessor(rng.integers(0, points, 6000, dtype="<u2"), 5123, "SCALAR")
+    writer.content["meshes"][0]["primitives"][0]["indices"] = index
+    path = tmp_path / "hand.glb"
+    path.write_bytes(writer.bytes())
+    refused(path, "skin is no surface, found .* edges with one triangle only")
+
+
 def test_an_empty_mesh(tmp_path: Path) -> None:
     def empty(content: dict[str, Any]) -> None:
         primitive = content["meshes"][0]["primitives"][0]
