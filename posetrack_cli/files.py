@@ -50,9 +50,9 @@ def read_input(path: Path, most: int) -> bytes:
         OSError: it cannot be read, is no regular file, or larger.
     """
     with open_input(path) as stream:
-        data = stream.read(most + 1)
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(min(size, most) + 1)  # room for so much is made at once
     if len(data) > most:
-        size = path.stat().st_size
         raise OSError(errno.EFBIG, f"a file of {size} bytes, at most {most} are read", str(path))
     return data
 

@@ -61,11 +61,31 @@ IMAGE_BYTES = 512 * MIB
 REPORT_BYTES = 256 * MIB
 """Of a JSON report given as baseline."""
 
+# Meshes: a hand's skin has some thousand points and 25 joints, a whole character ten times as many
+
+MESH_NODES = 10_000
+MESH_JOINTS = 512
+MESH_POINTS = 250_000
+"""Of all parts of a skin; scans of a hand have a tenth of it."""
+MESH_TRIANGLES = 500_000
+MESH_WEIGHTS = 1 << 24
+"""Points times joints: each point has a weight for each joint."""
+MESH_VALENCE = 2_000
+"""Triangles at one point, also in the middle of a hole that was closed: what simplifies squares them."""
+MESH_REACH = 1e6
+"""Of coordinates, lengths and scales, in a file's units: a kilometre in millimetres."""
+
 # Arrays
 
+MODEL_BYTES = 256 * MIB
+"""Of a file of a face model, or of what was learned of a head: templates of a hundred people take less."""
+FACE_PARAMETERS = 256
+"""Of identity, and of deformation; morphable models have up to 199 and 29."""
 NPZ_FLOOR_BYTES = 256 * MIB
 NPZ_EXPANSION = 16
 """All arrays of an npz file take at most the floor or so many times the file; ours are not compressed."""
+PEOPLE = 5_000
+"""Whom one camera saw in a recording. A cut may bring a new person, a recording has fewer cuts."""
 NPZ_ARRAYS = 100_000
 """In one npz file."""
 

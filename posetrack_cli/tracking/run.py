@@ -107,9 +107,13 @@ class Run(ABC):
         """What is kept of every frame; None where nothing is."""
         return nullcontext()
 
-    def _begun(self, writer: ResultWriter, checkpoint: Checkpoint, stopped: Stopped) -> Reached | None:
-        """Where to begin, given the checkpoint of start or interruption; None if stopped on the way."""
+    def _reached(self, checkpoint: Checkpoint) -> Reached:
+        """Where a run was interrupted; LayoutError or ResultError if its tracker says nothing of it."""
         return reached_at(self.tracker, checkpoint, self._rng())
+
+    def _begun(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Reached | None:
+        """Where to write from, given where the run starts or was interrupted; None if stopped on the way."""
+        return reached
 
     def _saved(self, reached: Reached, frames: int) -> Checkpoint:
         """The checkpoint after a frame."""
@@ -130,12 +134,12 @@ class Run(ABC):
     # The loop
 
     def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
-        writer, checkpoint = self._open()
+        writer, reached = self._open()
         with writer, _stopped_at_once(stopped):
-            reached = self._begun(writer, checkpoint, stopped)
-            if reached is None:
+            begun = self._begun(writer, reached, stopped)
+            if begun is None:
                 return self._outcome(writer, began, stopped=True)
-            state, rng, last = reached
+            state, rng, last = begun
             with closing(self._truth(writer)) as truth, self._memory(writer) as memory:
                 for frame in frames:
                     self._noted(frame)
@@ -168,18 +172,21 @@ class Run(ABC):
                 memory.flush()
             writer.save_checkpoint(self._saved(reached, writer.frames_written))
 
-    def _open(self) -> tuple[ResultWriter, Checkpoint]:
-        """The writer, and the checkpoint to begin at."""
+    def _open(self) -> tuple[ResultWriter, Reached]:
+        """The writer, and where to begin; what was interrupted is put together before any file is touched."""
         options, flush = self._options, self._flush_frames
         camera, *others = self._cameras()
         about = self._subject(), camera, self._record
         if options.resume:
-            return ResultWriter.resume(options.output, *about, others=others, flush_frames=flush)
+            writer, checkpoint = ResultWriter.resume(
+                options.output, *about, others=others, flush_frames=flush, check=self._reached
+            )
+            return writer, self._reached(checkpoint)
         overwrite = options.overwrite
         writer = ResultWriter(options.output, *about, others=others, flush_frames=flush, overwrite=overwrite)
-        checkpoint = checkpoint_of(self.tracker, Reached(None, self._rng()), 0)
-        writer.save_checkpoint(checkpoint)
-        return writer, checkpoint
+        start = Reached(None, self._rng())
+        writer.save_checkpoint(checkpoint_of(self.tracker, start, 0))
+        return writer, start
 
     def _rng(self) -> np.random.Generator:
         """The random generator at the start of a pass."""

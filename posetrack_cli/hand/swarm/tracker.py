@@ -29,10 +29,11 @@ from posetrack_cli.hand.config import HandConfig, PsoSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
+from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
 from posetrack_cli.hand.swarm.objective import SwarmObjective
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, check_arrays, check_numbers
 
 REDRAWN = np.arange(TANGENT_ANGLES.start, TANGENT_ANGLES.stop)
 """The components that are redrawn: the paper's 20 of the fingers, here 15."""
@@ -161,8 +162,14 @@ class SwarmTracker:
         return {"pose": state.pose}, numbers
 
     def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> SwarmState:
-        """Put a state together from what ``state_parts`` made of it."""
-        return SwarmState(arrays["pose"], numbers.get("stamp_ns"), numbers["misses"])
+        """Put a state together from what ``state_parts`` made of it.
+
+        Raises:
+            LayoutError: they are of no state of this tracker after a frame.
+        """
+        check_arrays(arrays, {"pose": pose_layout()})
+        check_numbers(numbers, {"stamp_ns": STAMPS_NS, "misses": COUNTS})
+        return SwarmState(arrays["pose"], numbers["stamp_ns"], numbers["misses"])
 
 
 def swarm_rules(settings: PsoSettings) -> SwarmRules:
