@@ -29,6 +29,9 @@ SPARE_RECORDS = 16
 IMAGE_PIXELS = 1 << 25
 """Of one image: 8K video has 33.2 million pixels."""
 
+NEAREST_MM, FARTHEST_MM = 0.01, 1e7
+"""A depth nearer or farther is no reading. No depth camera sees nearer than a millimetre or beyond 10 km."""
+
 # Files that are read whole
 
 TEXT_BYTES = 16 * MIB

@@ -65,7 +65,7 @@ def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: P
         hand: as estimated.
 
     Returns:
-        The outline; all of it broken where nothing around the hand lies in the image, which then tells nothing.
+        The outline; all of it is broken where nothing around the hand lies in the image: that tells nothing.
     """
     window = window_around(hand.joints, camera, _VIEW)
     silhouette = silhouette_of(hand.joints, hand.scale, window, camera)
