@@ -55,3 +55,28 @@ NPZ_ARRAYS = 100_000
 
 MESSAGE_BYTES = 16 * MIB
 """Of a calibration, a transform or an estimate."""
+
+# Numbers and names in results
+
+LENGTH_MM = 1e9
+"""Of a position or a size: a thousand kilometres."""
+NUMBER = 1e12
+"""Of any other number, such as a velocity or a variance; squares and sums of such do not overflow."""
+INTEGER = 2**63 - 1
+NAME_CHARACTERS = 256
+"""Of a joint, a shape entry or a camera."""
+LIST_ENTRIES = 10_000
+"""Points, shape entries or further numbers of one subject: a hand has 21 joints, a face some hundred."""
+TRIANGLES = 1_000_000
+"""Of a subject's mesh."""
+CAMERAS = 1000
+"""Of one rig."""
+
+# Lines of text
+
+LINE_BYTES = MIB
+"""Of a line of a truth in CSV: a row of a thousand columns has some 20 kB."""
+COLUMNS = 10_000
+"""Of such a file."""
+KEY_PARTS = 32
+"""Of a dotted key in TOML, such as ``a.b.c``."""

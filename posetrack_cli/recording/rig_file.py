@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import inverse, placed, relative_to, rotation_from_rows
@@ -149,6 +150,8 @@ def load_rig(path: Path) -> Rig:
     tables = values[TABLE]
     if not isinstance(tables, dict) or not tables or not all(isinstance(t, dict) for t in tables.values()):
         raise RecordingError(f"'{TABLE}' cannot be used", where=path, expected="tables [cameras.NAME]")
+    if len(tables) > limits.CAMERAS:
+        raise RecordingError("too many cameras", where=path, found=len(tables), expected=limits.CAMERAS)
     cameras = {
         name: checked_settings(RigCamera, table, f"{path}, [cameras.{name}]")
         for name, table in tables.items()
