@@ -31,6 +31,8 @@ NEAREST_MM = 1.0
 """Cameras that are closer see no depth: their place was not measured."""
 NO_PLACE = "rotation = [9 numbers, row after row] and translation_mm = [3 numbers]: camera from reference"
 
+Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]
+
 
 class RigCamera(Intrinsics):
     """One camera among several.
@@ -42,7 +44,7 @@ class RigCamera(Intrinsics):
     """
 
     rotation: Annotated[tuple[Finite, ...], Field(min_length=9, max_length=9)] | None = None
-    translation_mm: Annotated[tuple[Finite, ...], Field(min_length=3, max_length=3)] | None = None
+    translation_mm: Annotated[tuple[Length, ...], Field(min_length=3, max_length=3)] | None = None
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
 
 
@@ -249,7 +251,7 @@ def _reference_first(
     cameras: dict[str, RigCamera], values: Mapping[str, Any], path: Path
 ) -> dict[str, RigCamera]:
     reference = values.get("reference", next(iter(cameras)))
-    if reference not in cameras:
+    if not isinstance(reference, str) or reference not in cameras:
         raise RecordingError(
             f"reference '{reference}' is no camera", where=path, hint=nearest_name(str(reference), cameras)
         )

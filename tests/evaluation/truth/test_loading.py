@@ -435,3 +435,12 @@ def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_
     wrong = carried(estimates(other, 8), "/truth/head/estimate")
     with pytest.raises(TruthError, match="other shape entries"):
         truth_of(result_of(tmp_path / "other", HEAD, wrong))
+
+
+@pytest.mark.parametrize(
+    "content", [b"a" * (2 << 20), b"t_s," + b"c," * 20_000 + b"\n", b"t_s,x_mm\n0,1e13\n"]
+)
+def test_lines_and_numbers_without_end_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "t.csv").write_bytes(content)
+    with pytest.raises(TruthError, match=r"^[^\n]{1,400}$"):
+        csv_table.read_table(csv_table.read_header(tmp_path / "t.csv"), ["x_mm"])
