@@ -50,6 +50,9 @@ JPEG_SCANS = 30
 TILE_PIXELS = 1 << 22
 """Of one tile of a TIFF, which is decoded whole for the smallest image: writers use 128 to 1024 squared."""
 
+NEAREST_MM, FARTHEST_MM = 0.01, 1e7
+"""A depth nearer or farther is no reading. No depth camera sees nearer than a millimetre or beyond 10 km."""
+
 # Files that are read whole
 
 TEXT_BYTES = 16 * MIB
@@ -98,3 +101,28 @@ DEFINITION_CHARACTERS = 1 * MIB
 TRANSFORMS = 20_000
 """Of all messages of a file, as far as they are looked at; and so many bytes of them:"""
 TRANSFORM_BYTES = 16 * MIB
+
+# Numbers and names in results
+
+LENGTH_MM = 1e9
+"""Of a position or a size: a thousand kilometres."""
+NUMBER = 1e12
+"""Of any other number, such as a velocity or a variance; squares and sums of such do not overflow."""
+INTEGER = 2**63 - 1
+NAME_CHARACTERS = 256
+"""Of a joint, a shape entry or a camera."""
+LIST_ENTRIES = 10_000
+"""Points, shape entries or further numbers of one subject: a hand has 21 joints, a face some hundred."""
+TRIANGLES = 1_000_000
+"""Of a subject's mesh."""
+CAMERAS = 1000
+"""Of one rig."""
+
+# Lines of text
+
+LINE_BYTES = MIB
+"""Of a line of a truth in CSV: a row of a thousand columns has some 20 kB."""
+COLUMNS = 10_000
+"""Of such a file."""
+KEY_PARTS = 32
+"""Of a dotted key in TOML, such as ``a.b.c``."""

@@ -32,7 +32,8 @@ BELOW_ALL = {
     "files": set(),
     "errors": {"text"},
     "compiled": set(),
-    "configuration": {"errors", "files", "limits"},
+    "toml_text": {"limits"},
+    "configuration": {"errors", "files", "limits", "toml_text"},
     "npz": {"limits"},
 }
 """What every layer may use, and which of each other these modules use themselves."""

@@ -144,6 +144,7 @@ def _timing(values: Values) -> str:
         parts.append(f"largest gap {values['largest_gap_s']:.3f} s, {values['gaps']} gaps")
     if values["stamps_not_later"]:
         parts.append(f"{values['stamps_not_later']} stamps doubled or out of order")
+    parts += values["remarks"]
     return ", ".join(parts)
 
 

@@ -148,7 +148,9 @@ class HandTracker:
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
         """Advance by one frame; the state given is left as it is.
 
-        The confidence is 1 - D / c_max of the estimate's own cost D. **[ours]** No gap counts for longer than
+        The confidence is 1 - D / c_max of the estimate's own cost D, and 0 where the frame shows no
+        outline of a hand there, which is lost at once; after frames of low confidence a hand is lost if it
+        was never seen, or after several. **[ours]** No gap counts for longer than
         ``gap_max_s``, whether frames are missing or have nothing to compare with: the velocity's random walk
         would else spread the hand over metres. Particles then stay where they are until something is seen.
 
@@ -168,8 +170,11 @@ class HandTracker:
             None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
         )
         cost = None if scores is None else float(scores[0])
-        confidence = 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
-        watch = self._watched(look, cost, confidence)
+        shown = cost is not None and self._observer.shows_hand(
+            frame.depth, posterior.pose, is_known=look.state.watch.is_believed
+        )
+        confidence = self._confidence(cost) if shown else 0.0
+        watch = self._watched(look, cost if shown else None, confidence)
         unseen_ns = look.state.unseen_ns + elapsed_ns if look.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
         following = HandState(
@@ -178,7 +183,7 @@ class HandTracker:
         modes = None if look.fits is None else look.fits.modes
         following = replace(following, modes=modes, observation=look.observation)
         again = look.restarted and state.watch.found
-        status = Status.LOST if watch.lost or cost is None else Status.TRACKING
+        status = Status.TRACKING if shown and watch.is_believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
         return following, replace(estimate, evaluations=_evaluations(look, drawn))
@@ -252,6 +257,9 @@ class HandTracker:
             return Look(state, dt, None, restarted=True)
         fits = finder.guiding.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
         return Look(state, dt, observation, fits, restarted=True)
+
+    def _confidence(self, cost: float | None) -> float:
+        return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
 
     def _watched(self, look: Look, cost: float | None, confidence: float) -> Watch:
         """What is remembered of the track's quality after a frame."""

@@ -16,6 +16,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import Frame, Loss, Recording
 from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.recording.plausibility import StampCheck
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
@@ -60,6 +61,7 @@ class Run(ABC):
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
         self._tracked = 0  # frames, by this run alone
+        self._stamps = StampCheck()
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
 
@@ -143,6 +145,7 @@ class Run(ABC):
             with closing(self._truth(writer)) as truth, self._memory(writer) as memory:
                 for frame in frames:
                     self._noted(frame)
+                    self._stamps.add(frame.index, frame.stamp_ns)
                     if frame.index <= last:
                         continue  # tracked before the interruption
                     if state is None:
@@ -156,7 +159,7 @@ class Run(ABC):
                         return self._outcome(writer, began, stopped=True)
                 if memory is not None:
                     memory.finish(writer)
-                remarks = self._remarks(state)
+                remarks = self._stamps.remarks + self._remarks(state)
                 self._finish(writer, state, remarks)
             return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
         return self._outcome(writer, began, stopped=True)

@@ -114,3 +114,23 @@ def test_a_mirrored_rig_sees_the_mirrored_scene() -> None:
 def test_placing_a_camera_writes_no_negative_zero() -> None:
     camera = placed(support.rig()[0], np.column_stack([np.eye(3), [-0.0, 0.0, 0.0]]))
     assert "-0.0" not in str(camera.camera_T_reference)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["reference = []", "reference = {a = 1}", "reference = 3", "distortion = [1e308, 1e308, 1e308, 1e308]"],
+)
+def test_values_of_no_camera_are_one_error(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "rig.toml"
+    lens = line if line.startswith("distortion") else ""
+    top = "" if lens else line
+    path.write_text(f"{top}\n[cameras.a]\nfx = 60.0\nfy = 60.0\ncx = 32.0\ncy = 24.0\n{lens}\n")
+    with pytest.raises(RecordingError, match=r"^[^\n]+$"):
+        load_rig(path)
+
+
+def test_more_cameras_than_any_rig_has_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text("".join(f"[cameras.c{k}]\n" for k in range(1001)))
+    with pytest.raises(RecordingError, match="too many cameras, found 1001"):
+        load_rig(path)
