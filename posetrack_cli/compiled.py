@@ -7,13 +7,16 @@ that is named after all the sources that go into it.
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import hashlib
 import os
+import pickle
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -49,14 +52,53 @@ def _compiled(function: Function, **options: Any) -> Function:
     import numba
     import numba.core.config
 
+    compiled: Any = numba.njit(**_OPTIONS, **options)(function)
     config: Any = numba.core.config  # its settings are set at run time, unknown to type checkers
     folder, others = cache_folder(), config.CACHE_DIR
-    config.CACHE_DIR = folder or others
-    try:
-        compiled: Function = numba.njit(cache=folder is not None, **_OPTIONS, **options)(function)
-    finally:
-        config.CACHE_DIR = others
-    return compiled
+    if folder is not None:
+        config.CACHE_DIR = folder
+        try:
+            compiled._cache = _cache_class()(compiled.py_func)
+        finally:
+            config.CACHE_DIR = others
+    dispatcher: Function = compiled
+    return dispatcher
+
+
+@functools.cache
+def _cache_class() -> type[Any]:
+    """Numba's cache, but for what it takes for granted: whole files, a disk with room, and one writer."""
+    from numba.core import caching
+
+    FunctionCache: Any = caching.FunctionCache  # without types
+
+    class KernelCache(FunctionCache):  # type: ignore[misc]
+        """What cannot be read is compiled anew, what cannot be kept is not."""
+
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            """Return the compiled code of a signature, None where there is none that can be used."""
+            try:
+                return super().load_overload(sig, target_context)
+            except Exception:  # damaged bytes raise whatever pickle makes of them
+                with suppress(OSError):
+                    self.flush()  # else it would be found damaged once more
+                return None
+
+        def save_overload(self, sig: Any, data: Any) -> None:
+            """Keep compiled code; two processes do not number their files at the same time."""
+            with suppress(OSError, EOFError, pickle.PickleError), _alone(Path(self.cache_path)):
+                super().save_overload(sig, data)
+
+    return KernelCache
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("wb") as stream:
+        with suppress(OSError):  # there are file systems without locks
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager
@@ -68,18 +110,46 @@ def announced(report: Callable[[str], None]) -> Iterator[None]:
     Args:
         report: called with a line for people, in the thread that compiles.
     """
-    import numba.core.event
-
-    event: Any = numba.core.event
     kept = "once" if cache_folder() else "in every run, as nothing can be kept"
     lines = [f"compiling the fits, {kept}: about 20 s"]
 
-    def say(_: object) -> None:
+    def say() -> None:
         if lines:
             report(lines.pop())
 
+    with _listening(say, lambda: None):
+        yield
+
+
+@contextmanager
+def watched(start: Callable[[], None]) -> Iterator[Callable[[], bool]]:
+    """Yield a function that tells whether any thread compiles a kernel just now.
+
+    Args:
+        start: called before each, in the thread that compiles; may raise.
+    """
+    depth, lock = [0], Lock()
+
+    def change(by: int) -> None:
+        with lock:
+            depth[0] += by
+
+    def begin() -> None:
+        change(1)
+        start()
+
+    with _listening(begin, lambda: change(-1)):
+        yield lambda: depth[0] > 0
+
+
+@contextmanager
+def _listening(start: Callable[[], None], end: Callable[[], None]) -> Iterator[None]:
+    """Call functions when the compilation of a kernel starts and ends, in the thread that compiles it."""
+    import numba.core.event
+
+    event: Any = numba.core.event
     listener = event.RecordingListener()
-    listener.on_start = say
+    listener.on_start, listener.on_end = (lambda _: start()), (lambda _: end())
     with event.install_listener("numba:compile", listener):
         yield
 
@@ -108,9 +178,10 @@ def _parents() -> Iterator[Path]:
         yield Path(caches) / "posetrack"
     else:
         yield Path(os.path.expanduser("~")) / ".cache" / "posetrack"  # noqa: PTH111 Path.home() may raise
-    temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
-    if _is_own(temporary):
-        yield temporary
+    with suppress(FileNotFoundError):  # no temporary folder can be written to
+        temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
+        if _is_own(temporary):
+            yield temporary
 
 
 def _user() -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -15,6 +14,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.files import read_text
+from posetrack_cli.toml_text import parse_toml
 
 # What pydantic calls an error, and what we say was expected; {names} are of the error's context.
 _EXPECTED = {
@@ -109,8 +109,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
         if not equals or not key.strip():
             raise UsageError("not an assignment", where="--set", found=assignment, expected="KEY=VALUE")
         try:
-            values[key.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except (tomllib.TOMLDecodeError, RecursionError):
+            values[key.strip()] = parse_toml(f"value = {text}")["value"]
+        except ValueError:
             values[key.strip()] = text.strip()
     return values
 
@@ -127,6 +127,8 @@ def find_configuration(name: str | os.PathLike[str]) -> Path:
     shipped = {p.stem: p for folder in _shipped_folders() for p in sorted(folder.glob("*.toml"))}
     if str(name) in shipped:
         return shipped[str(name)]
+    if path.exists():
+        return path  # a folder or a pipe: whoever reads it says so
     raise UsageError(
         "no such configuration",
         where=name,
@@ -143,10 +145,10 @@ def _shipped_folders() -> list[Path]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(read_text(path, limits.TEXT_BYTES))
+        return parse_toml(read_text(path, limits.TEXT_BYTES))
     except OSError as error:
         raise UsageError("configuration cannot be read", where=path, found=error.strerror or error) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise UsageError("not a TOML file", where=path, found=error) from error
 
 

@@ -10,8 +10,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedRandom, BufferedReader, BufferedWriter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
@@ -27,7 +30,7 @@ def open_input(path: Path) -> BufferedReader:
     Raises:
         OSError: it cannot be opened, or is no regular file.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = _opened(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         _check_regular(path, os.fstat(descriptor).st_mode)
         return os.fdopen(descriptor, "rb")
@@ -47,9 +50,9 @@ def read_input(path: Path, most: int) -> bytes:
         OSError: it cannot be read, is no regular file, or larger.
     """
     with open_input(path) as stream:
-        data = stream.read(most + 1)
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(min(size, most) + 1)  # room for so much is made at once
     if len(data) > most:
-        size = path.stat().st_size
         raise OSError(errno.EFBIG, f"a file of {size} bytes, at most {most} are read", str(path))
     return data
 
@@ -97,9 +100,35 @@ def write_output(path: Path, data: bytes) -> None:
         stream.write(data)
 
 
+@contextmanager
+def utf8_name(path: Path) -> Iterator[str]:
+    """Yield a name for OpenCV to open a file by: one that is not UTF-8 ends the process in OpenCV.
+
+    Raises:
+        OSError: there is none, as temporary files lie in a folder whose name is not UTF-8 either.
+    """
+    if _is_utf8(path):
+        yield str(path)
+        return
+    with TemporaryDirectory() as folder:
+        link = Path(folder) / f"file{path.suffix if _is_utf8(Path(path.suffix)) else ''}"
+        if not _is_utf8(link):
+            raise OSError(errno.EILSEQ, "a name that is not UTF-8", str(path))
+        link.symlink_to(path.resolve())
+        yield str(link)
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _writable(path: Path, flags: int) -> int:
     try:
-        descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+        descriptor = _opened(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         if error.errno == errno.ELOOP:
             raise OSError(errno.ELOOP, "a symbolic link, which is not written through", str(path)) from error
@@ -110,6 +139,13 @@ def _writable(path: Path, flags: int) -> int:
         os.close(descriptor)
         raise
     return descriptor
+
+
+def _opened(path: Path, flags: int) -> int:
+    try:
+        return os.open(path, flags, 0o666)
+    except ValueError:  # a null byte, which a name from a file may hold
+        raise OSError(errno.EINVAL, "no name that a file can have", repr(str(path))) from None
 
 
 def _check_regular(path: Path, mode: int) -> None:

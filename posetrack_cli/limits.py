@@ -50,6 +50,9 @@ JPEG_SCANS = 30
 TILE_PIXELS = 1 << 22
 """Of one tile of a TIFF, which is decoded whole for the smallest image: writers use 128 to 1024 squared."""
 
+NEAREST_MM, FARTHEST_MM = 0.01, 1e7
+"""A depth nearer or farther is no reading. No depth camera sees nearer than a millimetre or beyond 10 km."""
+
 # Files that are read whole
 
 TEXT_BYTES = 16 * MIB
@@ -61,11 +64,31 @@ IMAGE_BYTES = 512 * MIB
 REPORT_BYTES = 256 * MIB
 """Of a JSON report given as baseline."""
 
+# Meshes: a hand's skin has some thousand points and 25 joints, a whole character ten times as many
+
+MESH_NODES = 10_000
+MESH_JOINTS = 512
+MESH_POINTS = 250_000
+"""Of all parts of a skin; scans of a hand have a tenth of it."""
+MESH_TRIANGLES = 500_000
+MESH_WEIGHTS = 1 << 24
+"""Points times joints: each point has a weight for each joint."""
+MESH_VALENCE = 2_000
+"""Triangles at one point, also in the middle of a hole that was closed: what simplifies squares them."""
+MESH_REACH = 1e6
+"""Of coordinates, lengths and scales, in a file's units: a kilometre in millimetres."""
+
 # Arrays
 
+MODEL_BYTES = 256 * MIB
+"""Of a file of a face model, or of what was learned of a head: templates of a hundred people take less."""
+FACE_PARAMETERS = 256
+"""Of identity, and of deformation; morphable models have up to 199 and 29."""
 NPZ_FLOOR_BYTES = 256 * MIB
 NPZ_EXPANSION = 16
 """All arrays of an npz file take at most the floor or so many times the file; ours are not compressed."""
+PEOPLE = 5_000
+"""Whom one camera saw in a recording. A cut may bring a new person, a recording has fewer cuts."""
 NPZ_ARRAYS = 100_000
 """In one npz file."""
 
@@ -78,3 +101,28 @@ DEFINITION_CHARACTERS = 1 * MIB
 TRANSFORMS = 20_000
 """Of all messages of a file, as far as they are looked at; and so many bytes of them:"""
 TRANSFORM_BYTES = 16 * MIB
+
+# Numbers and names in results
+
+LENGTH_MM = 1e9
+"""Of a position or a size: a thousand kilometres."""
+NUMBER = 1e12
+"""Of any other number, such as a velocity or a variance; squares and sums of such do not overflow."""
+INTEGER = 2**63 - 1
+NAME_CHARACTERS = 256
+"""Of a joint, a shape entry or a camera."""
+LIST_ENTRIES = 10_000
+"""Points, shape entries or further numbers of one subject: a hand has 21 joints, a face some hundred."""
+TRIANGLES = 1_000_000
+"""Of a subject's mesh."""
+CAMERAS = 1000
+"""Of one rig."""
+
+# Lines of text
+
+LINE_BYTES = MIB
+"""Of a line of a truth in CSV: a row of a thousand columns has some 20 kB."""
+COLUMNS = 10_000
+"""Of such a file."""
+KEY_PARTS = 32
+"""Of a dotted key in TOML, such as ``a.b.c``."""

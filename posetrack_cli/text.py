@@ -16,6 +16,16 @@ def printable(text: str) -> str:
     return _CONTROLS.sub(_escape, text)
 
 
+def one_line(text: str) -> str:
+    """Return printable text whose line feeds are escapes, too: a name must not begin a line of its own."""
+    return printable(text).replace("\n", "\\n")
+
+
+def printable_json(text: str) -> str:
+    """Return JSON without control characters within its strings, which still mean the same."""
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found.group()):04x}", text)
+
+
 def _escape(found: re.Match[str]) -> str:
     code = ord(found.group())
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

@@ -7,11 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from posetrack_cli.compiled import KERNEL_SOURCES, source_digest
+from posetrack_cli import compiled
+from posetrack_cli.compiled import KERNEL_SOURCES, announced, kernel, source_digest, watched
 
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 SOURCES = sorted(path for pattern in KERNEL_SOURCES for path in PACKAGE.glob(pattern))
@@ -97,6 +99,16 @@ def test_a_folder_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
     assert list(own.iterdir()) == []
 
 
+def test_without_any_folder_to_write_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/dev/null")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    assert compiled.cache_folder.__wrapped__() is None
+
+
 def test_numbas_settings_are_left_as_they_were() -> None:
     code = (
         "import numba.core.config as c; before = c.CACHE_DIR; import posetrack_cli.hand.fitting.skeleton; "
@@ -133,3 +145,63 @@ def test_where_nothing_can_be_kept_every_run_says_so(tmp_path: Path) -> None:
 def test_outside_of_the_context_nothing_is_said(tmp_path: Path) -> None:
     code = SAID.replace("with announced(print):", "with announced(print): pass\nif True:")
     assert answer(code, NUMBA_CACHE_DIR=str(tmp_path)) == "done"
+
+
+# Within this process: a kernel that is made once more is what the next process would make
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where kernels of the test are kept."""
+    monkeypatch.setattr(compiled, "cache_folder", lambda: str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def doubled(number: float) -> float:
+    return 2.0 * number
+
+
+def compilations() -> int:
+    """Make a kernel as a new process does, call it, and count what is compiled."""
+    lines: list[str] = []
+    with announced(lines.append):
+        assert kernel(doubled)(1.5) == 3.0
+    return len(lines)
+
+
+def test_a_kernel_is_kept(folder: Path) -> None:
+    assert [compilations() for _ in range(3)] == [1, 0, 0]
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", [b"", b"\x80", b"garbage\n"], ids=["empty", "cut", "garbage"])
+def test_a_damaged_cache_is_made_anew(folder: Path, suffix: str, damage: bytes) -> None:
+    """As after a power cut: it is no error, and not compiled once more in every run."""
+    assert compilations() == 1
+    (damaged,) = folder.rglob(f"*.{suffix}")
+    damaged.write_bytes(damage)
+    assert [compilations(), compilations()] == [1, 0]
+
+
+def test_what_cannot_be_kept_is_no_error(folder: Path) -> None:
+    """As on a disk that is full, or was taken away."""
+    made = kernel(doubled)
+    shutil.rmtree(folder)
+    folder.touch()
+    assert made(1.5) == 3.0
+
+
+def test_compiling_is_watched_and_can_be_refused(folder: Path) -> None:
+    seen: list[bool] = []
+
+    def refuse() -> None:
+        seen.append(is_compiling())
+        raise KeyboardInterrupt
+
+    with watched(refuse) as is_compiling:
+        with pytest.raises(KeyboardInterrupt):
+            kernel(doubled)(1.5)
+        assert (seen, is_compiling()) == ([True], False)
+    assert [compilations(), compilations()] == [1, 0]
+    with watched(refuse):
+        assert kernel(doubled)(1.5) == 3.0, "what is loaded is not compiled"

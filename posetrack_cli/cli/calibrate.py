@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 SQUARES = re.compile(r"(\d{1,4})[xX](\d{1,4})")
@@ -60,6 +61,7 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     same name or number. Show the board some 20 times: near and far, tilted, in the middle and the corners of
     every image. What is written is the camera.toml of recordings with these cameras, errors in comments.
     """
+    from posetrack_cli.files import write_output
     from posetrack_cli.recording.calibration.boards import Board
     from posetrack_cli.recording.calibration.stereo import calibrate_stereo as calibrated
     from posetrack_cli.recording.losses import LossLog, loss_line
@@ -76,14 +78,14 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
             images, board, names=names, distortion=options["distortion"], report=report, losses=losses
         )
     with whole_or_nothing(output) as part:
-        part.write_text(found.file_text(images), encoding="utf-8")
+        write_output(part, found.file_text(images).encode())
     for line in found.lines():
-        click.echo(line)
+        print_line(line)
     for doubt in found.doubts():
-        click.echo(f"doubtful: {doubt}", err=True)
-    click.echo(f"{output}: cameras {', '.join(camera.name for camera in found.cameras)}")
+        print_note(f"doubtful: {doubt}")
+    print_line(f"{output}: cameras {', '.join(camera.name for camera in found.cameras)}")
     if losses.losses:
-        click.echo(f"{images}: {loss_line(losses.losses)}", err=True)
+        print_note(f"{images}: {loss_line(losses.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 

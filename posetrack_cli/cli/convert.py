@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
@@ -39,9 +40,9 @@ def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **o
     source = open_recording(recording, **opening_arguments(options))
     joints = [] if truth is None else _joints(truth, source)
     conversion = convert_recording(source, out, overwrite=overwrite, truth=joints)
-    click.echo(f"{out}: {conversion.frames} frames, {out.stat().st_size} bytes")
+    print_line(f"{out}: {conversion.frames} frames, {out.stat().st_size} bytes")
     if conversion.losses:
-        click.echo(f"{recording}: {loss_line(conversion.losses)}", err=True)
+        print_note(f"{recording}: {loss_line(conversion.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError
 
 PARTICLES = 512
@@ -53,12 +54,12 @@ def _print_versions() -> None:
 
     from posetrack_cli import __version__
 
-    click.echo(f"posetrack {__version__}, Python {platform.python_version()}, {platform.platform()}")
+    print_line(f"posetrack {__version__}, Python {platform.python_version()}, {platform.platform()}")
     for name in LIBRARIES:
         try:
-            click.echo(f"  {name} {metadata.version(name)}")
+            print_line(f"  {name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
-            click.echo(f"  {name} is missing: install posetrack again with pip")
+            print_line(f"  {name} is missing: install posetrack again with pip")
 
 
 def _working_devices() -> list[int]:
@@ -83,12 +84,12 @@ def _check(label: str, device: int | None, particles: int) -> bool:
             stack.callback(context.release)
             name, times = describe(context), _scoring_times(context, particles)
     except PosetrackError as error:
-        click.echo(f"OpenGL {label}: does not work")
-        click.echo(f"posetrack: {error}", err=True)
+        print_line(f"OpenGL {label}: does not work")
+        print_note(f"posetrack: {error}")
         return False
-    click.echo(f"OpenGL {label}: {name}")
+    print_line(f"OpenGL {label}: {name}")
     for tile, milliseconds in times.items():
-        click.echo(f"  {particles} particles, {tile}x{tile} pixels each: {milliseconds:.1f} ms")
+        print_line(f"  {particles} particles, {tile}x{tile} pixels each: {milliseconds:.1f} ms")
     return True
 
 

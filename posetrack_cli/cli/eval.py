@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.parameter_types import FiniteRange, only_once
-from posetrack_cli.cli.standard_output import reader_may_leave
+from posetrack_cli.cli.standard_output import print_data, print_line, print_note, reader_may_leave
 from posetrack_cli.cli.track_option import BOTH, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
@@ -32,7 +32,8 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     if asked:
         from posetrack_cli.evaluation.reports.table import catalogue_lines
 
-        click.echo("\n".join(catalogue_lines()))
+        for line in catalogue_lines():
+            print_line(line)
         context.exit()
 
 
@@ -225,7 +226,7 @@ def _write(path: Path, text: str) -> None:
     from posetrack_cli.evaluation.reports.report_files import write_report
 
     if path == STANDARD_OUTPUT:
-        click.echo(text, nl=False)
+        print_data(text)
     else:
         write_report(path, text)
 
@@ -248,7 +249,7 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
         pictures, reason = None, str(error)
     if pictures is not None:
         return pictures
-    click.echo(f"{evaluation.name}: no pictures of the worst frames: {reason}", err=True)
+    print_note(f"{evaluation.name}: no pictures of the worst frames: {reason}")
     return reason
 
 
@@ -301,12 +302,12 @@ def _close(found: Assessment) -> None:
     from posetrack_cli.recording.losses import loss_line
 
     for note in found.notes:
-        click.echo(f"baseline: {note}", err=True)
+        print_note(f"baseline: {note}")
     for outcome in found.failed:
-        click.echo(outcome.line, err=True)
+        print_note(outcome.line)
     damaged = [one for one in found.evaluations if one.losses]
     for one in damaged:
-        click.echo(f"{one.name}: measured over what can be read: {loss_line(one.losses)}", err=True)
+        print_note(f"{one.name}: measured over what can be read: {loss_line(one.losses)}")
     context = click.get_current_context()
     if found.failed:
         context.exit(EXIT_FAILED)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from posetrack_cli.cli.standard_output import print_data, print_line, print_note
 from posetrack_cli.cli.track_option import FILTERED, TRACKS
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -62,7 +63,7 @@ def export(
     RESULT is truncated or damaged; what can be read is written all the same.
     """
     from posetrack_cli.recording.losses import loss_line
-    from posetrack_cli.results.export.export import export_file, export_text
+    from posetrack_cli.results.export.export import export_file, text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
 
@@ -76,10 +77,11 @@ def export(
     if output is None:
         if sys.stdout is None:
             raise UsageError("standard output is closed", hint="name a file with -o")
-        export_text(source, chosen, sys.stdout.buffer)
+        for piece in text_pieces(source, chosen):
+            print_data(piece)
     else:
         export_file(source, chosen, output, overwrite=overwrite)
-        click.echo(f"{output}: {chosen}, {output.stat().st_size} bytes")
+        print_line(f"{output}: {chosen}, {output.stat().st_size} bytes")
     if result.losses:
-        click.echo(f"{path}: {loss_line(result.losses)}", err=True)
+        print_note(f"{path}: {loss_line(result.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

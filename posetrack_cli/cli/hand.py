@@ -20,6 +20,7 @@ from posetrack_cli.cli.run_options import (
 )
 from posetrack_cli.cli.running import close, kept, progress
 from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.cli.standard_output import print_note
 
 if TYPE_CHECKING:
     from posetrack_cli.hand.config import HandConfig
@@ -100,16 +101,16 @@ def hand_run(recording: Path, **options: Any) -> None:
     configuration and seed give the same bytes.
     """
     output = options["output"]
-    with compiling_said():
+    with compiling_said(output) as is_compiling:
         run, total, found = _prepare(recording, options)
         with (
-            stop_signals() as stopped,
+            stop_signals(is_compiling) as stopped,
             progress(total, options["start"], options["stride"], "hand") as report,
             kept(output),
         ):
             outcome = run.track(report, stopped)
     if found:
-        click.echo(f"{recording}: {found}", err=True)
+        print_note(f"{recording}: {found}")
     close(recording, output, outcome)
 
 
@@ -132,7 +133,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
 
 def _say(line: str) -> None:
-    click.echo(f"{line} ...", err=True)
+    print_note(f"{line} ...")
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:

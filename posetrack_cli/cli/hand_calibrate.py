@@ -9,6 +9,7 @@ import click
 
 from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
@@ -60,14 +61,14 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     source = open_recording(recording, **opening_arguments(options))
     chosen = CalibrationOptions(options["side"], seconds, options["frames"], options["seed"])
     with compiling_said():
-        found = calibrate(source, config, chosen, lambda line: click.echo(f"{line} ...", err=True))
+        found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
-    click.echo(
+    print_line(
         f"{output}: {found.frames_used} of {found.frames_seen} frames, residual {found.residual_mm:.2f} mm"
     )
     if source.losses:
-        click.echo(f"{recording}: {loss_line(source.losses)}", err=True)
+        print_note(f"{recording}: {loss_line(source.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
@@ -89,7 +90,7 @@ def _show(calibration: Calibration) -> None:
     """A table: every factor with its standard deviation."""
     from posetrack_cli.hand.shape import SHAPE_NAMES
 
-    click.echo(f"{'side':<18}{calibration.side:>8}")
-    click.echo(f"{'':<18}{'factor':>8}{'sd':>8}")
+    print_line(f"{'side':<18}{calibration.side:>8}")
+    print_line(f"{'':<18}{'factor':>8}{'sd':>8}")
     for name, factor, sd in zip(SHAPE_NAMES, calibration.shape.factors, calibration.sd, strict=True):
-        click.echo(f"{name.replace('_', ' '):<18}{factor:>8.3f}{sd:>8.3f}")
+        print_line(f"{name.replace('_', ' '):<18}{factor:>8.3f}{sd:>8.3f}")

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line
 from posetrack_cli.errors import UsageError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -102,7 +103,7 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
     began = time.perf_counter()
     with _progress(options.frames) as report:
         made = write_synthetic(options, output, overwrite=overwrite, report=report)
-    click.echo(
+    print_line(
         f"{output}: {made.frames} frames, {made.dropped} dropped, {made.seconds:.3f} s long, "
         f"made in {time.perf_counter() - began:.1f} s"
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def head_build_model(
     save_face_model(output, model, f"{len(faces)} results of posetrack head stereo")
     if picture is not None:
         _draw(model, picture)
-    click.echo(f"{output}: identity {model.identity_size}, deformation {model.deformation_size}")
+    print_line(f"{output}: identity {model.identity_size}, deformation {model.deformation_size}")
     _say_losses(faces)
 
 
@@ -101,9 +102,8 @@ def _say_limits(learned: LearnedModel, *asked: int) -> None:
     people, names = len(learned.faces), ("identity", "deformation")
     for name, wanted, possible in zip(names, asked, learned.possible, strict=True):
         if wanted > possible:
-            click.echo(
-                f"{name}: {possible} instead of {wanted} parameters, as {people} people tell of no more",
-                err=True,
+            print_note(
+                f"{name}: {possible} instead of {wanted} parameters, as {people} people tell of no more"
             )
 
 
@@ -114,13 +114,15 @@ def _show(learned: LearnedModel) -> None:
     _show_people(learned)
     built = learned.built
     errors = distances_by_kind(built.approximations() - built.samples)
-    click.echo("\n" + " " * 24 + "".join(f"{name:>10}" for name in errors))
-    click.echo(f"{'approximation, rms mm':<24}" + "".join(f"{error:>10.2f}" for error in errors.values()))
+    print_line()
+    print_line(" " * 24 + "".join(f"{name:>10}" for name in errors))
+    print_line(f"{'approximation, rms mm':<24}" + "".join(f"{error:>10.2f}" for error in errors.values()))
     names = ("identity", "deformation")
     sizes = (built.model.identity_size, built.model.deformation_size)
-    click.echo("\ncumulative contribution, % (kept | left out)")
+    print_line()
+    print_line("cumulative contribution, % (kept | left out)")
     for name, spectrum, size in zip(names, built.spectra, sizes, strict=True):
-        click.echo(f"{name:<24}{_shares(100.0 * cumulative_contribution(spectrum), size)}")
+        print_line(f"{name:<24}{_shares(100.0 * cumulative_contribution(spectrum), size)}")
 
 
 def _show_people(learned: LearnedModel) -> None:
@@ -128,16 +130,16 @@ def _show_people(learned: LearnedModel) -> None:
 
     width = max(6, *(len(face.path.name) for face in learned.faces))
     rates = "".join(f"{100 * rate:>5.0f}%" for rate in RATES)
-    click.echo(f"{'':<{width}}{'':>14}" + "".join(f"  {name:>{15 + len(rates)}}" for name in MOTIONS))
+    print_line(f"{'':<{width}}{'':>14}" + "".join(f"  {name:>{15 + len(rates)}}" for name in MOTIONS))
     heads = f"  {'l, mm':>15}{rates}" * len(MOTIONS)
-    click.echo(f"{'person':<{width}}{'frames':>7}{'used':>7}{heads}")
+    print_line(f"{'person':<{width}}{'frames':>7}{'used':>7}{heads}")
     for face, motions in zip(learned.faces, learned.examples, strict=True):
         cells = (
             f"  {f'{one.lowest:.1f} to {one.highest:.1f}':>15}"
             + "".join(f"{count:>6}" for count in one.counts)
             for one in motions
         )
-        click.echo(f"{face.path.name:<{width}}{face.frames:>7}{len(face.shapes):>7}{''.join(cells)}")
+        print_line(f"{face.path.name:<{width}}{face.frames:>7}{len(face.shapes):>7}{''.join(cells)}")
 
 
 def _shares(percent: FloatArray, kept: int) -> str:
@@ -148,10 +150,11 @@ def _shares(percent: FloatArray, kept: int) -> str:
 def _draw(model: FaceModel, path: Path) -> None:
     from posetrack_cli.evaluation.viewing.face_model_picture import face_model_picture
     from posetrack_cli.evaluation.viewing.outputs import png_of
+    from posetrack_cli.files import write_output
     from posetrack_cli.recording.output import whole_or_nothing
 
     with whole_or_nothing(path) as part:
-        part.write_bytes(png_of(face_model_picture(model)))
+        write_output(part, png_of(face_model_picture(model)))
 
 
 def _say_losses(faces: Sequence[ObservedFace]) -> None:
@@ -159,6 +162,6 @@ def _say_losses(faces: Sequence[ObservedFace]) -> None:
 
     lost = [face for face in faces if face.losses]
     for face in lost:
-        click.echo(f"{face.path}: {loss_line(tuple(face.losses))}", err=True)
+        print_note(f"{face.path}: {loss_line(tuple(face.losses))}")
     if lost:
         click.get_current_context().exit(EXIT_DATA_LOST)

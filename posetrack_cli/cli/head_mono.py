@@ -17,6 +17,7 @@ from posetrack_cli.cli.head_options import (
 )
 from posetrack_cli.cli.image_options import image_arguments, one_camera_options
 from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
+from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def _say_guess(source: SeveralCamerasRecording, fov: float | None) -> None:
         return
     by = "a field of view of 53 degrees, --fov says another" if fov is None else "--fov"
     taken = f"no calibration: focal length taken for {_focal(source)} ({by})"
-    click.echo(f"{source.path}: {taken}; distances are a guess", err=True)
+    print_note(f"{source.path}: {taken}; distances are a guess")
 
 
 def _focal(source: SeveralCamerasRecording) -> str:

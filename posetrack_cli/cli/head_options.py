@@ -128,7 +128,12 @@ def track_head(source: Recording, options: HeadRunOptions, made: Callable[[Repor
     from posetrack_cli.tracking.options import frames_ahead
 
     names = ("head",) if options.passes == 1 else ("pass 1", "pass 2")
-    with compiling_said(), stop_signals() as stopped, kept(options.output), ExitStack() as stack:
+    with (
+        compiling_said(options.output) as is_compiling,
+        stop_signals(is_compiling) as stopped,
+        kept(options.output),
+        ExitStack() as stack,
+    ):
         reports: list[Report] = []
         run = made(lambda estimate: reports[0](estimate))  # may speak, so no bar is drawn before
         total = frames_ahead(source, options)

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line
 from posetrack_cli.errors import UsageError
 
 
@@ -92,7 +93,7 @@ def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) 
     with _progress(options.frames) as report:
         made = write_synthetic(options, output, image_format=image_format, overwrite=overwrite, report=report)
     seconds = time.perf_counter() - began
-    click.echo(
+    print_line(
         f"{output}: {made.frames} frames of {options.cameras} camera{'s'[: options.cameras - 1]}, "
         f"{made.missing} images missing, {made.seconds:.3f} s long, made in {seconds:.1f} s"
     )

@@ -9,7 +9,9 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.standard_output import print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
+from posetrack_cli.text import printable_json
 
 Values = Mapping[str, Any]
 
@@ -25,11 +27,13 @@ def info(path: Path, as_json: bool) -> None:
     from posetrack_cli.recording.inspection import describe
 
     report = describe(path)
-    lines = [json.dumps(report, indent=2, ensure_ascii=False)] if as_json else report_lines(report)
-    for line in lines:
-        click.echo(line)
+    if as_json:
+        print_data(printable_json(json.dumps(report, indent=2, ensure_ascii=False)) + "\n")
+    else:
+        for line in report_lines(report):
+            print_line(line)
     for loss in report["losses"]:
-        click.echo(f"{path}: {loss['what']}: {loss['count']}, first {loss['first']}", err=True)
+        print_note(f"{path}: {loss['what']}: {loss['count']}, first {loss['first']}")
     if report["losses"]:
         click.get_current_context().exit(EXIT_DATA_LOST)
 
@@ -140,6 +144,7 @@ def _timing(values: Values) -> str:
         parts.append(f"largest gap {values['largest_gap_s']:.3f} s, {values['gaps']} gaps")
     if values["stamps_not_later"]:
         parts.append(f"{values['stamps_not_later']} stamps doubled or out of order")
+    parts += values["remarks"]
     return ", ".join(parts)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import sys
+import traceback
 from contextlib import suppress
+from pathlib import Path
+from typing import Any
 
 import click
 
@@ -17,18 +19,33 @@ from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
-from posetrack_cli.cli.standard_output import discard_output
+from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process
+from posetrack_cli.cli.signals import terminate_as_interrupted
+from posetrack_cli.cli.standard_output import discard_output, print_note
 from posetrack_cli.cli.view import view
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
 
+_LONGEST_MESSAGE = 300
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class _Group(click.Group):
+    """Click would print an empty line when it is interrupted, before ours."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interruption:
+            raise click.Abort from interruption
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="posetrack")
 def cli() -> None:
     """Track hands in recorded depth: pose, velocity and shape with their uncertainty, from MCAP or folders.
 
     Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but some data was lost or skipped; 130 stopped by
-    Ctrl-C. Results go to standard output, diagnostics and progress to standard error.
+    Ctrl-C. Results go to standard output, diagnostics and progress to standard error; POSETRACK_DEBUG=1 also
+    shows tracebacks and what libraries say.
     """
 
 
@@ -38,19 +55,15 @@ for command in (hand, head, evaluate, view, export, info, convert, calibrate, do
 
 def main() -> None:
     """Run the command line and exit."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # not so where it is closed
-            stream.reconfigure(errors="backslashreplace")  # a name that it cannot show is no reason to fail
-    sys.exit(run(sys.argv[1:]))
+    prepare_process()
+    terminate_as_interrupted()
+    leave_process(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
     """Run a command line, print an error as one line, and return the exit code."""
     try:
-        code = cli.main(args=arguments, prog_name="posetrack", standalone_mode=False)
-        if sys.stdout is not None:
-            sys.stdout.flush()
-        return code if isinstance(code, int) else EXIT_DONE
+        return _done(arguments)
     except PosetrackError as error:
         return _failed(str(error), error.exit_code)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -66,15 +79,54 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         discard_output()
         return _failed(f"{error.filename or 'output'}: {error.strerror or error}", EXIT_FAILED)
-    except MemoryError:
-        return _failed("out of memory; try fewer --particles", EXIT_FAILED)
+    except MemoryError as error:
+        return _failed(_memory_line(error), EXIT_FAILED)
+    except Exception as error:
+        # The last net, for users: what gets here is a bug, and the fuzzing harness counts it as a failure.
+        return _failed(_bug_line(error), EXIT_FAILED)
+
+
+def _done(arguments: list[str]) -> int:
+    code = cli.main(args=arguments, prog_name="posetrack", standalone_mode=False)
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    return code if isinstance(code, int) else EXIT_DONE
 
 
 def _failed(message: str, code: int) -> int:
     """Print one line on standard error, if anyone can read it, and return the exit code."""
     with suppress(OSError):
-        click.echo(f"posetrack: {message}", err=True)
+        if is_debugging():
+            traceback.print_exc()
+        print_note(f"posetrack: {message}")
     return code
+
+
+def _memory_line(error: MemoryError) -> str:
+    asked = f" ({error})" if str(error) else ""
+    return f"out of memory{asked}; smaller images, fewer frames or fewer --particles need less"
+
+
+def _bug_line(error: Exception) -> str:
+    """What happened, and in which line of ours; the rest tells only those who mend it."""
+    kind = type(error)
+    name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
+    words = " ".join(str(error).split())
+    message = f"{name}: {words[:_LONGEST_MESSAGE]}" if words else name
+    return (
+        f"internal error: {message} at {_place(error)}; this is a bug, please report it with what "
+        "POSETRACK_DEBUG=1 shows"
+    )
+
+
+def _place(error: Exception) -> str:
+    """File and line of posetrack that is innermost among those that led to an error."""
+    package, place = Path(__file__).parents[1], "no line of posetrack"
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(package):
+            place = f"{path.relative_to(package.parent)}:{line}"
+    return place
 
 
 def _usage_line(error: click.ClickException) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -67,11 +68,11 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
         what += f", {outcome.frames} with those before"
     what += f", {outcome.lost} lost"
     if outcome.stopped:
-        click.echo(f"interrupted after {what}: {part_path(output)}; --resume goes on", err=True)
+        print_note(f"interrupted after {what}: {part_path(output)}; --resume goes on")
         click.get_current_context().exit(EXIT_INTERRUPTED)
-    click.echo(f"{what}: {output}")
+    print_line(f"{what}: {output}")
     for remark in outcome.remarks:
-        click.echo(f"{recording}: {remark}", err=True)
+        print_note(f"{recording}: {remark}")
     if outcome.losses:
-        click.echo(f"{recording}: {loss_line(outcome.losses)}", err=True)
+        print_note(f"{recording}: {loss_line(outcome.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

@@ -1,4 +1,8 @@
-"""Standard output that cannot be written any more."""
+"""What commands print: every line of every command goes through here.
+
+Topic names, metadata and messages come from files, and files from strangers: what a terminal would obey is
+escaped. Only data that programs read goes out as it is, and not to a terminal.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,27 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from posetrack_cli.text import one_line, printable
+
+
+def print_line(text: str = "") -> None:
+    """Print one line of a command's answer on standard output, without control characters."""
+    print(one_line(text), flush=True)
+
+
+def print_note(text: str) -> None:
+    """Print one line on standard error, without control characters: what else the user should know."""
+    print(one_line(text), file=sys.stderr, flush=True)
+
+
+def print_data(text: str) -> None:
+    """Print text for programs on standard output, exactly and as UTF-8; a terminal gets it escaped, too."""
+    if sys.stdout is None:
+        return
+    sys.stdout.flush()  # lines before it come before it
+    shown = printable(text) if sys.stdout.isatty() else text
+    sys.stdout.buffer.write(shown.encode("utf-8", "backslashreplace"))
 
 
 def discard_output() -> None:

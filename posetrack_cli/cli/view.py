@@ -13,6 +13,7 @@ import click
 from posetrack_cli.cli.parameter_types import FiniteRange
 from posetrack_cli.cli.recording_options import opening_arguments, recording_options
 from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.cli.track_option import BOTH, FILTERED, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
@@ -193,15 +194,15 @@ def _close(
     context, asked = click.get_current_context(), len(drawn.rows)
     if interrupted:
         what = f"after {count} of {asked} frames: {output}" if count else "before the first frame"
-        click.echo(f"interrupted {what}", err=True)
+        print_note(f"interrupted {what}")
         context.exit(EXIT_INTERRUPTED)
     if not count:
         raise _nothing(drawn)
-    click.echo(f"{count} {'frame' if count == 1 else 'frames'}: {output}")
+    print_line(f"{count} {'frame' if count == 1 else 'frames'}: {output}")
     losses = [(str(result.path), loss_line(result.losses)) for result in results if result.losses]
     losses += [(f"{drawn.recording_path}", loss_line(drawn.losses))] if drawn.losses else []
     for where, line in losses:
-        click.echo(f"{where}: {line}", err=True)
+        print_note(f"{where}: {line}")
     if losses:
         context.exit(EXIT_DATA_LOST)
 

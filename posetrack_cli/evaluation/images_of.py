@@ -100,5 +100,5 @@ def _camera_file(result: Result, given: Mapping[str, Any]) -> Iterator[dict[str,
     stored = [camera.mirrored() if mirrored else camera for camera in result.cameras()]
     with TemporaryDirectory() as folder:
         file = Path(folder) / CAMERA_FILE_NAME
-        file.write_text(camera_file_text(stored))
+        file.write_text(camera_file_text(stored), encoding="utf-8", errors="backslashreplace")
         yield {"camera_file": file}

@@ -16,6 +16,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.results.camera_record import camera_from_json
 from posetrack_cli.results.reader import Result
 
 Found = TypeVar("Found")
@@ -181,9 +182,8 @@ def camera_of(run: Mapping[str, str]) -> Camera:
         ResultError: the run record does not tell it.
     """
     try:
-        values = json.loads(run["camera"])
-        return Camera(**{**values, "distortion": tuple(values["distortion"])})
-    except (KeyError, TypeError, ValueError, PosetrackError) as error:
+        return camera_from_json(run["camera"])
+    except (KeyError, ValueError, PosetrackError) as error:
         raise ResultError("run record tells no camera", found=error) from error
 
 

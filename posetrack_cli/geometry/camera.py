@@ -19,7 +19,7 @@ DISTORTION_LENGTHS = {
     "equidistant": (4,),
 }
 # Beyond those of any camera; within them no arithmetic on pixels overflows.
-SMALLEST_FOCAL_PX, LARGEST_PX = 0.1, 1e6
+SMALLEST_FOCAL_PX, LARGEST_PX, LARGEST_COEFFICIENT = 0.1, 1e6, 1e6
 # p2, the thin prism's s1 and s2, the sensor's tilt about y: with them x' keeps terms even in x
 _CHANGE_SIGN_IN_A_MIRROR = (3, 8, 9, 13)
 IN_PLACE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
@@ -63,6 +63,13 @@ class Camera:
         if self.width <= 0 or self.height <= 0:
             raise PosetrackError(
                 "image size cannot be used", where=self.name, found=f"{self.width}x{self.height}"
+            )
+        if max(np.abs(self.distortion), default=0.0) > LARGEST_COEFFICIENT:
+            raise PosetrackError(
+                "distortion cannot be used",
+                where=self.name,
+                found=f"coefficients {' '.join(f'{value:g}' for value in self.distortion)}",
+                expected=f"up to {LARGEST_COEFFICIENT:g}",
             )
         lengths = DISTORTION_LENGTHS.get(self.distortion_model)
         if self.distortion and (lengths is None or len(self.distortion) not in lengths):

@@ -66,12 +66,13 @@ def undistort(camera: Camera, x: F, y: F) -> tuple[F, F]:
     if not camera.is_distorted:
         return x, y
     found_x, found_y = x, y
-    for _ in range(NEWTON_STEPS):
-        seen_x, seen_y = distort(camera, found_x, found_y)
-        step_x, step_y = _solved(distortion_jacobian(camera, found_x, found_y), x - seen_x, y - seen_y)
-        found_x, found_y = found_x + step_x, found_y + step_y
-        if max(np.max(np.abs(step_x), initial=0.0), np.max(np.abs(step_y), initial=0.0)) < CONVERGED:
-            break
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # coefficients of no lens diverge
+        for _ in range(NEWTON_STEPS):
+            seen_x, seen_y = distort(camera, found_x, found_y)
+            step_x, step_y = _solved(distortion_jacobian(camera, found_x, found_y), x - seen_x, y - seen_y)
+            found_x, found_y = found_x + step_x, found_y + step_y
+            if max(np.max(np.abs(step_x), initial=0.0), np.max(np.abs(step_y), initial=0.0)) < CONVERGED:
+                break
     return found_x, found_y
 
 

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.lean_mesh import LEAN_TRIANGLES, bent_hands, lean_mesh
@@ -18,6 +21,8 @@ MESH_DIGEST = "hand.mesh_sha256"
 """Key of a run's record that tells a file's hand from any other."""
 SMOOTH_TRIANGLES = 1640
 """What is drawn of a hand from a file: as many as the average hand has."""
+_MOST_TRIANGLES = 2 * SMOOTH_TRIANGLES
+"""What is left of a skin whose parts cannot be joined; what follows takes the square of it."""
 
 HandMaker = Callable[[str, HandShape], "HandModel"]
 """Makes a hand of a side (``right`` or ``left``) and a shape."""
@@ -82,11 +87,18 @@ def _file_hand(path: Path) -> HandMaker:
     from posetrack_cli.hand.reshaping import reshaped_anatomy, reshaped_skin
     from posetrack_cli.hand.webxr import load_hand
     from posetrack_cli.rendering.decimation import decimated
+    from posetrack_cli.rendering.gltf import damage_named
     from posetrack_cli.rendering.simplify import simplified
 
     hand = load_hand(path)
-    smooth = simplified(hand.skin, SMOOTH_TRIANGLES)
-    lean = decimated(smooth, LEAN_TRIANGLES, bent_hands(hand.anatomy))
+    with damage_named(path), np.errstate(all="ignore"):  # triangles without area divide by nothing
+        smooth = simplified(hand.skin, SMOOTH_TRIANGLES)
+        if max(len(smooth.triangles), len(smooth.vertices)) > _MOST_TRIANGLES:
+            what = "skin falls into too many parts to be simplified"
+            raise UsageError(what, where=path, found=f"{len(smooth.triangles)} triangles left")
+        lean = decimated(smooth, LEAN_TRIANGLES, bent_hands(hand.anatomy))
+    if not (np.isfinite(smooth.vertices).all() and np.isfinite(lean.vertices).all()):
+        raise UsageError("skin cannot be simplified", where=path, found="vertices that are no numbers")
 
     def make(side: str, shape: HandShape) -> HandModel:
         def skin(mesh: SkinnedMesh) -> SkinnedMesh:

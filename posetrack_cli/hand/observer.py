@@ -9,6 +9,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
+from posetrack_cli.hand.outline import LEAST_BROKEN, LEAST_CONTRAST, outline_of
 from posetrack_cli.hand.segmentation import Detection, Label, PredictedHand, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
 from posetrack_cli.hand.segmentation.surfaces import points_of, without_pinholes
@@ -42,6 +43,18 @@ class Observer:
             return everything(self.sampler.sample(depth, window), window)
         settings = self._config.segmentation
         return segment_hand(depth, self.sampler, window, self._camera, hand, settings).observation
+
+    def shows_hand(self, depth: ImageArray, pose: FloatArray, *, is_known: bool) -> bool:
+        """Whether a frame shows the outline of a hand in a pose (22,), however well its surface fits.
+
+        Args:
+            depth: (height, width) the frame, mm.
+            pose: as estimated.
+            is_known: whether frames before it did: it then shows none only if nothing is left of one.
+        """
+        hand = PredictedHand.of(self._anatomy, pose)
+        outline = outline_of(depth, self.sampler, self._camera, hand)
+        return outline.contrast >= LEAST_CONTRAST or (is_known and outline.broken >= LEAST_BROKEN)
 
     def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
         """Cut the window around a detected hand; what lies beyond its wrist is forearm."""

@@ -15,12 +15,12 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import NOTHING
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
-from posetrack_cli.hand.smoothing import SmoothedTrack, frame_fits, make_smoother
+from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.hand.trackers import HandTrackerProtocol, make_tracker
@@ -35,6 +35,8 @@ from posetrack_cli.tracking.record import common_record
 from posetrack_cli.tracking.run import Run
 
 INIT_METHODS = ("auto", "center")
+_REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]
+"""(22,) a pose: at the origin, not turned, all angles 0."""
 _SMOOTHING_STREAM = 1  # of random numbers: what is filtered does not depend on whether it is smoothed
 
 
@@ -110,8 +112,12 @@ class HandRun(Run):
         rng = np.random.default_rng([self._options.seed, _SMOOTHING_STREAM])
         fits = frame_fits(self._config, self._hand, self._camera)
         smoother = make_smoother(self._config, dynamics(self._config), rng, fits)
+        kept = None
+        if writer.frames_written:
+            like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
+            kept = Kept(writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None))
         path = smoothing_path(self._options.output)
-        with SmoothedTrack(path, smoother, self._anatomy, writer.frames_written) as track:
+        with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
             yield _Smoothing(self, track, fits)
 
     def _noted(self, frame: Frame) -> None:

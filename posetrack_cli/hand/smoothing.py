@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from posetrack_cli.errors import ResultError
 from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
 from posetrack_cli.filtering.marginal import MarginalState
@@ -22,18 +24,35 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.space import HandSpace, pose_rates, tangent_vector
 from posetrack_cli.hand.tracker import BLOCKS
+from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.layouts import STAMPS_NS, Layout, LayoutError, check_arrays, counts, floats
 from posetrack_cli.results.spool import Array, RecordSpool
 
 STATUSES = tuple(Status)
 KEPT = "filter."
 """What names of a record begin with that are the smoother's."""
+_NO_FRAME = {"frame_index": 0, "stamp_ns": 0, "status": 0, "cut": 0, "dt": 0.0, "confidence": 0.0}
+
+
+class Kept(NamedTuple):
+    """What a file of an interrupted run is to hold.
+
+    Attributes:
+        frames: how many of them stay; 1 or more.
+        particles: any state of the filter's, and
+        frame: what is kept of any frame: those that stay have to be of the same arrays.
+    """
+
+    frames: int
+    particles: ParticleState | MarginalState
+    frame: Memory = NOTHING
 
 
 class SmoothedTrack:
     """Remembers every frame of a run and then smooths them, from the last to the first.
 
-        with SmoothedTrack(path, smoother, anatomy, keep) as track:
+        with SmoothedTrack(path, smoother, anatomy, kept) as track:
             track.remember(state.particles, estimate, dt, cut, frame)  # each frame
             track.flush()                                           # before a checkpoint
             for estimate in track.backward(): ...                   # at the end
@@ -46,18 +65,27 @@ class SmoothedTrack:
         path: of the file, beside the result.
         smoother: the backward pass.
         anatomy: the hand.
-        keep: number of frames of an interrupted run that stay.
+        kept: of an interrupted run; None for nothing.
 
     Raises:
-        ResultError: here and in every method, when the file cannot be written or read.
+        ResultError: here and in every method, when the file cannot be written or read, or holds what no run
+            wrote.
     """
 
-    def __init__(self, path: Path, smoother: Smoother, anatomy: HandAnatomy, keep: int = 0) -> None:
-        self._smoother, self._anatomy = smoother, anatomy
-        self._spool = RecordSpool(path, keep)
-        last = next(reversed(self._spool), None) if keep else None
-        if last is not None:
-            smoother.resume(_memory_of(last))
+    def __init__(
+        self, path: Path, smoother: Smoother, anatomy: HandAnatomy, kept: Kept | None = None
+    ) -> None:
+        self._path, self._smoother, self._anatomy = path, smoother, anatomy
+        if kept is None:
+            self._spool = RecordSpool(path)
+            return
+        like = _record(_NO_FRAME, smoother.remember(kept.particles, Step(0.0, True, kept.frame)))
+        self._spool = RecordSpool(path, kept.frames, like)
+        try:
+            smoother.resume(self._memory_of(next(reversed(self._spool))))
+        except BaseException:
+            self._spool.close()
+            raise
 
     def __len__(self) -> int:
         return len(self._spool)
@@ -87,9 +115,7 @@ class SmoothedTrack:
             "dt": dt,
             "confidence": float(estimate.confidence),
         }
-        memory = self._smoother.remember(particles, Step(dt, cut, frame))
-        kept = {f"{KEPT}{name}": values for name, values in memory.items()}
-        self._spool.append({name: np.asarray(value) for name, value in (about | kept).items()})
+        self._spool.append(_record(about, self._smoother.remember(particles, Step(dt, cut, frame))))
 
     def flush(self) -> None:
         """Wait until everything is on the disk."""
@@ -102,7 +128,7 @@ class SmoothedTrack:
         """
         later, ends, dt = None, True, 0.0
         for record in reversed(self._spool):
-            memory = _memory_of(record)
+            memory = self._memory_of(record)
             if later is None or ends:
                 later = self._smoother.begin(memory)
             else:
@@ -120,6 +146,16 @@ class SmoothedTrack:
     def __exit__(self, *_: object) -> None:
         """Let the file lie, for a run that is resumed."""
         self._spool.close()
+
+    def _memory_of(self, record: dict[str, Array]) -> dict[str, Array]:
+        """What of a record is the smoother's, once all of the record is known to be what a run wrote."""
+        try:
+            check_arrays(record, _layouts(record))
+        except LayoutError as error:
+            what = "spool cannot be used"
+            raise ResultError(what, where=self._path, found=error, hint=RESTART_HINT) from error
+        kept = ((name, values) for name, values in record.items() if name.startswith(KEPT))
+        return {name.removeprefix(KEPT): values for name, values in kept}
 
     def _estimate(self, record: dict[str, Array], smoothed: Smoothed) -> Estimate:
         pose = smoothed.pose
@@ -141,9 +177,23 @@ class SmoothedTrack:
         )
 
 
-def _memory_of(record: dict[str, Array]) -> dict[str, Array]:
-    """What of a record is the smoother's."""
-    return {name.removeprefix(KEPT): values for name, values in record.items() if name.startswith(KEPT)}
+def _record(about: Mapping[str, float], memory: Memory) -> dict[str, Array]:
+    """The record of a frame."""
+    kept = {f"{KEPT}{name}": values for name, values in memory.items()}
+    return {name: np.asarray(value) for name, value in (dict(about) | kept).items()}
+
+
+def _layouts(record: Mapping[str, Array]) -> dict[str, Layout]:
+    """What the values of a record must be; its types and shapes are those of all others."""
+    most = float(STAMPS_NS[1])
+    layouts = {
+        name: Layout(values.dtype.name, values.shape, -np.inf if values.ndim else 0.0, most)
+        for name, values in record.items()
+    }
+    layouts["status"] = counts(most=len(STATUSES) - 1)
+    layouts["cut"] = counts(most=1)
+    layouts["dt"] = floats(least=0.0)
+    return layouts
 
 
 def frame_fits(config: HandConfig, hand: HandModel, camera: Camera) -> HandFits | None:

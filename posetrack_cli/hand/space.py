@@ -6,8 +6,16 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES, ANGLES, TANGENT_ANGLES, TANGENT_SIZE
+from posetrack_cli.hand.anatomy import (
+    ANGLE_LIMITS,
+    ANGLE_NAMES,
+    ANGLES,
+    POSE_SIZE,
+    TANGENT_ANGLES,
+    TANGENT_SIZE,
+)
 from posetrack_cli.hand.config import ComponentSettings
+from posetrack_cli.results.layouts import Layout
 
 _ABDUCTIONS = np.array(["abduction" in name for name in ANGLE_NAMES])
 
@@ -63,3 +71,8 @@ def tangent_vector(components: ComponentSettings) -> FloatArray:
     """One number per kind of component as a tangent vector (21,)."""
     angles = np.where(_ABDUCTIONS, components.abduction_rad, components.flexion_rad)
     return np.concatenate([np.full(3, components.position_mm), np.full(3, components.rotation_rad), angles])
+
+
+def pose_layout(*shape: int) -> Layout:
+    """Return what an array (..., 22) of poses must be."""
+    return Layout("float64", (*shape, POSE_SIZE), unit=(3, 7))

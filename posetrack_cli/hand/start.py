@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,6 +24,7 @@ from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.results.estimate_json import estimate_from_json
+from posetrack_cli.toml_text import parse_toml
 
 ESTIMATE_TOPICS = ("/hand/estimate", "/truth/hand/estimate")
 USUAL_DEPTH_MM = 650.0
@@ -96,7 +96,7 @@ def read_pose(path: Path) -> FloatArray:
     Raises:
         UsageError: no such file, or no pose in it.
     """
-    if not path.is_file():
+    if not path.exists():
         raise UsageError("no such file to start from", where=path, expected="a pose file, or --init center")
     if path.suffix == ".mcap" or is_mcap(path):  # also NAME.mcap.part
         return _first_pose(path)
@@ -111,9 +111,10 @@ def read_pose(path: Path) -> FloatArray:
 def _parse(path: Path) -> dict[str, Any]:
     try:
         text = read_text(path, limits.TEXT_BYTES)
-        parsed = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        parsed = json.loads(text) if path.suffix == ".json" else parse_toml(text)
     except (OSError, ValueError, RecursionError) as error:
-        raise UsageError("start pose cannot be read", where=path, found=error) from error
+        found = getattr(error, "strerror", None) or error
+        raise UsageError("start pose cannot be read", where=path, found=found) from error
     if not isinstance(parsed, dict):
         raise UsageError(
             "start pose cannot be used",

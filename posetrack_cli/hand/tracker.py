@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -22,17 +22,18 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import weigh
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
-from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.guiding import LocalFits
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.space import HandSpace, inside_limits, pose_rates, tangent_vector
+from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, pose_rates, tangent_vector
 from posetrack_cli.hand.watch import Watch
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.layouts import STAMPS_NS, Layout, check_arrays, check_numbers, floats
 
 FilterState: TypeAlias = ParticleState | MarginalState
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
@@ -147,7 +148,9 @@ class HandTracker:
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
         """Advance by one frame; the state given is left as it is.
 
-        The confidence is 1 - D / c_max of the estimate's own cost D. **[ours]** No gap counts for longer than
+        The confidence is 1 - D / c_max of the estimate's own cost D, and 0 where the frame shows no
+        outline of a hand there, which is lost at once; after frames of low confidence a hand is lost if it
+        was never seen, or after several. **[ours]** No gap counts for longer than
         ``gap_max_s``, whether frames are missing or have nothing to compare with: the velocity's random walk
         would else spread the hand over metres. Particles then stay where they are until something is seen.
 
@@ -167,8 +170,11 @@ class HandTracker:
             None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
         )
         cost = None if scores is None else float(scores[0])
-        confidence = 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
-        watch = self._watched(look, cost, confidence)
+        shown = cost is not None and self._observer.shows_hand(
+            frame.depth, posterior.pose, is_known=look.state.watch.is_believed
+        )
+        confidence = self._confidence(cost) if shown else 0.0
+        watch = self._watched(look, cost if shown else None, confidence)
         unseen_ns = look.state.unseen_ns + elapsed_ns if look.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
         following = HandState(
@@ -177,7 +183,7 @@ class HandTracker:
         modes = None if look.fits is None else look.fits.modes
         following = replace(following, modes=modes, observation=look.observation)
         again = look.restarted and state.watch.found
-        status = Status.LOST if watch.lost or cost is None else Status.TRACKING
+        status = Status.TRACKING if shown and watch.is_believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
         return following, replace(estimate, evaluations=_evaluations(look, drawn))
@@ -252,6 +258,9 @@ class HandTracker:
         fits = finder.guiding.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
         return Look(state, dt, observation, fits, restarted=True)
 
+    def _confidence(self, cost: float | None) -> float:
+        return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
+
     def _watched(self, look: Look, cost: float | None, confidence: float) -> Watch:
         """What is remembered of the track's quality after a frame."""
         watch, settings = look.state.watch, self.config.status
@@ -272,8 +281,14 @@ class HandTracker:
         return state_arrays(state), numbers
 
     def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> HandState:
-        """Put a state together from what ``state_parts`` made of it."""
-        return state_from_arrays(arrays, **numbers)
+        """Put a state together from what ``state_parts`` made of it.
+
+        Raises:
+            LayoutError: they are of no state of this tracker.
+        """
+        check_arrays(arrays, state_layouts(self.config))
+        check_numbers(numbers, {"stamp_ns": STAMPS_NS, "unseen_ns": (0, STAMPS_NS[1])})
+        return state_from_arrays(arrays, numbers["stamp_ns"], numbers["unseen_ns"])
 
     def _log_likelihood(self, observation: Observation | None) -> _Counted | None:
         """None where there is nothing to compare with: the filter then only predicts."""
@@ -376,6 +391,22 @@ def state_arrays(state: HandState) -> dict[str, FloatArray]:
         arrays["particles_velocities"] = state.particles.velocities
         arrays["particles_velocity_variance"] = state.particles.velocity_variance
     return arrays
+
+
+def state_layouts(config: HandConfig) -> dict[str, Layout]:
+    """What the arrays of a state must be."""
+    count = config.filter.particles
+    layouts = {
+        "pose": pose_layout(),
+        "velocity": floats(TANGENT_SIZE),
+        "particles_poses": pose_layout(count),
+        "particles_log_weights": floats(count, least=-np.inf),
+        "watch": floats(len(fields(Watch)), least=0.0),
+    }
+    if config.filter.kind == "rbpf":
+        layouts["particles_velocities"] = floats(count, TANGENT_SIZE)
+        layouts["particles_velocity_variance"] = floats(TANGENT_SIZE, least=0.0)
+    return layouts
 
 
 def state_from_arrays(arrays: Mapping[str, FloatArray], stamp_ns: int, unseen_ns: int) -> HandState:

@@ -32,6 +32,11 @@ class Watch:
     pause: int = 1
 
     @property
+    def is_believed(self) -> bool:
+        """Whether the hand is where it was seen: a start is but assumed until a frame bears it out."""
+        return self.usual_mm > 0.0 and not self.lost
+
+    @property
     def enough_mm(self) -> float:
         """The cost up to which a fit needs no further trial; infinite while nothing is usual yet."""
         return _ENOUGH_FACTOR * self.usual_mm + _ENOUGH_MM if self.usual_mm > 0.0 else float("inf")

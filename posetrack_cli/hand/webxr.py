@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import BONE_COUNT, FINGERS, MIRROR, HandAnatomy, make_anatomy
-from posetrack_cli.rendering.gltf import read_glb
+from posetrack_cli.rendering.gltf import damage_named, read_glb
 from posetrack_cli.rendering.gltf_skin import GltfSkin, read_skin
-from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.mesh import SkinnedMesh, edges_of
 from posetrack_cli.rendering.repair import closed, welded
 
 _PHALANGES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
@@ -35,6 +36,8 @@ PER_METRE = 1000.0
 _LENGTHS_MM = (90.0, 360.0)  # from the wrist to the middle finger's tip: half and twice an adult's
 _WELD_MM = 0.01
 _WRIST_END_MM = 8.0  # as far behind the wrist joint as the average hand's mesh ends; further is forearm
+_LEAST_PALM_MM2 = 100.0  # twice the area between wrist, index and little finger: a hundredth of a hand's
+_MOST_OPEN = 1.0 / 3.0  # share of the edges; a skin is open at the wrist, and perhaps around nails
 _FLAT = 0.03  # thumb and fingers this little out of the palm's plane do not tell its side
 
 
@@ -57,7 +60,9 @@ def load_hand(path: Path) -> FileHand:
     Raises:
         UsageError: no skinned mesh, a joint that is missing, or no hand by its measures.
     """
-    return straightened(read_skin(read_glb(path)), path)
+    gltf = read_glb(path)
+    with damage_named(path):
+        return straightened(read_skin(gltf), path)
 
 
 def straightened(skin: GltfSkin, path: Path) -> FileHand:
@@ -74,9 +79,9 @@ def straightened(skin: GltfSkin, path: Path) -> FileHand:
     mesh = welded(SkinnedMesh(vertices, _bone_weights(skin, places), triangles), _WELD_MM)
     anatomy, transforms = _zero_angles(joints, average, scale)
     mesh = SkinnedMesh(mesh.posed(transforms[None])[0], mesh.weights, mesh.triangles)
-    mesh = _without_forearm(mesh, anatomy.scale)
+    mesh = _without_forearm(mesh, anatomy.scale, path)
     anatomy = replace(anatomy, segments=_segments_to_the_skin(anatomy, mesh))
-    return FileHand(replace(anatomy, radii=_radii(anatomy, mesh)), mesh)
+    return FileHand(replace(anatomy, radii=_radii(anatomy, mesh, path)), mesh)
 
 
 def _joint_places(skin: GltfSkin, path: Path) -> list[int]:
@@ -86,6 +91,9 @@ def _joint_places(skin: GltfSkin, path: Path) -> list[int]:
         UsageError: one of the 25 is missing.
     """
     names = [name.lower().replace("_", "-") for name in skin.joint_names]
+    twice = [name for name in WEBXR_JOINTS if names.count(name) > 1]
+    if twice:
+        raise UsageError(f"skin has the joint '{twice[0]}' twice", where=path)
     missing = [name for name in WEBXR_JOINTS if name not in names]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -114,6 +122,9 @@ def _check_size(joints: FloatArray, path: Path) -> None:
     if parts.min() < 1.0:
         finger = FINGERS[int(parts.min(axis=1).argmin())]
         raise UsageError(f"{finger} has joints that lie together", where=path)
+    index, little = joints[5] - joints[0], joints[17] - joints[0]
+    if np.linalg.norm(np.cross(index, little)) < _LEAST_PALM_MM2:
+        raise UsageError("wrist and knuckles of the index and little finger lie on one line", where=path)
 
 
 def _side(joints: FloatArray, path: Path) -> str:
@@ -228,11 +239,28 @@ def _between(one: FloatArray, other: FloatArray) -> FloatArray:
     return turn
 
 
-def _without_forearm(mesh: SkinnedMesh, scale: float) -> SkinnedMesh:
-    """Flatten what lies behind the wrist onto a plane, and close the hole that a sleeve leaves."""
+def _without_forearm(mesh: SkinnedMesh, scale: float, path: Path) -> SkinnedMesh:
+    """Flatten what lies behind the wrist onto a plane, and close the hole that a sleeve leaves.
+
+    Raises:
+        UsageError: the mesh is no surface with a few holes.
+    """
     vertices = mesh.vertices.copy()
     vertices[:, 1] = np.minimum(vertices[:, 1], _WRIST_END_MM * scale)
-    return closed(welded(replace(mesh, vertices=vertices), _WELD_MM))
+    flat = welded(replace(mesh, vertices=vertices), _WELD_MM)
+    edges, of_triangle = edges_of(flat.triangles)
+    single = np.count_nonzero(np.bincount(of_triangle.ravel(), minlength=len(edges)) == 1)
+    if single > _MOST_OPEN * len(edges):
+        found = f"{single} of {len(edges)} edges with one triangle only"
+        raise UsageError("skin is no surface", where=path, found=found)
+    whole = closed(flat)
+    most = int(np.bincount(whole.triangles.ravel(), minlength=1).max())
+    if most > limits.MESH_VALENCE:
+        found = f"{most} triangles at one point"
+        raise UsageError(
+            "skin is no surface", where=path, found=found, expected=f"at most {limits.MESH_VALENCE}"
+        )
+    return whole
 
 
 def _segments_to_the_skin(anatomy: HandAnatomy, mesh: SkinnedMesh) -> FloatArray:
@@ -245,11 +273,13 @@ def _segments_to_the_skin(anatomy: HandAnatomy, mesh: SkinnedMesh) -> FloatArray
     return segments
 
 
-def _radii(anatomy: HandAnatomy, mesh: SkinnedMesh) -> FloatArray:
+def _radii(anatomy: HandAnatomy, mesh: SkinnedMesh, path: Path) -> FloatArray:
     """(5, 4) distances of the skin from the fingers' axes where ``HandAnatomy.radii`` are meant."""
     out = np.empty((5, 4))
     for finger in range(5):
         mine = mesh.weights[:, 1 + 3 * finger : 4 + 3 * finger].sum(axis=1) > 0.6
+        if not mine.any():
+            raise UsageError(f"{FINGERS[finger]} without skin", where=path)
         local = (mesh.vertices[mine] - anatomy.base_positions[finger]) @ anatomy.base_rotations[finger]
         along, radius = -local[:, 1], np.hypot(local[:, 0], local[:, 2])
         first, second, third = anatomy.segments[finger]

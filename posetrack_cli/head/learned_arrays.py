@@ -1,4 +1,4 @@
-"""Whether arrays that a file gives as learned are all there, and of the shapes that a tracker's have."""
+"""What arrays must be that hold what was learned of a face, and whether those of a file are."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ import numpy as np
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.templates import WINDOW
-
-ANY = -1
-"""As long as it likes, but not empty."""
-Expected = tuple[str, tuple[int, ...]]
-"""Kinds of dtype, and shape."""
+from posetrack_cli.results.layouts import Layout, LayoutError, check_arrays, counts, floats, places, units
 
 
 def check_learned(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> None:
@@ -25,50 +21,43 @@ def check_learned(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> N
         cameras: C, how many the templates are to be of.
 
     Raises:
-        ResultError: one is missing, has another shape or kind, or is not finite where it must be.
+        ResultError: one is missing, or not as ``face_layouts`` and ``template_layouts`` state it.
     """
-    for name, (kinds, shape) in _expected(cameras).items():
-        array = arrays.get(name)
-        if array is None:
-            raise _unusable(f"no array '{name}'")
-        if array.dtype.kind not in kinds or not fits(array.shape, shape):
-            raise _unusable(f"'{name}' as {array.dtype} {array.shape}")
-        if name.startswith("face.") and not np.all(np.isfinite(array)):
-            raise _unusable(f"'{name}' with values that are not finite")
-    if len({len(arrays[name]) for name in arrays if name.startswith("sets.")}) > 1:
-        raise _unusable("template arrays of different lengths")
+    try:
+        check_arrays(arrays, face_layouts() | template_layouts("sets", cameras))
+    except LayoutError as error:
+        raise unusable(error, "what --save-model wrote of a stereo run") from error
 
 
-def _expected(cameras: int) -> dict[str, Expected]:
-    """By name; see ``Ccipca``."""
+def face_layouts() -> dict[str, Layout]:
+    """Return what the arrays of a face that a stereo tracker learns must be; see ``Ccipca``."""
     return {
-        "face.mean": ("f", (POINT_COUNT, 3)),
-        "face.components": ("f", (ANY, 3 * POINT_COUNT)),
-        "face.variance": ("f", ()),
-        "face.counts": ("iu", (3,)),
-    } | template_arrays(cameras)
-
-
-def template_arrays(cameras: int) -> dict[str, Expected]:
-    """Return what templates of so many cameras are, as arrays by name; see ``TemplateSet``."""
-    seen = (ANY, cameras, POINT_COUNT)
-    return {
-        "sets.windows": ("u", (*seen, WINDOW, WINDOW)),
-        "sets.centres": ("f", (*seen, 2)),
-        "sets.tangents": ("f", (*seen, 2, 2)),
-        "sets.seen": ("b", seen),
-        "sets.facing": ("f", (ANY, 3)),
+        "face.mean": floats(POINT_COUNT, 3),
+        "face.components": floats("components", 3 * POINT_COUNT),
+        "face.variance": floats(least=0.0),
+        "face.counts": counts(3),
     }
 
 
-def fits(shape: tuple[int, ...], expected: tuple[int, ...]) -> bool:
-    """Whether an array's shape is the one expected, and nothing is missing along an axis of any length."""
-    if len(shape) != len(expected) or 0 in shape:
-        return False
-    return all(most == ANY or length == most for length, most in zip(shape, expected, strict=True))
+def template_layouts(prefix: str, cameras: int, sets: int | None = None) -> dict[str, Layout]:
+    """Return what arrays of templates must be, under names that begin with a prefix; see ``TemplateSet``.
+
+    Args:
+        prefix: of the names.
+        cameras: C.
+        sets: how many there are; None for any number from 1 on.
+    """
+    seen = (prefix if sets is None else sets, cameras, POINT_COUNT)
+    layouts = {
+        "windows": Layout("uint8", (*seen, WINDOW, WINDOW)),
+        "centres": places(*seen, 2),
+        "tangents": places(*seen, 2, 2),
+        "seen": Layout("bool", seen),
+        "facing": units(seen[0], 3),
+    }
+    return {f"{prefix}.{name}": layout for name, layout in layouts.items()}
 
 
-def _unusable(found: str) -> ResultError:
-    return ResultError(
-        "model is incomplete or damaged", found=found, expected="what --save-model wrote of a stereo run"
-    )
+def unusable(found: object, expected: str) -> ResultError:
+    """Return the error that says what of learned arrays is not as it must be."""
+    return ResultError("model is incomplete or damaged", found=found, expected=expected)

@@ -14,10 +14,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.files import read_input, write_output
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face import POINT_NAMES
-from posetrack_cli.head.npz import loaded_npz
+from posetrack_cli.npz import read_npz
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.output import whole_or_nothing
 
@@ -52,7 +54,7 @@ def save_model(path: Path, data: bytes) -> None:
         ResultError: it cannot be written.
     """
     with whole_or_nothing(path) as part:
-        part.write_bytes(data)
+        write_output(part, data)
 
 
 def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
@@ -87,26 +89,33 @@ def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
 
 def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
     try:
-        with loaded_npz(_bytes(path)) as contents:
-            header = json.loads(str(contents[_HEADER]))
-            _check(header)
-            names = [name for name in contents.files if name.startswith(_PREFIX)]
-            return header, {name.removeprefix(_PREFIX): contents[name] for name in names}
+        contents = read_npz(_bytes(path))
+        header = json.loads(str(contents[_HEADER]))
+        _check(header)
     except PosetrackError:
         raise
-    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
+    except OSError as error:
+        raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        found = f"no {error}" if isinstance(error, KeyError) else error
         expected = "what --save-model wrote, or a result of posetrack head"
-        raise ResultError("is no model of a head", where=path, found=error, expected=expected) from error
+        raise ResultError("is no model of a head", where=path, found=found, expected=expected) from error
+    learned = {name: values for name, values in contents.items() if name.startswith(_PREFIX)}
+    return header, {name.removeprefix(_PREFIX): values for name, values in learned.items()}
 
 
-def _check(header: Mapping[str, Any]) -> None:
+def _check(header: Any) -> None:
+    if not isinstance(header, dict):
+        raise ValueError(f"a header that is a {type(header).__name__}")
     if (header["format"], header["version"]) != (FORMAT, VERSION):
         raise ValueError(f"{header['format']} version {header['version']}")
     if tuple(header["points"]) != POINT_NAMES:
         raise ValueError("other feature points")
+    if not isinstance(header["tracker"], str) or not isinstance(header["cameras"], list):
+        raise ValueError("a header without tracker and cameras")
 
 
 def _bytes(path: Path) -> bytes:
     from posetrack_cli.results.reader import read_result
 
-    return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else path.read_bytes()
+    return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else read_input(path, limits.MODEL_BYTES)

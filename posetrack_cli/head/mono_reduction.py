@@ -19,13 +19,15 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.mono_start.detected import eye_distance_px
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.mono_tracker import MonoTracker
-from posetrack_cli.head.person_arrays import unusable
+from posetrack_cli.head.person_arrays import unusable_people
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.results.layouts import check_arrays, floats
 
 LEAST_REDUCTION = 0.8
 """Images that would become hardly smaller stay as they are."""
 _WHOLE, _FOCAL = 1.0, "focal_px"
+_LEAST_SCALE = 1e-6
 
 MakeTracker = Callable[[Camera, float, Mapping[str, np.ndarray[Any, Any]] | None], MonoTracker]
 """Makes the tracker for a camera whose images were reduced by a factor, with what another has learned."""
@@ -127,8 +129,13 @@ class ReducingTracker:
     def state_from_parts(
         self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
     ) -> ReducedState:
-        """Put a state together from what ``state_parts`` made of it."""
-        stored = float(arrays["scale"]) if "scale" in arrays else np.nan
+        """Put a state together from what ``state_parts`` made of it.
+
+        Raises:
+            LayoutError: they are of no state of this tracker.
+        """
+        check_arrays(arrays, {"scale": floats(least=_LEAST_SCALE, most=_WHOLE, missing=True)})
+        stored = float(arrays["scale"])
         scale = None if np.isnan(stored) else stored
         return ReducedState(scale, self._at(scale or _WHOLE).state_from_parts(arrays, numbers))
 
@@ -183,5 +190,5 @@ def _known_scale(known: Mapping[str, np.ndarray[Any, Any]] | None, camera: Camer
         return None
     focal = known[_FOCAL]
     if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
-        raise unusable(f"'{_FOCAL}' as {focal.dtype} {focal.shape}, or not above 0")
+        raise unusable_people(f"'{_FOCAL}' as {focal.dtype} {focal.shape}, or not above 0")
     return min(_WHOLE, float(focal) / camera.fx)

@@ -9,25 +9,48 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.cuts import HEIGHT, WIDTH
+from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.following import Following
+from posetrack_cli.head.learned_arrays import template_layouts
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.mono_start.detected import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson
-from posetrack_cli.head.person_arrays import check_people, people_of, people_parts
+from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_layouts, people_of, people_parts
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.state_arrays import (
     Arrays,
     Numbers,
+    following_layouts,
     following_of,
     following_parts,
+    is_following,
+    search_layouts,
     search_of,
     search_parts,
     template_parts,
     templates_of,
 )
 from posetrack_cli.head.templates import TemplateSet
+from posetrack_cli.results.layouts import (
+    COUNTS,
+    FLAGS,
+    STAMPS_NS,
+    Layout,
+    Range,
+    check_arrays,
+    check_numbers,
+    counts,
+    floats,
+    group,
+    places,
+    stamps,
+    units,
+)
+
+_LEAST_EYES_PX = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +152,7 @@ def parts_of(state: MonoState) -> tuple[Arrays, Numbers]:
     arrays |= _detected_parts("clicked", () if state.clicked is None else (state.clicked,))
     numbers: Numbers = {"lost": state.lost, "strange": state.strange, "current": state.current}
     numbers |= {"checked_ns": state.checked_ns, "cut": int(state.cut)}
-    if state.scene is not None:
-        arrays["scene"] = state.scene
+    arrays["scene"] = np.zeros(0) if state.scene is None else state.scene
     if state.reference is not None:
         arrays |= template_parts("reference", [state.reference])
     if state.following is not None:
@@ -145,14 +167,19 @@ def state_of(
     model: FaceModel,
     settings: AdjustmentSettings,
 ) -> MonoState:
-    """Put a state together from what ``parts_of`` made of it; of nothing, the state before a first frame."""
-    if "search.best" not in arrays:
-        return MonoState()
+    """Put a state together from what ``parts_of`` made of it.
+
+    Raises:
+        LayoutError: they are of no state of a tracker with this face model.
+    """
+    check_arrays(arrays, _layouts(arrays, model))
+    followed = is_following(arrays)
+    check_numbers(numbers, _ranges(int(arrays[PEOPLE]) if PEOPLE in arrays else 0, followed))
     clicked = _detected_of(arrays, "clicked")
     return MonoState(
         people_of(arrays, model, settings),
         numbers["current"],
-        following_of(arrays, numbers["stamp_ns"]) if "stamp_ns" in numbers else None,
+        following_of(arrays, numbers["stamp_ns"]) if followed else None,
         numbers["lost"],
         numbers["strange"],
         _detected_of(arrays, "detected"),
@@ -160,10 +187,45 @@ def state_of(
         clicked[0] if clicked else None,
         search_of(arrays),
         numbers["checked_ns"],
-        arrays.get("scene"),
+        arrays["scene"] if arrays["scene"].size else None,
         bool(numbers["cut"]),
         tuple((int(frame), int(who)) for frame, who in arrays["changes"]),
     )
+
+
+def _layouts(arrays: Mapping[str, np.ndarray[Any, Any]], model: FaceModel) -> dict[str, Layout]:
+    """What the arrays of a state must be; frames with a face have their templates."""
+    detected = group("detected", _detected_layouts("detected"), arrays)
+    referred = detected or any(name.startswith("reference.") for name in arrays)
+    return {
+        "changes": counts("changes?", 2),
+        **search_layouts(1),
+        **people_layouts(arrays, model),
+        **detected,
+        **(template_layouts("reference", 1, 1) if referred else {}),
+        **group("clicked", _detected_layouts(1), arrays),
+        "scene": floats(WIDTH * HEIGHT if "scene" in arrays and arrays["scene"].size else 0),
+        **following_layouts(arrays, 1),
+    }
+
+
+def _detected_layouts(length: int | str) -> dict[str, Layout]:
+    """What the arrays of faces that were detected must be; no distance between eyes is 0."""
+    return {
+        "stamps": stamps(length),
+        "pixels": places(length, POINT_COUNT, 2),
+        "responses": floats(length, POINT_COUNT),
+        "single": floats(length, 3, least=(0.0, _LEAST_EYES_PX, 0.0)),
+        "positions": floats(length, 3),
+        "quaternions": units(length, 4),
+    }
+
+
+def _ranges(people: int, followed: bool) -> dict[str, Range]:
+    """Of a state's whole numbers, given how many people it knows and whether one is followed."""
+    ranges = {"lost": COUNTS, "strange": COUNTS, "current": (0, max(people - 1, 0))}
+    ranges |= {"checked_ns": STAMPS_NS, "cut": FLAGS}
+    return ranges | ({"stamp_ns": STAMPS_NS} if followed else {})
 
 
 def known_state(

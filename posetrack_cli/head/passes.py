@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.head.model_file import Learned
 from posetrack_cli.results.checkpoint import Checkpoint
+from posetrack_cli.results.layouts import COUNTS, check_numbers
 from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
 from posetrack_cli.tracking.protocol import Tracker
 
@@ -40,7 +41,14 @@ def learned_before(checkpoint: Checkpoint) -> Learned:
 
 
 def reached_in_pass(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> Reached:
-    """Return where a checkpoint of either pass was saved, given the tracker of that pass."""
+    """Return where a checkpoint of either pass was saved, given the tracker of that pass.
+
+    Raises:
+        LayoutError: as of ``reached_at``.
+    """
     arrays = {name: v for name, v in checkpoint.arrays.items() if not name.startswith(_LEARNED)}
-    reached = reached_at(tracker, replace(checkpoint, arrays=arrays), rng)
-    return reached._replace(frame_index=checkpoint.state.get(_FIRST_PASS_FRAME, reached.frame_index))
+    index = checkpoint.frame_index
+    if _FIRST_PASS_FRAME in checkpoint.state:
+        check_numbers(checkpoint.state, {_FIRST_PASS_FRAME: COUNTS})
+        index = checkpoint.state[_FIRST_PASS_FRAME]
+    return reached_at(tracker, replace(checkpoint, arrays=arrays, frame_index=index), rng)

@@ -7,23 +7,33 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.album import Album
 from posetrack_cli.head.adjustment.history import IdentityHistory
 from posetrack_cli.head.adjustment.views import Person, PointView
 from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.learned_arrays import ANY, Expected, fits, template_arrays
+from posetrack_cli.head.learned_arrays import template_layouts, unusable
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson, shape_of
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.state_arrays import Arrays, template_parts, templates_of
+from posetrack_cli.results.layouts import (
+    Layout,
+    LayoutError,
+    check_arrays,
+    counts,
+    floats,
+    group,
+    places,
+    stamps,
+    units,
+)
 
 PEOPLE = "people"
 """Name of the array that says how many there are."""
 _VIEW = ("stamps", "pixels", "weights", "positions", "quaternions", "deformations")
-_MAY_BE_NAN = ("single", ".pixels", ".centres", ".tangents")
-"""Ends of names: of points that no camera sees, and of what was not measured yet."""
 
 
 def people_parts(people: Sequence[KnownPerson]) -> Arrays:
@@ -48,65 +58,66 @@ def check_people(arrays: Mapping[str, np.ndarray[Any, Any]], model: FaceModel) -
     """Refuse arrays that no one-camera tracker with this face model has learned.
 
     Raises:
-        ResultError: one is missing, has another shape or kind, or is not finite where it must be.
+        ResultError: one is missing, or not as ``people_layouts`` states it.
     """
-    if PEOPLE not in arrays:
-        raise unusable(f"no array '{PEOPLE}'")
-    count = arrays[PEOPLE]
-    if count.dtype.kind not in "iu" or count.shape != ():
-        raise unusable(f"'{PEOPLE}' as {count.dtype} {count.shape}")
-    for index in range(int(count)):
-        _check_person(_of(arrays, index), index, model)
+    try:
+        if PEOPLE not in arrays:
+            raise LayoutError(f"no array '{PEOPLE}'")
+        check_arrays(arrays, people_layouts(arrays, model))
+    except LayoutError as error:
+        raise unusable_people(error) from error
 
 
-def unusable(found: str) -> ResultError:
+def unusable_people(found: object) -> ResultError:
     """Return the error that says what of learned arrays is not as it must be."""
-    expected = "what --save-model wrote of a run with this face model"
-    return ResultError("model is incomplete or damaged", found=found, expected=expected)
+    return unusable(found, "what --save-model wrote of a run with this face model")
 
 
-def _check_person(own: Arrays, index: int, model: FaceModel) -> None:
-    if not any(name.startswith("sets.") for name in own):
-        raise unusable(f"no templates of person {index}")
-    for name, (kinds, shape) in _expected(own, model).items():
-        what = f"'person{index}.{name}'"
-        if name not in own:
-            raise unusable(f"no array {what}")
-        if not fits(own[name].shape, shape):
-            raise unusable(f"{what} of shape {own[name].shape}, not {shape}")
-        if own[name].dtype.kind not in kinds:
-            raise unusable(f"{what} as {own[name].dtype}")
-        if not name.endswith(_MAY_BE_NAN) and not np.all(np.isfinite(own[name])):
-            raise unusable(f"{what} with values that are not finite")
-    for group in ("sets.", "views.", "album."):
-        if len({len(array) for name, array in own.items() if name.startswith(group)}) > 1:
-            raise unusable(f"arrays 'person{index}.{group}*' of different lengths")
+def people_layouts(arrays: Mapping[str, np.ndarray[Any, Any]], model: FaceModel) -> dict[str, Layout]:
+    """Return what the arrays of the people in a file must be, frames only where there are any.
+
+    Raises:
+        LayoutError: it says wrongly how many people there are.
+    """
+    if not any(name == PEOPLE or name.startswith("person") for name in arrays):
+        return {}
+    check_arrays(arrays, {PEOPLE: counts(most=limits.PEOPLE)})
+    layouts: dict[str, Layout] = {}
+    for index in range(int(arrays[PEOPLE])):
+        one = f"person{index}."
+        of_one = _layouts(_of(arrays, index), model)
+        layouts |= {f"{one}{name}": layout.named(one) for name, layout in of_one.items()}
+    return layouts
 
 
-def _expected(own: Arrays, model: FaceModel) -> dict[str, Expected]:
-    """What one person's arrays must be; frames only where there are any."""
-    identity = model.identity_size
-    expected: dict[str, Expected] = {
-        "identity": ("f", (identity,)),
-        "offsets": ("f", (POINT_COUNT, 3)),
-        "history": ("f", (ANY, identity)),
-        "counts": ("iu", ()),
-        "single": ("f", (2,)),
+def _layouts(own: Arrays, model: FaceModel) -> dict[str, Layout]:
+    """What one person's arrays must be."""
+    album = group("album", _view_layouts("album", model), (name for name, array in own.items() if array.size))
+    scores = {"album.scores": floats("album" if album else 0)} if album or "album.scores" in own else {}
+    return {
+        "identity": floats(model.identity_size),
+        "offsets": floats(POINT_COUNT, 3),
+        "history": floats("history", model.identity_size),
+        "counts": counts(),
+        "single": floats(2, missing=True),
+        **group("views", _view_layouts("views", model), own),
+        **album,
+        **scores,
+        **template_layouts("sets", 1),
     }
-    for group in ("views", "album"):
-        if any(name.startswith(f"{group}.") and array.size for name, array in own.items()):
-            expected |= {f"{group}.{name}": what for name, what in _expected_view(model).items()}
-    scores: dict[str, Expected] = {"album.scores": ("f", (ANY,))} if "album.stamps" in expected else {}
-    return expected | scores | template_arrays(1)
 
 
-def _expected_view(model: FaceModel) -> dict[str, Expected]:
+def _view_layouts(length: str, model: FaceModel) -> dict[str, Layout]:
     """What the arrays of ``_VIEW`` must be."""
-    shapes = ((POINT_COUNT, 2), (POINT_COUNT,), (3,), (4,), (model.deformation_size,))
-    floats: dict[str, Expected] = {
-        name: ("f", (ANY, *shape)) for name, shape in zip(_VIEW[1:], shapes, strict=True)
-    }
-    return {_VIEW[0]: ("iu", (ANY,))} | floats
+    layouts = (
+        stamps(length),
+        places(length, POINT_COUNT, 2),
+        floats(length, POINT_COUNT, least=0.0),
+        floats(length, 3),
+        units(length, 4),
+        floats(length, model.deformation_size),
+    )
+    return dict(zip(_VIEW, layouts, strict=True))
 
 
 def _of(arrays: Mapping[str, np.ndarray[Any, Any]], index: int) -> Arrays:

@@ -102,13 +102,15 @@ class HeadRun(Run):
         """Track every frame; see ``Run.track``.
 
         Raises:
-            NoFaceError: no face was found in any frame; nothing is left that would have to be overwritten.
+            NoFaceError: no face was found in any frame; nothing is left that would have to be overwritten,
+                but for what was interrupted before.
         """
         try:
             return super().track(report, stopped)
         except NoFaceError:
-            for path in (part_path(self._options.output), state_path(self._options.output)):
-                path.unlink(missing_ok=True)
+            if not self._options.resume:  # what is resumed is never deleted, whatever is found in it
+                for path in (part_path(self._options.output), state_path(self._options.output)):
+                    path.unlink(missing_ok=True)
             raise
 
     def _knowing(self, path: Path) -> HeadTracker[Any]:
@@ -131,23 +133,26 @@ class HeadRun(Run):
     def _started(self, frame: Frame, rng: np.random.Generator) -> Any:
         return self.tracker.start(frame, rng)
 
-    def _begun(self, writer: ResultWriter, checkpoint: Checkpoint, stopped: Stopped) -> Reached | None:
+    def _reached(self, checkpoint: Checkpoint) -> Reached:
         learned = learned_before(checkpoint)
-        if self._options.passes == 2 and not learned:
-            first = self._first_pass(writer, checkpoint, stopped)
-            if first is None:
-                return None
-            self._learn(first)
-            begun = Reached(None, self._rng())
-            writer.save_checkpoint(self._saved(begun, 0))
-            return begun
         if learned:
             self._learn(learned)
         return reached_in_pass(self.tracker, checkpoint, self._rng())
 
-    def _first_pass(self, writer: ResultWriter, checkpoint: Checkpoint, stopped: Stopped) -> Learned | None:
+    def _begun(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Reached | None:
+        if self._options.passes == 1 or self._learned:
+            return reached
+        first = self._first_pass(writer, reached, stopped)
+        if first is None:
+            return None
+        self._learn(first)
+        begun = Reached(None, self._rng())
+        writer.save_checkpoint(self._saved(begun, 0))
+        return begun
+
+    def _first_pass(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Learned | None:
         """Track without writing; return what was learned, None if stopped."""
-        state, rng, last = reached_in_pass(self.tracker, checkpoint, self._rng())
+        state, rng, last = reached
         with closing(self._frames()) as frames:
             for frame in frames:
                 if frame.index <= last:
@@ -204,8 +209,14 @@ def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
     replace = options.overwrite or options.resume
     check_output(options.output, overwrite=replace, source=recording.path)
     if options.save_model is not None:
-        if options.save_model.resolve() == options.output.resolve():
-            raise UsageError("result and model cannot be one file", where=options.output)
+        own = (options.output, part_path(options.output), state_path(options.output))
+        if options.save_model.resolve() in [path.resolve() for path in own]:
+            raise UsageError("result and model cannot be one file", where=options.save_model)
+        if not options.overwrite and state_path(options.save_model).exists():
+            where = part_path(options.save_model)
+            raise UsageError(
+                "is of an interrupted run", where=where, hint="choose another name for the model"
+            )
         check_target(options.save_model, overwrite=replace, source=recording.path)
 
 

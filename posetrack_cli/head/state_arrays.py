@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.following import Following
+from posetrack_cli.head.learned_arrays import template_layouts
 from posetrack_cli.head.particles import HeadParticles
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.shape_model import ShapeModel
 from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.templates import TemplateSet
+from posetrack_cli.results.layouts import Layout, counts, floats, units
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 Numbers = dict[str, int]
@@ -37,6 +40,17 @@ def search_of(arrays: Mapping[str, np.ndarray[Any, Any]]) -> Search:
     reasons = zip(arrays["search.reasons"].tolist(), arrays["search.times"].tolist(), strict=True)
     order = tuple(int(value) for value in arrays["search.order"])
     return Search(frames, float(arrays["search.best"]), Counter(dict(reasons)), order, exchanged)
+
+
+def search_layouts(cameras: int) -> dict[str, Layout]:
+    """Return what the arrays of a search with so many cameras must be."""
+    return {
+        "search.best": floats(least=0.0),
+        "search.counts": counts(2),
+        "search.order": counts("order?", most=cameras - 1),
+        "search.reasons": Layout("str", ("reasons?",)),
+        "search.times": counts("reasons?"),
+    }
 
 
 def template_parts(prefix: str, sets: Sequence[TemplateSet]) -> Arrays:
@@ -68,6 +82,34 @@ def following_parts(following: Following) -> Arrays:
         "particles.basis": model.basis,
         "particles.mu": model.deviations,
     } | ({} if following.previous is None else template_parts("previous", [following.previous]))
+
+
+def following_layouts(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> dict[str, Layout]:
+    """Return what the arrays of a head that is followed must be; none where there are none of it."""
+    if not is_following(arrays):
+        return {}
+    coefficients = arrays["particles.mu"].size if "particles.mu" in arrays else 0
+    previous = any(name.startswith("previous.") for name in arrays)
+    return {
+        "following.position": floats(3),
+        "following.quaternion": units(4),
+        "following.velocity": floats(POSE_SIZE),
+        "following.shape": floats(POINT_COUNT, 3),
+        "particles.position": floats(3),
+        "particles.quaternion": units(4),
+        "particles.coefficients": floats(coefficients),
+        "particles.deviations": floats("particles", POSE_SIZE + coefficients),
+        "particles.weights": Layout("float64", ("particles",), least=0.0, most=1.0, shares=True),
+        "particles.mean": floats(POINT_COUNT, 3),
+        "particles.basis": floats(POINT_COUNT, 3, coefficients),
+        "particles.mu": floats(coefficients, least=0.0),
+        **(template_layouts("previous", cameras, 1) if previous else {}),
+    }
+
+
+def is_following(arrays: Mapping[str, np.ndarray[Any, Any]]) -> bool:
+    """Whether there is an array of a head that is followed."""
+    return any(name.startswith(("following.", "particles.", "previous.")) for name in arrays)
 
 
 def following_of(arrays: Mapping[str, np.ndarray[Any, Any]], stamp_ns: int) -> Following:

@@ -11,20 +11,24 @@ import numpy as np
 from posetrack_cli.head.ccipca import Ccipca
 from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.following import Following
-from posetrack_cli.head.learned_arrays import check_learned
+from posetrack_cli.head.learned_arrays import check_learned, face_layouts, template_layouts
 from posetrack_cli.head.learning import FaceLearning, known_face
 from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.state_arrays import (
     Arrays,
     Numbers,
+    following_layouts,
     following_of,
     following_parts,
+    is_following,
+    search_layouts,
     search_of,
     search_parts,
     template_parts,
     templates_of,
 )
 from posetrack_cli.head.templates import TemplateSet
+from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, Layout, check_arrays, check_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +69,23 @@ def parts_of(state: StereoState) -> tuple[Arrays, Numbers]:
 
 
 def state_of(
-    arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int], settings: ModelSettings
+    arrays: Mapping[str, np.ndarray[Any, Any]],
+    numbers: Mapping[str, int],
+    cameras: int,
+    settings: ModelSettings,
 ) -> StereoState:
-    """Put a state together from what ``parts_of`` made of it."""
+    """Put a state together from what ``parts_of`` made of it.
+
+    Raises:
+        LayoutError: they are of no state of a tracker with so many cameras.
+    """
+    check_arrays(arrays, _layouts(arrays, cameras))
+    followed = is_following(arrays)
+    check_numbers(numbers, {"lost": COUNTS} | ({"stamp_ns": STAMPS_NS} if followed else {}))
     face = _face_of(arrays, settings) if "face.mean" in arrays else None
     sets = templates_of(arrays, "sets") if face is not None else ()
-    following = following_of(arrays, numbers["stamp_ns"]) if "stamp_ns" in numbers else None
-    search = search_of(arrays) if "search.best" in arrays else Search()
-    return StereoState(face, sets, following, numbers.get("lost", 0), search)
+    following = following_of(arrays, numbers["stamp_ns"]) if followed else None
+    return StereoState(face, sets, following, numbers["lost"], search_of(arrays))
 
 
 def known_state(
@@ -85,6 +98,14 @@ def known_state(
     """
     check_learned(learned, cameras)
     return StereoState(_face_of(learned, settings), templates_of(learned, "sets"))
+
+
+def _layouts(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> dict[str, Layout]:
+    """What the arrays of a state must be; a head is only followed once its face is known."""
+    following = following_layouts(arrays, cameras)
+    found = following or any(name.startswith(("face.", "sets.")) for name in arrays)
+    face = face_layouts() | template_layouts("sets", cameras) if found else {}
+    return search_layouts(cameras) | face | following
 
 
 def _face_of(arrays: Mapping[str, np.ndarray[Any, Any]], settings: ModelSettings) -> FaceLearning:

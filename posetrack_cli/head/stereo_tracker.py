@@ -102,7 +102,7 @@ class StereoTracker:
         self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
     ) -> StereoState:
         """Put a state together from what ``state_parts`` made of it."""
-        return state_of(arrays, numbers, self._config.model)
+        return state_of(arrays, numbers, len(self._cameras), self._config.model)
 
     def _followed(
         self, state: StereoState, following: Following, frame: Frame, rng: np.random.Generator

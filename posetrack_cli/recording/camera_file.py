@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -14,6 +13,7 @@ from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.depth import Window
+from posetrack_cli.toml_text import parse_toml
 
 CAMERA_FILE_NAME = "camera.toml"
 EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
@@ -109,10 +109,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         RecordingError: if it is missing or not TOML.
     """
     try:
-        return tomllib.loads(read_text(path, limits.TEXT_BYTES))
+        return parse_toml(read_text(path, limits.TEXT_BYTES))
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise RecordingError("is not TOML", where=path, found=error) from error
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import Float32Array, ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
@@ -14,19 +15,29 @@ MM_PER_M = 1000.0
 
 
 def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) -> Float32Array:
-    """Return depth, mm, of unsigned integer codes of ``unit_mm`` each; 0 and ``missing`` become 0."""
+    """Return depth, mm, of unsigned integer codes of ``unit_mm`` each; 0 and ``missing`` become 0.
+
+    So do depths that no camera reads (``limits``).
+    """
     depth = (codes * np.float64(unit_mm)).astype(np.float32) if unit_mm != 1.0 else codes.astype(np.float32)
     if missing:
         depth[codes == missing] = 0.0
-    return depth
+    usual = codes.dtype.itemsize <= 2 and limits.NEAREST_MM <= unit_mm <= limits.FARTHEST_MM / 65535
+    return depth if usual else _readings(depth)
 
 
 def depth_from_metres(metres: ImageArray) -> Float32Array:
-    """Return depth, mm, of floating-point metres; NaN, inf and values not above 0 become 0."""
-    valid = np.isfinite(metres) & (metres > 0)
-    with np.errstate(over="ignore"):
-        depth = (np.where(valid, metres, 0.0).astype(np.float64) * MM_PER_M).astype(np.float32)
-    depth[~np.isfinite(depth)] = 0.0  # finite metres near the end of float32 overflow in mm
+    """Return depth, mm, of floating-point metres; NaN, inf and what no camera reads (``limits``) become 0."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = (metres.astype(np.float64) * MM_PER_M).astype(np.float32)
+    return _readings(depth)
+
+
+def _readings(depth: Float32Array) -> Float32Array:
+    """Depth, mm, with 0 in the place of what is no reading: arithmetic on it would overflow."""
+    with np.errstate(invalid="ignore"):
+        readable = (depth >= limits.NEAREST_MM) & (depth <= limits.FARTHEST_MM)
+    depth[~readable] = 0.0
     return depth
 
 

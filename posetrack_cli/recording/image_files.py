@@ -150,6 +150,25 @@ def _check_bounds(data: bytes) -> None:
             raise UnreadableImageError(f"image has more than {limits.IMAGE_PIXELS} pixels")
     if data.startswith(JPEG_BEGIN) and data.count(JPEG_SCAN) > limits.JPEG_SCANS:
         raise UnreadableImageError(f"image has more than {limits.JPEG_SCANS} scans")
+    if data.startswith(TIFF_BEGIN) and _tile_pixels(data) > limits.TILE_PIXELS:
+        raise UnreadableImageError(f"image has tiles of more than {limits.TILE_PIXELS} pixels")
+
+
+def _tile_pixels(data: bytes) -> int:
+    """Return the pixels of a TIFF's tiles, 0 where it has none (TIFF 6.0, sections 2 and 15)."""
+    order = "<" if data.startswith(b"II") else ">"
+    entry, sides = struct.Struct(f"{order}HHI"), {}
+    try:
+        (start,) = struct.unpack_from(f"{order}I", data, 4)
+        (count,) = struct.unpack_from(f"{order}H", data, start)
+        for at in range(start + 2, start + 2 + TIFF_ENTRY_BYTES * count, TIFF_ENTRY_BYTES):
+            tag, kind, _ = entry.unpack_from(data, at)
+            value = "H" if kind == TIFF_SHORT else "I"
+            (sides[tag],) = struct.unpack_from(order + value, data, at + entry.size)
+    except struct.error:
+        pass  # the directory is cut: the decoder will say so
+    width, length = (sides.get(tag, 0) for tag in TIFF_TILE_TAGS)
+    return int(width * length)
 
 
 def _is_cut(data: bytes) -> bool:

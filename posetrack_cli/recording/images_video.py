@@ -14,7 +14,7 @@ import cv2
 from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import open_input
+from posetrack_cli.files import open_input, utf8_name
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
 from posetrack_cli.recording.guess import Guess
@@ -209,7 +209,8 @@ def _capture(path: Path) -> cv2.VideoCapture | None:
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = CAPTURE_OPTIONS
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     try:
-        video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # others take numbered images for videos
+        with utf8_name(path) as name:
+            video = cv2.VideoCapture(name, cv2.CAP_FFMPEG)  # others take numbered images for videos
     finally:
         cv2.utils.logging.setLogLevel(level)
     if not video.isOpened():

@@ -112,7 +112,7 @@ def _stamps(path: Path, images: list[Path]) -> dict[str, Any]:
     timeline = Timeline()
     for stamp in load_stamps(path / STAMPS_FILE_NAME, [image.name for image in images]):
         timeline.add(stamp)
-    return dict(timeline.summary())
+    return dict(timeline.summary()) | {"remarks": list(timeline.remarks)}
 
 
 def _camera(path: Path, width: int, height: int) -> dict[str, Any]:

@@ -114,7 +114,7 @@ def _timeline(frames: Sequence[StoredImages]) -> dict[str, Any]:
     timeline = Timeline()
     for frame in frames:
         timeline.add(frame.stamp_ns)
-    return dict(timeline.summary())
+    return dict(timeline.summary()) | {"remarks": list(timeline.remarks)}
 
 
 def _folder(name: str, images: Sequence[Path]) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class McapSurvey:
         self._timelines[topic.name].add(stamp)
 
     def _topic(self, topic: Topic) -> dict[str, Any]:
-        image = topic.image
+        image, timeline = topic.image, self._timelines.get(topic.name, Timeline())
         return {
             "topic": topic.name,
             "type": topic.type_name,
@@ -91,7 +91,8 @@ class McapSurvey:
             "height": image.height if image is not None else None,
             "depth": topic.is_depth,
             "frame_id": frame_id_of(topic.first) if topic.first is not None else None,
-            **self._timelines.get(topic.name, Timeline()).summary(),
+            **timeline.summary(),
+            "remarks": [] if image is None else list(timeline.remarks),
         }
 
 

@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.files import open_output
 from posetrack_cli.recording.output import lock
 
 LIBRARY = "posetrack"
@@ -30,7 +31,7 @@ class McapSink:
     also by an exception, closes the file as it is.
 
     Args:
-        path: the file, overwritten if it exists.
+        path: the file, overwritten if it exists; no symbolic link.
         compression: of the chunks; "none" for payloads that are compressed already.
         chunk_bytes: uncompressed size at which a chunk ends by itself.
 
@@ -50,7 +51,7 @@ class McapSink:
         self._sequences: dict[int, int] = {}
         self._failed = False
         with self._reported():
-            self._stream = path.open("wb")
+            self._stream = open_output(path)
             lock(self._stream)
             self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
             self._writer.start(library=LIBRARY)

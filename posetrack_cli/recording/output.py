@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -43,10 +44,10 @@ def check_target(
 
     Raises:
         UsageError: it is a folder or a device, would be written over the source (under its own name or as
-            NAME.part), or a file or an interrupted run is there that may not be replaced.
+            NAME.part) or through a link, or a file or an interrupted run is there that may not be replaced.
         ResultError: its folder does not exist.
     """
-    check_folder(out)
+    check_place(out)
     for written in (out, part_path(out)):
         if source is not None and source.exists() and written.exists() and written.samefile(source):
             raise UsageError(
@@ -60,15 +61,40 @@ def check_target(
         check_free(out)
 
 
-def check_folder(out: Path) -> None:
-    """Raise ResultError unless the folder that a file is to be written to exists."""
-    if not out.parent.is_dir():
-        raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}")
+def check_place(out: Path) -> None:
+    """Refuse a place that a file cannot be written to.
+
+    Raises:
+        UsageError: a symbolic link has a name that is written to before the file gets its own: NAME.part,
+            NAME.part.state and the like. Somebody else may have put it there, for its target to be replaced.
+        ResultError: the folder does not exist.
+    """
+    try:
+        links = [
+            entry
+            for entry in os.scandir(out.parent)
+            if entry.name.startswith(part_path(out).name) and entry.is_symlink()
+        ]
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}") from error
+    except PermissionError:
+        return  # a folder may be written to and not be listed; what is opened is no link all the same
+    if links:
+        raise link_refused(Path(links[0].path))
+
+
+def link_refused(path: Path) -> UsageError:
+    """The error of a symbolic link that would be written through."""
+    return UsageError(
+        "is a symbolic link, and nothing is written through it",
+        where=path,
+        hint="delete it or choose another output",
+    )
 
 
 def check_free(out: Path) -> None:
     """Raise UsageError if writing here would replace a file or a run that can be resumed."""
-    if out.exists():
+    if is_taken(out):
         raise UsageError("exists already", where=out, hint="use --overwrite to replace it")
     if state_path(out).exists():
         raise UsageError(
@@ -76,6 +102,11 @@ def check_free(out: Path) -> None:
             where=part_path(out),
             hint="use --resume to go on with it or --overwrite to replace it",
         )
+
+
+def is_taken(path: Path) -> bool:
+    """Whether there is a file of this name, be it a symbolic link to nothing: the link would be replaced."""
+    return os.path.lexists(path)
 
 
 def lock(stream: IO[bytes]) -> None:
@@ -101,11 +132,14 @@ def check_not_written(path: Path) -> None:
 def whole_or_nothing(out: Path) -> Iterator[Path]:
     """Yield NAME.part to write to; renamed to ``out`` at the end, deleted after any failure or Ctrl-C.
 
+    Where ``out`` is a symbolic link, the link is replaced, and its target stays.
+
     Raises:
-        UsageError: another process is writing it.
+        UsageError: another process is writing it, or it is a symbolic link.
         ResultError: it cannot be renamed.
     """
     part = part_path(out)
+    check_place(out)
     check_not_written(part)  # and leave it alone
     try:
         yield part

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import inverse, placed, relative_to, rotation_from_rows
@@ -24,11 +26,14 @@ from posetrack_cli.recording.camera_file import (
 )
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.guess import Guess
+from posetrack_cli.text import one_line, printable_json
 
 TABLE = "cameras"
 NEAREST_MM = 1.0
 """Cameras that are closer see no depth: their place was not measured."""
 NO_PLACE = "rotation = [9 numbers, row after row] and translation_mm = [3 numbers]: camera from reference"
+
+Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]
 
 
 class RigCamera(Intrinsics):
@@ -41,7 +46,7 @@ class RigCamera(Intrinsics):
     """
 
     rotation: Annotated[tuple[Finite, ...], Field(min_length=9, max_length=9)] | None = None
-    translation_mm: Annotated[tuple[Finite, ...], Field(min_length=3, max_length=3)] | None = None
+    translation_mm: Annotated[tuple[Length, ...], Field(min_length=3, max_length=3)] | None = None
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
 
 
@@ -149,6 +154,8 @@ def load_rig(path: Path) -> Rig:
     tables = values[TABLE]
     if not isinstance(tables, dict) or not tables or not all(isinstance(t, dict) for t in tables.values()):
         raise RecordingError(f"'{TABLE}' cannot be used", where=path, expected="tables [cameras.NAME]")
+    if len(tables) > limits.CAMERAS:
+        raise RecordingError("too many cameras", where=path, found=len(tables), expected=limits.CAMERAS)
     cameras = {
         name: checked_settings(RigCamera, table, f"{path}, [cameras.{name}]")
         for name, table in tables.items()
@@ -193,9 +200,9 @@ def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) ->
         cameras: with distinct names.
         comments: lines to begin with, written after "# ".
     """
-    parts = ["".join(f"# {line}".rstrip() + "\n" for line in comments)] if comments else []
+    parts = ["".join(f"# {one_line(line)}".rstrip() + "\n" for line in comments)] if comments else []
     cameras = list(cameras)
-    parts.append(f'reference = "{cameras[0].name}"\n')
+    parts.append(f"reference = {_quoted(cameras[0].name)}\n")
     return "\n".join([*parts, *(_table(camera) for camera in cameras)])
 
 
@@ -235,7 +242,12 @@ def _key(name: str) -> str:
     bare = name.replace("_", "").replace("-", "")
     if bare.isascii() and bare.isalnum():
         return name
-    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    """A TOML string, which JSON's escapes suit."""
+    return printable_json(json.dumps(text, ensure_ascii=False))
 
 
 def _is_placeless(camera: RigCamera | LoneCamera | Guess) -> bool:
@@ -246,7 +258,7 @@ def _reference_first(
     cameras: dict[str, RigCamera], values: Mapping[str, Any], path: Path
 ) -> dict[str, RigCamera]:
     reference = values.get("reference", next(iter(cameras)))
-    if reference not in cameras:
+    if not isinstance(reference, str) or reference not in cameras:
         raise RecordingError(
             f"reference '{reference}' is no camera", where=path, hint=nearest_name(str(reference), cameras)
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from statistics import median
 
+from posetrack_cli.recording.plausibility import StampCheck
 from posetrack_cli.recording.stamps import NS_PER_S
 
 GAP_FACTOR = 1.5
@@ -26,10 +27,13 @@ class Timeline:
         self._first = 0
         self._latest = 0
         self._intervals = array("Q")
+        self._check = StampCheck()
 
     def add(self, stamp_ns: int) -> None:
         """Take the next stamp, ns."""
         self.count += 1
+        if self.count == 1 or stamp_ns > self._latest:
+            self._check.add(self.count - 1, stamp_ns)
         if self.count == 1:
             self._first = self._latest = stamp_ns
         elif stamp_ns > self._latest:
@@ -37,6 +41,11 @@ class Timeline:
             self._latest = stamp_ns
         else:
             self.not_later += 1
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What of the stamps cannot be meant if they are frames', one line each."""
+        return self._check.remarks
 
     def summary(self) -> dict[str, int | float | None]:
         """Return start and duration, median rate, largest gap, and how often things went wrong.

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,33 +45,82 @@ class Gltf:
     def items(self, name: str) -> list[dict[str, Any]]:
         """The list ``nodes``, ``meshes``, ``skins`` ...; empty where there is none."""
         found: list[dict[str, Any]] = self.content.get(name, [])
+        if not isinstance(found, list):
+            raise TypeError(f"'{name}' is no list")
         return found
 
-    def integers(self, index: int) -> NDArray[np.int64]:
+    def item(self, name: str, index: Any) -> dict[str, Any]:
+        """One of ``items``; an index that is no whole number from 0 on, or too large, is damage."""
+        items = self.items(name)
+        return items[whole(index, name, len(items) - 1)]
+
+    def count(self, index: Any) -> int:
+        """How many elements an accessor has; it is known that the file holds them."""
+        return self._placed(self.item("accessors", index)).elements
+
+    def integers(self, index: Any) -> NDArray[np.int64]:
         """The whole numbers of an accessor: (count,) or (count, width)."""
         return self._values(index).astype(np.int64)
 
-    def numbers(self, index: int) -> FloatArray:
+    def numbers(self, index: Any) -> FloatArray:
         """The numbers of an accessor, integers that are marked as normalised as shares of their largest."""
         values = self._values(index)
-        if values.dtype.kind == "f" or not self.items("accessors")[index].get("normalized", False):
+        if values.dtype.kind == "f" or not self.item("accessors", index).get("normalized", False):
             return values.astype(np.float64)
         return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
 
-    def _values(self, index: int) -> NDArray[Any]:
-        accessor = self.items("accessors")[index]
+    def _values(self, index: Any) -> NDArray[Any]:
+        accessor = self.item("accessors", index)
+        placed = self._placed(accessor)
+        values: NDArray[Any] = np.ndarray(
+            (placed.elements, placed.width),
+            placed.kind,
+            self.binary,
+            placed.start,
+            (placed.stride, placed.kind.itemsize),
+        )
+        return values[:, 0] if accessor["type"] == "SCALAR" else values
+
+    def _placed(self, accessor: dict[str, Any]) -> _Placed:
+        """Where an accessor's elements lie: one behind the other, within their view of the BIN chunk."""
         if "sparse" in accessor:
             raise UsageError(
                 "sparse accessors are not read", where=self.path, hint="export the file without them"
             )
         kind, width = np.dtype(_KINDS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-        view = self.items("bufferViews")[accessor["bufferView"]]
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        stride = view.get("byteStride", kind.itemsize * width)
-        values: NDArray[Any] = np.ndarray(
-            (accessor["count"], width), kind, self.binary, start, (stride, kind.itemsize)
-        )
-        return values[:, 0] if accessor["type"] == "SCALAR" else values
+        size = kind.itemsize * width
+        view, most = self.item("bufferViews", accessor["bufferView"]), len(self.binary)
+        first = whole(view.get("byteOffset", 0), "byteOffset", most)
+        length = whole(view["byteLength"], "byteLength", most - first)
+        offset = whole(accessor.get("byteOffset", 0), "byteOffset", length)
+        stride = whole(view.get("byteStride", size), "byteStride", most)
+        count = whole(accessor["count"], "count", most)
+        if stride < size:
+            raise ValueError(f"byteStride {stride} of elements of {size} bytes")
+        if count and offset + (count - 1) * stride + size > length:
+            raise ValueError(f"{count} elements in a view of {length} bytes")
+        return _Placed(kind, width, first + offset, stride, count)
+
+
+class _Placed(NamedTuple):
+    """Where an accessor's elements lie in the BIN chunk, bytes."""
+
+    kind: np.dtype[Any]
+    width: int
+    start: int
+    stride: int
+    elements: int
+
+
+def whole(value: Any, name: str, most: int) -> int:
+    """Return a whole number from 0 to ``most`` as a file states it.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if type(value) is not int or not 0 <= value <= most:
+        raise ValueError(f"{name} {value if type(value) is int else type(value).__name__}")
+    return value
 
 
 @contextmanager
@@ -79,11 +128,13 @@ def damage_named(path: Path) -> Iterator[None]:
     """Turn what goes wrong when a glTF's parts do not fit each other into one line.
 
     Raises:
-        UsageError: instead of the errors that wrong indices, types and sizes give.
+        UsageError: instead of the errors that wrong indices, types and sizes give, and of the warnings about
+            numbers that no other number comes of.
     """
     try:
-        yield
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         what = "glTF file is damaged: its parts do not fit each other"
         raise UsageError(what, where=path, found=f"{type(error).__name__} {error}") from error
 

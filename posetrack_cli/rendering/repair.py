@@ -43,13 +43,16 @@ def rims(triangles: IntArray) -> list[IntArray]:
             following.setdefault(a, []).append(b)  # two where holes touch at a vertex
     loops: list[IntArray] = []
     for start in following:
-        path = [start]
+        path, places = [start], {start: 0}
         while following.get(path[-1]):
             vertex = following[path[-1]].pop()
-            if vertex in path:  # round: what began there is a loop, the path goes on from it
-                first = path.index(vertex)
+            if vertex in places:  # round: what began there is a loop, the path goes on from it
+                first = places[vertex]
                 loops.append(np.array(path[first:]))
+                for gone in path[first:]:
+                    del places[gone]
                 del path[first:]
+            places[vertex] = len(path)
             path.append(vertex)
     return loops
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -68,6 +69,7 @@ class ResultChannels:
             self._places = sink.channel(PLACES_TOPIC, messages.FrameTransforms)
             self.own_ids.add(self._places)
         self._truth: dict[tuple[object, ...], int] = {}
+        self._replayed: Counter[int] = Counter()  # messages by channel
 
     def _channels(self, what: str, message_class: Any) -> dict[int, Camera]:
         """Register a topic for each camera."""
@@ -133,11 +135,25 @@ class ResultChannels:
 
         Raises:
             UsageError: it is the calibration of another camera.
+            ResultError: its channel is none of this result's.
         """
+        if channel_id not in self.own_ids and channel_id not in self._truth.values():
+            raise ResultError("a message of no channel", where=channel_id)
         camera = self._calibrations.get(channel_id)
         if camera is not None and data != self._calibration_bytes(camera, stamp_ns):
             raise UsageError("the unfinished result is of another camera", where=camera.name)
         self._sink.write(channel_id, stamp_ns, data)
+        self._replayed[channel_id] += 1
+
+    @property
+    def estimates_replayed(self) -> int:
+        """How many estimates of the interrupted run were written."""
+        return self._replayed[self._filtered.estimate_id]
+
+    @property
+    def truth_replayed(self) -> int:
+        """How many of its truth messages were."""
+        return sum(self._replayed[channel_id] for channel_id in self._truth.values())
 
     def _calibration_bytes(self, camera: Camera, stamp_ns: int) -> bytes:
         frame = self._subject.camera_frame if camera is self._cameras[0] else camera.name

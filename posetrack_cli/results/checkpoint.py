@@ -1,6 +1,7 @@
 """The state of an interrupted run, saved beside its unfinished result.
 
-The file is an npz without pickle: the tracker's arrays, and one JSON text for everything else.
+The file is an npz without pickle: the tracker's arrays, one JSON text for everything else, and a digest of
+both, so that nothing is gone on with that is not as it was saved.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.files import open_input, open_output
+from posetrack_cli.npz import read_npz
+from posetrack_cli.results.layouts import COUNTS, check_numbers
 
 _ARRAY_PREFIX = "array."
-_JSON_KEY = "json"
-FORMAT_VERSION = 1
+_JSON_KEY, _DIGEST_KEY = "json", "digest"
+FORMAT_VERSION = 2
 RESTART_HINT = "start again with --overwrite"
 
 
@@ -74,33 +78,62 @@ def save(path: Path, checkpoint: Checkpoint, progress: Progress) -> None:
     temporary = path.with_name(path.name + ".tmp")
     contents = _contents(path, checkpoint, progress)
     try:
-        with temporary.open("wb") as stream:
+        with open_output(temporary) as stream:
             np.savez(stream, **contents)  # type: ignore[arg-type]
             stream.flush()
             os.fsync(stream.fileno())
         temporary.replace(path)
     except OSError as error:
-        raise ResultError("cannot be written", where=path, found=error.strerror or error) from error
+        raise ResultError("cannot be written", where=temporary, found=error.strerror or error) from error
 
 
 def load(path: Path) -> tuple[Checkpoint, Progress]:
     """Read what ``save`` wrote.
 
     Raises:
-        ResultError: the file is missing or damaged.
+        ResultError: the file is missing, of another version, damaged, or not as ``save`` wrote it.
     """
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as contents:
-            fields = json.loads(contents[_JSON_KEY].tobytes())
-            names = [name for name in contents.files if name.startswith(_ARRAY_PREFIX)]
-            arrays = {name.removeprefix(_ARRAY_PREFIX): contents[name] for name in names}
-        if fields["version"] != FORMAT_VERSION:
-            raise ValueError(f"version {fields['version']}")
-        return Checkpoint(arrays=arrays, **fields["checkpoint"]), Progress(**fields["progress"])
+        with open_input(path) as stream:
+            return _parsed(read_npz(stream))
     except FileNotFoundError as error:
         raise ResultError("no checkpoint to resume from", where=path, hint=RESTART_HINT) from error
-    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
-        raise ResultError("checkpoint cannot be read", where=path, found=error, hint=RESTART_HINT) from error
+    except OSError as error:
+        what = "checkpoint cannot be read"
+        raise ResultError(what, where=path, found=error.strerror or error, hint=RESTART_HINT) from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        found = f"no {error}" if isinstance(error, KeyError) else error
+        raise ResultError("checkpoint cannot be read", where=path, found=found, hint=RESTART_HINT) from error
+
+
+def _parsed(contents: Mapping[str, np.ndarray[Any, Any]]) -> tuple[Checkpoint, Progress]:
+    """Return what a file's arrays say.
+
+    Raises:
+        ValueError, KeyError, TypeError, RecursionError: they are not as ``save`` made them.
+    """
+    fields = json.loads(contents[_JSON_KEY].tobytes())
+    check_numbers(fields, {"version": (FORMAT_VERSION, FORMAT_VERSION)})
+    if contents[_DIGEST_KEY].tobytes() != _digest(contents):
+        raise ValueError("contents that do not fit their digest")
+    kept, progress = fields["checkpoint"], fields["progress"]
+    check_numbers(kept, {"frame_index": (-1, COUNTS[1]), "frames_written": COUNTS})
+    check_numbers(progress, {"file_bytes": COUNTS, "flush_frames": (1, COUNTS[1]), "truth_messages": COUNTS})
+    if not (isinstance(kept["state"], dict) and isinstance(kept["fingerprint"], str)):
+        raise ValueError("a state of another kind")
+    names = [name for name in contents if name.startswith(_ARRAY_PREFIX)]
+    arrays = {name.removeprefix(_ARRAY_PREFIX): contents[name] for name in names}
+    return Checkpoint(arrays=arrays, **kept), Progress(**progress)
+
+
+def _digest(contents: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
+    """Return the SHA-256 of all arrays but the digest: of names, types, shapes and bytes."""
+    digest = hashlib.sha256()
+    for name in sorted(contents.keys() - {_DIGEST_KEY}):
+        array = contents[name]
+        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+        digest.update(array.tobytes())
+    return digest.digest()
 
 
 def _contents(path: Path, checkpoint: Checkpoint, progress: Progress) -> dict[str, np.ndarray[Any, Any]]:
@@ -118,4 +151,5 @@ def _contents(path: Path, checkpoint: Checkpoint, progress: Progress) -> dict[st
     except TypeError as error:
         raise ResultError("state cannot be saved", where=path, found=error) from error
     arrays = {f"{_ARRAY_PREFIX}{name}": np.asarray(array) for name, array in checkpoint.arrays.items()}
-    return {_JSON_KEY: np.frombuffer(text, dtype=np.uint8), **arrays}
+    contents = {_JSON_KEY: np.frombuffer(text, dtype=np.uint8), **arrays}
+    return {**contents, _DIGEST_KEY: np.frombuffer(_digest(contents), dtype=np.uint8)}

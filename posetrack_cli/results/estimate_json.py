@@ -13,14 +13,26 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic_core import from_json
+from pydantic_core import core_schema as schemas
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results.estimate import NUMBERS, UNKNOWN_ARRAYS, UNKNOWN_NUMBERS, Estimate, Status
+from posetrack_cli.results.strict_json import (
+    COUNT,
+    LENGTH_MM,
+    NOT_NEGATIVE,
+    NUMBER,
+    TRUTH_VALUE,
+    list_of,
+    object_of,
+    reader_of,
+)
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
+_LENGTH_TOLERANCE = 1e-3
+"""How far a quaternion that is read may be from length 1: those of other writers are rounded."""
 _OPTIONAL = (*UNKNOWN_ARRAYS, *UNKNOWN_NUMBERS)
 _ARRAYS = ("position", "quaternion", "shape", "pose_rate", "twist", "pose_variance", "twist_variance")
 
@@ -173,15 +185,40 @@ def estimate_from_json(data: bytes, where: object = "", number_names: Sequence[s
 
 
 def parse_fields(data: bytes) -> dict[str, Any]:
-    """Parse a message, exact to the last bit, in a third of the standard library's time.
+    """Parse a message, exact to the last bit, in less than half of the standard library's time.
 
     Raises:
-        ValueError: it is no JSON object, or holds NaN or infinity.
+        ValueError: it is no ``posetrack.Estimate``.
     """
-    fields = from_json(data, allow_inf_nan=False)
-    if not isinstance(fields, dict):
-        raise ValueError("no JSON object")
+    fields: dict[str, Any] = _read(data)
+    x, y, z, w = fields["quaternion"]
+    if abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) > _LENGTH_TOLERANCE:
+        raise ValueError(f"'quaternion' is {fields['quaternion']}, not of length 1")
     return fields
+
+
+_read = reader_of(
+    object_of(
+        {
+            "frame_index": COUNT,
+            "stamp_ns": COUNT,
+            "status": schemas.literal_schema([status.value for status in Status]),
+            "confidence": NUMBER,
+            "position": list_of(LENGTH_MM, 3),
+            "quaternion": list_of(NUMBER, 4),
+            "shape": list_of(NUMBER),
+            "points": list_of(object_of(dict.fromkeys("xyz", LENGTH_MM))),
+            "resampled": TRUTH_VALUE,
+        },
+        {
+            **dict.fromkeys(("pose_rate", "twist"), list_of(NUMBER)),
+            **dict.fromkeys(("pose_variance", "twist_variance"), list_of(NOT_NEGATIVE)),
+            **dict.fromkeys(("effective_sample_size", "cost", "milliseconds"), NUMBER),
+            "evaluations": COUNT,
+            NUMBERS: schemas.dict_schema(schemas.str_schema(), NUMBER),
+        },
+    )
+)
 
 
 def _further(values: Mapping[str, float] | None, names: Sequence[str]) -> FloatArray | None:

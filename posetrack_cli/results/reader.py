@@ -9,10 +9,12 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 
+from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import ResultError, nearest_name
+from posetrack_cli.errors import PosetrackError, ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, Loss, TruthMessage
 from posetrack_cli.recording.losses import LossLog, loss_line
@@ -35,6 +37,7 @@ from posetrack_cli.results.estimate import FIELD_NAMES, NUMBERS, Estimate, Subje
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
 from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.opening import opened
+from posetrack_cli.results.run_values import check_run_record
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_from_record
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED, SMOOTHED_PREFIX, TRACKS, estimate_topic
 from posetrack_cli.results.writer import SUMMARY_RECORD
@@ -155,9 +158,13 @@ class Result:
             ResultError: there is no such topic, or a message on it is no estimate.
         """
         topic = self.topic_of_estimates(topic)
+        own = not topic.startswith(TRUTH_PREFIX)
         for _, _, message in self._messages([topic]):
             where = f"{self.path}, {topic} at {message.log_time} ns"
-            yield estimate_from_json(message.data, where, self.subject.number_names)
+            estimate = estimate_from_json(message.data, where, self.subject.number_names)
+            if own:
+                self._check_sizes(topic, {"shape": len(estimate.shape), "points": len(estimate.points)})
+            yield estimate
 
     def column_blocks(
         self, topic: str | None = None, fields: Collection[str] | None = None
@@ -174,9 +181,14 @@ class Result:
 
     def _checked(self, topic: str, block: Columns) -> Columns:
         """Return a block if its estimates have the shape entries and points that the subject record names."""
+        sized = ("shape", "points")
+        self._check_sizes(topic, {name: block[name].shape[1] for name in sized if name in block})
+        return block
+
+    def _check_sizes(self, topic: str, sizes: Mapping[str, int]) -> None:
         names = {"shape": self.subject.shape_names, "points": self.subject.point_names}
-        for field_name in names.keys() & block.keys():
-            found, expected = block[field_name].shape[1], len(names[field_name])
+        for field_name, found in sizes.items():
+            expected = len(names[field_name])
             if found != expected:
                 raise ResultError(
                     f"estimates have other {field_name} than the subject",
@@ -184,7 +196,6 @@ class Result:
                     found=f"{found} entries",
                     expected=expected,
                 )
-        return block
 
     def columns(self, topic: str | None = None, fields: Collection[str] | None = None) -> Columns:
         """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.
@@ -240,9 +251,20 @@ class Result:
         if self.several_cameras:
             return self.several_cameras[0]
         for _, _, message in self._messages([CALIBRATION_TOPIC]):
-            calibration = CameraCalibration.FromString(message.data)
-            return camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
+            return self._calibrated(message.data)
         raise ResultError("holds no camera calibration", where=self.path)
+
+    def _calibrated(self, data: bytes) -> Camera:
+        where = f"{self.path}, {CALIBRATION_TOPIC}"
+        try:
+            calibration = CameraCalibration.FromString(data)
+            camera = camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
+        except (DecodeError, PosetrackError) as error:
+            raise ResultError("camera calibration cannot be used", where=where, found=error) from error
+        if camera.width * camera.height > limits.IMAGE_PIXELS:
+            found = f"images of {camera.width}x{camera.height}"
+            raise ResultError("camera calibration cannot be used", where=where, found=found)
+        return camera
 
     def cameras(self) -> tuple[Camera, ...]:
         """Return all cameras, that of the estimates first, the others placed relative to it.
@@ -303,9 +325,13 @@ def read_result(path: Path | str) -> Result:
             found=loss_line(losses.losses),
             expected=f"metadata {RUN_RECORD}",
         )
-    subject = subject_from_record(metadata[SUBJECT_RECORD])
+    try:
+        subject = subject_from_record(metadata[SUBJECT_RECORD])
+        check_run_record(metadata[RUN_RECORD])
+        cameras = cameras_from_record(metadata[CAMERAS_RECORD]) if CAMERAS_RECORD in metadata else ()
+    except ResultError as error:
+        raise ResultError(str(error), where=path) from error
     truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
-    cameras = cameras_from_record(metadata[CAMERAS_RECORD]) if CAMERAS_RECORD in metadata else ()
     summary = metadata.get(SUMMARY_RECORD, {})
     return Result(path, subject, metadata[RUN_RECORD], summary, truncated, cameras, losses)
 

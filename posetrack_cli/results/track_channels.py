@@ -23,6 +23,10 @@ class TrackChannels:
         subject: what is tracked; its name is that of the body's frame.
         transforms: topic of the frames.
         prefix: of the other topics, such as ``/hand``.
+
+    Attributes:
+        ids: of all channels.
+        estimate_id: of the one with the complete estimates.
     """
 
     def __init__(self, sink: McapSink, subject: Subject, transforms: str, prefix: str) -> None:
@@ -31,7 +35,7 @@ class TrackChannels:
         self._transforms = sink.channel(transforms, messages.FrameTransforms)
         self._odometry = sink.channel(f"{prefix}/odometry", messages.Odometry)
         schema = estimate_schema(subject.number_names)
-        self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, schema)
+        self.estimate_id = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, schema)
         angles = subject.shape_names and shape_unit(subject)
         self._joints = sink.channel(f"{prefix}/joint_states", messages.JointStates) if angles else None
         self._scene, self._encoder = None, None
@@ -39,7 +43,7 @@ class TrackChannels:
             self._scene = sink.channel(f"{prefix}/scene", messages.SceneUpdate)
         if subject.triangles is not None:
             self._encoder = SceneEncoder(subject)
-        ids = (self._transforms, self._odometry, self._estimate, self._joints, self._scene)
+        ids = (self._transforms, self._odometry, self.estimate_id, self._joints, self._scene)
         self.ids = frozenset(channel_id for channel_id in ids if channel_id is not None)
 
     def write(self, estimate: Estimate, vertices: FloatArray | None) -> None:
@@ -57,7 +61,7 @@ class TrackChannels:
             self._write(self._joints, stamp, messages.joint_states(estimate, self._subject))
         if self._scene is not None and scene is not None:
             self._sink.write(self._scene, stamp, scene)
-        self._sink.write(self._estimate, stamp, estimate_to_json(estimate, self._subject.number_names))
+        self._sink.write(self.estimate_id, stamp, estimate_to_json(estimate, self._subject.number_names))
 
     def _drawn(self, estimate: Estimate, vertices: FloatArray | None) -> bytes | None:
         """The scene of an estimate: its mesh, or its lines."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +14,13 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
 from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.output import check_folder, check_free, check_not_written, part_path, state_path
+from posetrack_cli.recording.output import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_to_record
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
 from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.layouts import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.replay import check_same_run, replay
 from posetrack_cli.results.stamp_order import StampOrder
 from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_to_record
@@ -105,12 +106,18 @@ class ResultWriter:
         *,
         others: Sequence[Camera] = (),
         flush_frames: int = 10,
+        check: Callable[[Checkpoint], object] = lambda checkpoint: None,
     ) -> tuple[ResultWriter, Checkpoint]:
         """Go on with an interrupted run, such that the finished file equals an uninterrupted run's.
 
         Frames after the checkpoint are dropped, to be tracked and written again; attachments and truth
         messages before it are carried over (``truth_messages`` says how many, to leave them out). To
         resume also what was interrupted before the first flush, save a checkpoint of frame -1 at the start.
+
+        Args:
+            path, subject, camera, run, others, flush_frames: as of the class.
+            check: of the tracker's part of the checkpoint, before any file is touched; raises LayoutError or
+                ResultError if nothing can be made of it.
 
         Returns:
             The writer, and the checkpoint of the last frame in it.
@@ -124,6 +131,10 @@ class ResultWriter:
         check_same_run(part_path(path), records)
         checkpoint, progress = checkpoints.load(state_path(path))
         _check_checkpoint(path, checkpoint, progress, run, flush_frames)
+        try:
+            check(checkpoint)
+        except (LayoutError, ResultError) as error:
+            raise _unusable(path, error) from error
         writer = cls.__new__(cls)
         copy = path.with_name(path.name + ".part.copy")
         writer._begin(path, copy, subject, (camera, *others), run, flush_frames)
@@ -298,7 +309,7 @@ class ResultWriter:
         self._flushed = (-1, 0)
         self._closed = self._calibrated = False
         self._progress = Progress(0, flush_frames, 0, dict(self._statuses))
-        check_folder(path)
+        check_place(path)
         records = _first_records(run, subject, cameras)
         self._sink = McapSink(written)
         with self._guarded():
@@ -312,6 +323,9 @@ class ResultWriter:
         with self._guarded():
             old = part_path(self._path)
             self._attached = replay(old, progress.file_bytes, self._sink, self._channels)
+        found = self._channels.estimates_replayed, self._channels.truth_replayed
+        if found != (checkpoint.frames_written, progress.truth_messages):
+            raise _unusable(self._path, "{} estimates and {} truth messages in it".format(*found))
         self._statuses |= progress.statuses
         self._truth_messages = progress.truth_messages
         self._calibrated = self.frames_written > 0
@@ -372,7 +386,7 @@ def _first_records(
 def _check_checkpoint(
     path: Path, checkpoint: Checkpoint, progress: Progress, run: Mapping[str, str], flush_frames: int
 ) -> None:
-    """Raise unless the checkpoint is of this run and of the same spacing of flushes."""
+    """Raise unless the checkpoint is of this run, of the same spacing of flushes, and agrees with itself."""
     if checkpoint.fingerprint != checkpoints.fingerprint(run):
         raise ResultError(
             "checkpoint is of another run", where=state_path(path), hint=checkpoints.RESTART_HINT
@@ -383,7 +397,22 @@ def _check_checkpoint(
             where=part_path(path),
             found=f"every {progress.flush_frames}",
             expected=f"every {flush_frames}",
+            hint=f"resume with the options it was begun with, or {checkpoints.RESTART_HINT}",
         )
+    try:
+        check_numbers(progress.statuses, {status.value: COUNTS for status in Status})
+    except LayoutError as error:
+        raise _unusable(path, error) from error
+    written = checkpoint.frames_written
+    if written != sum(progress.statuses.values()) or (written > 0) != (checkpoint.frame_index >= 0):
+        raise _unusable(path, f"{written} estimates up to frame {checkpoint.frame_index}")
+
+
+def _unusable(path: Path, found: object) -> ResultError:
+    """The error of a checkpoint that can be read, but is of no run."""
+    return ResultError(
+        "checkpoint cannot be used", where=state_path(path), found=found, hint=checkpoints.RESTART_HINT
+    )
 
 
 def _sync(path: Path) -> None:

@@ -7,7 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from posetrack_cli.results.checkpoint import Checkpoint
+from posetrack_cli.results.layouts import FLAGS, LayoutError, check_numbers
 from posetrack_cli.tracking.protocol import Tracker
+
+_BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)
 
 
 class Reached(NamedTuple):
@@ -34,10 +37,23 @@ def checkpoint_of(tracker: Tracker[Any], reached: Reached, frames: int) -> Check
 
 
 def reached_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> Reached:
-    """Return where a checkpoint was saved; the generator given is set to where it was."""
-    record = checkpoint.state
-    rng.bit_generator.state = record["rng"]
-    if not checkpoint.arrays:
-        return Reached(None, rng, checkpoint.frame_index)
-    state = tracker.state_from_parts(checkpoint.arrays, record["numbers"])
-    return Reached(state, rng, checkpoint.frame_index)
+    """Return where a checkpoint was saved; the generator given is set to where it was.
+
+    Raises:
+        LayoutError: it is of no state of this tracker, or of no such generator.
+    """
+    record, index = checkpoint.state, checkpoint.frame_index
+    _set_state(rng, record.get("rng"))
+    if index < 0:
+        return Reached(None, rng, index)
+    return Reached(tracker.state_from_parts(checkpoint.arrays, record.get("numbers", {})), rng, index)
+
+
+def _set_state(rng: np.random.Generator, state: Any) -> None:
+    """Set a generator (PCG64, as ``numpy.random.default_rng`` makes it) to where another was."""
+    kind = rng.bit_generator.state["bit_generator"]
+    if not isinstance(state, dict) or state.get("bit_generator") != kind:
+        raise LayoutError(f"no state of the random generator {kind}")
+    check_numbers(state, {"has_uint32": FLAGS, "uinteger": _BITS_32})
+    check_numbers(state.get("state"), {"state": _BITS_128, "inc": _BITS_128})
+    rng.bit_generator.state = state

@@ -28,4 +28,8 @@ class Tracker(Protocol[State]):
     def state_from_parts(
         self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
     ) -> State:
-        """Put a state together from what ``state_parts`` made of it."""
+        """Put a state together from what ``state_parts`` made of it.
+
+        Raises:
+            LayoutError: of these no state of this tracker is made; see ``results.layouts``.
+        """

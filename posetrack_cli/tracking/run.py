@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import replace
 from itertools import chain
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import Frame, Loss, Recording
 from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.recording.plausibility import StampCheck
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
@@ -60,6 +61,7 @@ class Run(ABC):
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
         self._tracked = 0  # frames, by this run alone
+        self._stamps = StampCheck()
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
 
@@ -107,9 +109,13 @@ class Run(ABC):
         """What is kept of every frame; None where nothing is."""
         return nullcontext()
 
-    def _begun(self, writer: ResultWriter, checkpoint: Checkpoint, stopped: Stopped) -> Reached | None:
-        """Where to begin, given the checkpoint of start or interruption; None if stopped on the way."""
+    def _reached(self, checkpoint: Checkpoint) -> Reached:
+        """Where a run was interrupted; LayoutError or ResultError if its tracker says nothing of it."""
         return reached_at(self.tracker, checkpoint, self._rng())
+
+    def _begun(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Reached | None:
+        """Where to write from, given where the run starts or was interrupted; None if stopped on the way."""
+        return reached
 
     def _saved(self, reached: Reached, frames: int) -> Checkpoint:
         """The checkpoint after a frame."""
@@ -130,15 +136,16 @@ class Run(ABC):
     # The loop
 
     def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
-        writer, checkpoint = self._open()
-        with writer:
-            reached = self._begun(writer, checkpoint, stopped)
-            if reached is None:
+        writer, reached = self._open()
+        with writer, _stopped_at_once(stopped):
+            begun = self._begun(writer, reached, stopped)
+            if begun is None:
                 return self._outcome(writer, began, stopped=True)
-            state, rng, last = reached
+            state, rng, last = begun
             with closing(self._truth(writer)) as truth, self._memory(writer) as memory:
                 for frame in frames:
                     self._noted(frame)
+                    self._stamps.add(frame.index, frame.stamp_ns)
                     if frame.index <= last:
                         continue  # tracked before the interruption
                     if state is None:
@@ -152,9 +159,10 @@ class Run(ABC):
                         return self._outcome(writer, began, stopped=True)
                 if memory is not None:
                     memory.finish(writer)
-                remarks = self._remarks(state)
+                remarks = self._stamps.remarks + self._remarks(state)
                 self._finish(writer, state, remarks)
-        return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
+            return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
+        return self._outcome(writer, began, stopped=True)
 
     def _write(
         self, writer: ResultWriter, memory: FrameMemory | None, reached: Reached, estimate: Estimate
@@ -167,18 +175,21 @@ class Run(ABC):
                 memory.flush()
             writer.save_checkpoint(self._saved(reached, writer.frames_written))
 
-    def _open(self) -> tuple[ResultWriter, Checkpoint]:
-        """The writer, and the checkpoint to begin at."""
+    def _open(self) -> tuple[ResultWriter, Reached]:
+        """The writer, and where to begin; what was interrupted is put together before any file is touched."""
         options, flush = self._options, self._flush_frames
         camera, *others = self._cameras()
         about = self._subject(), camera, self._record
         if options.resume:
-            return ResultWriter.resume(options.output, *about, others=others, flush_frames=flush)
+            writer, checkpoint = ResultWriter.resume(
+                options.output, *about, others=others, flush_frames=flush, check=self._reached
+            )
+            return writer, self._reached(checkpoint)
         overwrite = options.overwrite
         writer = ResultWriter(options.output, *about, others=others, flush_frames=flush, overwrite=overwrite)
-        checkpoint = checkpoint_of(self.tracker, Reached(None, self._rng()), 0)
-        writer.save_checkpoint(checkpoint)
-        return writer, checkpoint
+        start = Reached(None, self._rng())
+        writer.save_checkpoint(checkpoint_of(self.tracker, start, 0))
+        return writer, start
 
     def _rng(self) -> np.random.Generator:
         """The random generator at the start of a pass."""
@@ -207,3 +218,13 @@ class Run(ABC):
         seconds = time.perf_counter() - began
         lost = writer.count(Status.LOST)
         return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self._losses(), stopped)
+
+
+@contextmanager
+def _stopped_at_once(stopped: Stopped) -> Iterator[None]:
+    """Let KeyboardInterrupt end a run as ``stopped`` does: a second Ctrl-C, or one while kernels compile."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not stopped():
+            raise

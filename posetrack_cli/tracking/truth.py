@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from itertools import islice
 
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.writer import ResultWriter
@@ -19,8 +20,7 @@ def truth_carrier(messages: Iterator[TruthMessage], writer: ResultWriter) -> Gen
 
 
 def _carry(messages: Iterator[TruthMessage], writer: ResultWriter) -> Generator[None, int]:
-    for _ in range(writer.truth_messages):
-        next(messages, None)
+    messages = islice(messages, writer.truth_messages, None)
     message, stamp = next(messages, None), (yield)
     while True:
         while message is not None and message.log_time_ns <= stamp:

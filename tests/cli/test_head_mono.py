@@ -159,6 +159,35 @@ def test_a_text_that_is_no_model_is_told_in_our_words(
     assert "found no whole npz file" in told
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        ["a list"],
+        "text",
+        {},
+        {"format": "posetrack.head_model", "version": 1, "points": list(POINT_NAMES)},
+        {"format": "posetrack.head_model", "version": 1, "points": 3, "tracker": "head-mono", "cameras": []},
+        {"format": "posetrack.head_model", "version": 1, "points": list(POINT_NAMES), "tracker": 3},
+        {
+            "format": "posetrack.head_model",
+            "version": 1,
+            "points": list(POINT_NAMES),
+            "tracker": "head-mono",
+            "cameras": 1,
+        },
+    ],
+    ids=range(7),
+)
+def test_a_model_with_another_header_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], header: object
+) -> None:
+    recording, model = write_noise(tmp_path / "noise"), tmp_path / "face.npz"
+    np.savez(model, header=np.array(json.dumps(header)))
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--load-model", model) == 1
+    (told,) = lines(capsys)
+    assert told.startswith(f"posetrack: {model}: is no model of a head, found ")
+
+
 def test_a_video_that_cannot_be_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "face.mp4"
     path.write_bytes(b"\0\0\0\x18ftypisom no more")

@@ -63,15 +63,6 @@ def test_a_reader_that_has_gone_is_no_error_to_tell(recording: Path) -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-@pytest.mark.parametrize("closed", ["<&- >&-", "<&- >&- 2>&-"])
-def test_closed_streams_change_no_exit_code(recording: Path, closed: str) -> None:
-    line = f'"$@" {closed}'
-    for arguments, code in ((["info", str(recording)], 0), (["info", "nothing"], 1)):
-        done = subprocess.run(["sh", "-c", line, "sh", *COMMAND, *arguments], stderr=subprocess.PIPE)
-        assert done.returncode == code
-        assert b"Traceback" not in done.stderr
-
-
 def test_a_name_that_the_terminal_cannot_show_is_shown_some_way(recording: Path, tmp_path: Path) -> None:
     name = "\N{HIRAGANA LETTER A}.mcap"
     (tmp_path / name).write_bytes(recording.read_bytes())

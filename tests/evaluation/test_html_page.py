@@ -22,7 +22,7 @@ from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html import gallery, write_html
+from posetrack_cli.evaluation.html import gallery, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import html_page
 from posetrack_cli.evaluation.track import Track
@@ -363,11 +363,11 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytes
     path = tmp_path / "page.html"
     path.write_text("old")
 
-    def full(self: Path, data: bytes) -> int:
-        self.write_text("half")
+    def full(part: Path, data: bytes) -> None:
+        part.write_text("half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(writer, "write_output", full)
     with pytest.raises(ResultError, match="No space left"):
         write_html(path, [hand_evaluation(frames=2)], None, {}, "T")
     assert [one.name for one in tmp_path.iterdir()] == ["page.html"]

@@ -14,7 +14,7 @@ from posetrack_cli.filtering.smoothing import Smoothed
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.smoothing import SmoothedTrack, make_smoother
+from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, make_smoother
 from posetrack_cli.hand.space import HandSpace, pose_rates
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import dynamics
@@ -148,7 +148,8 @@ def test_a_resumed_run_smooths_the_same(tmp_path: Path, method: str) -> None:
     with SmoothedTrack(path, smoother(method), ANATOMY) as track:
         remember(track, states[:5])
         track.flush()
-    with SmoothedTrack(path, smoother(method), ANATOMY, keep=3) as track:  # two frames past the checkpoint
+    kept = Kept(3, states[5])  # two frames past the checkpoint
+    with SmoothedTrack(path, smoother(method), ANATOMY, kept) as track:
         assert len(track) == 3
         remember(track, states[3:], first=3)
         resumed = list(track.backward())[::-1]

@@ -59,13 +59,20 @@ class DistanceScorer:
         return log_gibbs(self.costs(poses, observation), ObservationSettings())
 
 
+class Believing(Observer):
+    """Takes every frame to show a hand: what its readings mean is up to a fake scorer."""
+
+    def shows_hand(self, depth: np.ndarray, pose: np.ndarray, *, is_known: bool) -> bool:
+        return True
+
+
 def configured(kind: str = "rbpf", particles: int = 64, **tables: dict[str, object]) -> HandConfig:
     values = {"filter": {"kind": kind, "particles": particles}, "observation": {"cost": "paper"}, **tables}
     return HandConfig.model_validate(values)
 
 
 def observing(config: HandConfig) -> Observer:
-    return Observer(config, ANATOMY, KINECT, segment=config.observation.cost != "paper")
+    return Believing(config, ANATOMY, KINECT, segment=config.observation.cost != "paper")
 
 
 def tracker_with(scorer: Any, kind: str = "rbpf", **tables: Any) -> HandTracker:
@@ -226,17 +233,29 @@ def test_confidence_that_stays_low_is_lost_and_comes_back() -> None:
     state = tracker.start(START, 0, rng)
     statuses = []
     for k in range(6):
-        scorer.scale = 0.1 if k == 4 else 1e9  # everywhere c_max, but in frame 4
+        scorer.scale = 0.1 if k in (0, 4) else 1e9  # everywhere c_max, but in these frames
         state, estimate = tracker.step(state, seen(k), rng)
         statuses.append((str(estimate.status), state.watch.misses))
     assert statuses == [
+        ("tracking", 0),
         ("tracking", 1),
         ("tracking", 2),
         ("lost", 3),
-        ("lost", 4),
         ("tracking", 0),
         ("tracking", 1),
     ]
+
+
+def test_a_start_is_but_assumed_until_a_frame_bears_it_out() -> None:
+    scorer = DistanceScorer(START[:3])
+    tracker = tracker_with(scorer, status={"lost_below": 0.3, "lost_after_frames": 3})
+    rng = np.random.default_rng(0)
+    state, statuses = tracker.start(START, 0, rng), []
+    for k in range(5):
+        scorer.scale = 0.1 if k == 2 else 1e9
+        state, estimate = tracker.step(state, seen(k), rng)
+        statuses.append(str(estimate.status))
+    assert statuses == ["lost", "lost", "tracking", "tracking", "tracking"]
 
 
 def same(first: Estimate, second: Estimate) -> None:

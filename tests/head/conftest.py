@@ -5,4 +5,5 @@ from pathlib import Path
 
 _HERE = Path(__file__).parent
 sys.path.insert(0, str(_HERE / "adjustment"))  # bundles
+sys.path.insert(0, str(_HERE.parent / "results"))  # damage_support
 sys.path.insert(0, str(_HERE))  # support modules are shared by the tests of this folder

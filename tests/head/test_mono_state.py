@@ -11,10 +11,12 @@ from bundles import random_model
 from mono_cases import assert_same, random_detected, random_following, random_known, random_templates
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.head.cuts import HEIGHT, WIDTH
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, state_of
 from posetrack_cli.head.person_arrays import people_parts
 from posetrack_cli.head.start.search import Search
+from posetrack_cli.results.layouts import LayoutError
 
 MODEL = random_model(0)
 SETTINGS = AdjustmentSettings(average=6)
@@ -32,10 +34,10 @@ STATES = {
     "known, not yet found": MonoState(people=(ONE, TWO)),
     "following": MonoState(people=(ONE,), following=FOLLOWING, checked_ns=STAMP - 5),
     "put there": MonoState(people=(ONE,), following=random_following(6, MODEL, seen=False)),
-    "another person": MonoState(
-        (ONE, TWO, random_known(7, MODEL)), 2, FOLLOWING, changes=((STAMP, 1), (STAMP + 9, 2))
+    "another person": MonoState((ONE, TWO, random_known(7, MODEL)), 2, FOLLOWING, changes=((7, 1), (16, 2))),
+    "after a cut": MonoState(
+        (ONE,), 0, FOLLOWING, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True
     ),
-    "after a cut": MonoState((ONE,), 0, FOLLOWING, scene=np.random.default_rng(11).random((3, 4)), cut=True),
     "lost, a stranger comes": MonoState(
         (ONE, TWO), 1, FOLLOWING, 6, 4, DETECTED[:1], random_templates(8), search=SEARCHED
     ),
@@ -63,8 +65,9 @@ def test_parts_are_plain(state: MonoState) -> None:
     assert all(type(number) is int and -(2**63) <= number < 2**63 for number in numbers.values())
 
 
-def test_of_nothing_comes_the_state_before_a_first_frame() -> None:
-    assert_same(state_of({}, {}, MODEL, SETTINGS), MonoState())
+def test_nothing_is_no_state() -> None:
+    with pytest.raises(LayoutError, match="no array 'changes'"):
+        state_of({}, {}, MODEL, SETTINGS)
 
 
 def test_what_is_known_begins_a_state() -> None:

@@ -226,6 +226,42 @@ def test_no_face_is_told_and_leaves_nothing(track: Track, tmp_path: Path) -> Non
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("passes", [1, 2])
+def test_what_is_resumed_is_never_deleted(track: Track, tmp_path: Path, passes: int) -> None:
+    """Not even where no face is found in the end: what was interrupted may have cost hours."""
+    track(Memory(appears=99), passes=passes, stopped=after(7))
+    kept = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.suffix == ".state"}
+    for _ in range(2):
+        with pytest.raises(NoFaceError, match="no face found"):
+            track(Memory(appears=99), passes=passes, resume=True)
+        names = {path.name for path in tmp_path.iterdir()}
+        assert names == {"r.mcap.part", "r.mcap.part.state"} and names > kept.keys()
+
+
+@pytest.mark.parametrize("name", ["r.mcap", "r.mcap.part", "r.mcap.part.state"])
+def test_a_model_is_not_written_over_the_result(track: Track, tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="result and model cannot be one file"):
+        track(Memory(), save_model=tmp_path / name, overwrite=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_model_is_not_written_over_another_interrupted_run(track: Track, tmp_path: Path) -> None:
+    for name in ("other.mcap", "r.mcap"):
+        track(Memory(), name, stopped=after(5))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(UsageError, match=r"other\.mcap\.part: is of an interrupted run"):
+        track(Memory(), resume=True, save_model=tmp_path / "other.mcap")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_model_file_is_not_written_through_a_link(track: Track, tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("mine")
+    (tmp_path / "face.npz.part").symlink_to(tmp_path / "precious")
+    with pytest.raises(ResultError, match="a symbolic link"):
+        track(Memory(), save_model=tmp_path / "face.npz")
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
 def test_a_model_of_other_cameras_is_refused(track: Track, tmp_path: Path) -> None:
     (tmp_path / "one.npz").write_bytes(model_bytes({"mean": np.zeros((10, 3))}, CAMERAS[:1], NAME))
     with pytest.raises(UsageError, match="another number of cameras, found 1, expected 2"):

@@ -11,8 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
+from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.images_video import opened
 from posetrack_cli.recording.opening import open_images
 
 COUNT, RATE = 12, 25.0
@@ -232,3 +234,38 @@ def test_identity(video: Path) -> None:
     identity = open_images(video, fps=20).identity()
     assert (identity["kind"], identity["frames"], identity["fps"]) == ("video", str(COUNT), "20")
     assert identity["stored"] == "8-bit colour"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\nother.avi\n#EXT-X-ENDLIST\n",
+        "ffconcat version 1.0\nfile other.avi\n",
+        "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\n",
+    ],
+)
+@pytest.mark.parametrize("disguise", ["", "#xxx"])
+def test_a_list_of_other_files_is_no_video(tmp_path: Path, text: str, disguise: str) -> None:
+    """FFmpeg would read the files, or listen to the hosts, that it names."""
+    writer = cv2.VideoWriter(
+        str(tmp_path / "other.avi"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48)
+    )
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    with opened(tmp_path / "other.avi"):
+        pass
+    path = tmp_path / "list.mp4"
+    path.write_text(f"{disguise}ftyp\n{text}" if disguise else text)
+    with pytest.raises(RecordingError, match="is no video that can be read"), opened(path):
+        pass
+
+
+def test_a_video_larger_than_any_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "v.avi"
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    monkeypatch.setattr(limits, "IMAGE_PIXELS", 64 * 48 - 1)
+    expected = "video is larger than any that is read, found 64x48"
+    with pytest.raises(RecordingError, match=expected), opened(path):
+        pass

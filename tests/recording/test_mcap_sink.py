@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import resource
 from dataclasses import asdict
 from pathlib import Path
 
@@ -114,12 +115,17 @@ def test_exception_does_not_finish_the_file(tmp_path: Path) -> None:
 def test_full_disk_and_missing_folder_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(ResultError, match="cannot be written, found No such file"):
         McapSink(tmp_path / "gone" / "a.mcap")
-    full = Path("/dev/full")
-    if not full.exists():
-        pytest.skip("no /dev/full here")
-    with pytest.raises(ResultError, match="No space left"), McapSink(full) as sink:
-        sink.write(sink.channel("/a", RawImage), 1, b"\0" * 100_000)
-        sink.flush()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with (
+            pytest.raises(ResultError, match="cannot be written, found File too large"),
+            McapSink(tmp_path / "a.mcap", compression="none") as sink,
+        ):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, limits[1]))  # as a disk that has no more
+            sink.write(sink.channel("/a", RawImage), 1, b"\0" * 100_000)
+            sink.flush()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 @pytest.mark.parametrize("stamp", [-1, 1 << 64])

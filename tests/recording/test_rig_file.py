@@ -29,10 +29,11 @@ def cameras(tmp_path: Path, text: str) -> tuple[Camera, ...]:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    written = support.rig(["left", 'a camera "x"\\', "third"])
-    (tmp_path / "camera.toml").write_text(camera_file_text(written, ["measured", "", "by hand"]))
+    written = support.rig(['the "first"', 'a camera "x"\\', "third", "a\n[cameras.b]\x1b\x7f\u202e ü"])
+    comments = ["measured", "", "by hand\nreference = 1"]
+    (tmp_path / "camera.toml").write_text(camera_file_text(written, comments), encoding="utf-8")
     read = load_rig(tmp_path / "camera.toml").stored_cameras({c.name: (32, 24) for c in written})
-    assert (tmp_path / "camera.toml").read_text().startswith("# measured\n#\n# by hand\n")
+    assert (tmp_path / "camera.toml").read_text().startswith("# measured\n#\n# by hand\\nreference = 1\n")
     for before, after in zip(written, read, strict=True):
         assert before.values() == after.values()
         np.testing.assert_allclose(after.camera_T_reference, before.camera_T_reference, atol=1e-12)
@@ -113,3 +114,23 @@ def test_a_mirrored_rig_sees_the_mirrored_scene() -> None:
 def test_placing_a_camera_writes_no_negative_zero() -> None:
     camera = placed(support.rig()[0], np.column_stack([np.eye(3), [-0.0, 0.0, 0.0]]))
     assert "-0.0" not in str(camera.camera_T_reference)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["reference = []", "reference = {a = 1}", "reference = 3", "distortion = [1e308, 1e308, 1e308, 1e308]"],
+)
+def test_values_of_no_camera_are_one_error(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "rig.toml"
+    lens = line if line.startswith("distortion") else ""
+    top = "" if lens else line
+    path.write_text(f"{top}\n[cameras.a]\nfx = 60.0\nfy = 60.0\ncx = 32.0\ncy = 24.0\n{lens}\n")
+    with pytest.raises(RecordingError, match=r"^[^\n]+$"):
+        load_rig(path)
+
+
+def test_more_cameras_than_any_rig_has_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text("".join(f"[cameras.c{k}]\n" for k in range(1001)))
+    with pytest.raises(RecordingError, match="too many cameras, found 1001"):
+        load_rig(path)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from results_support import make_estimate, with_fields
 
+from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results import ESTIMATE_SCHEMA, Status, estimate_from_json, estimate_to_json
 from posetrack_cli.results.estimate import FIELD_NAMES
@@ -109,7 +110,7 @@ def test_nan_is_refused() -> None:
         estimate_from_json(data)
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=3))
+@given(st.lists(st.floats(-limits.LENGTH_MM, limits.LENGTH_MM), min_size=3, max_size=3))
 def test_any_number_comes_back_to_the_last_bit(numbers: list[float]) -> None:
     position = np.array(numbers)
     read = estimate_from_json(estimate_to_json(with_fields(make_estimate(1), position=position)))

@@ -27,7 +27,7 @@ def assert_holds(records, numbers: list[int]) -> None:
 
 
 def filled(path: Path, count: int, keep: int = 0) -> RecordSpool:
-    spool = RecordSpool(path, keep)
+    spool = RecordSpool(path, keep, record(0))
     for number in range(keep, count):
         spool.append(record(number))
     return spool
@@ -54,7 +54,7 @@ def test_values_keep_their_types(tmp_path: Path) -> None:
         np.testing.assert_array_equal(back[name], expected)
         assert back[name].dtype == expected.dtype
     header = (tmp_path / "spool").read_bytes().index(b"\n") + 1
-    assert (tmp_path / "spool").stat().st_size == header + 2 * (6 * 4 + 2)
+    assert (tmp_path / "spool").stat().st_size == header + 2 * (6 * 4 + 2 + module.DIGEST_BYTES)
 
 
 def test_reading_does_not_disturb_writing(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_flushed_records_are_on_the_disk(tmp_path: Path) -> None:
     path = tmp_path / "spool"
     with filled(path, 3) as spool:
         spool.flush()
-        with RecordSpool(path, keep=3) as other:
+        with RecordSpool(path, 3, record(0)) as other:
             assert_holds(reversed(other), [2, 1, 0])
 
 
@@ -126,13 +126,45 @@ def test_a_spool_that_cannot_be_resumed_says_so(tmp_path: Path, content: bytes |
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ResultError, match="--overwrite"):
-        RecordSpool(path, keep=2)
+        RecordSpool(path, 2, record(0))
+
+
+@pytest.mark.parametrize("block", [1, 1 << 22])
+def test_records_that_are_not_as_they_were_written_are_refused(
+    tmp_path: Path, monkeypatch, block: int
+) -> None:
+    """Each changed byte, and records in each other's place."""
+    monkeypatch.setattr(module, "BLOCK_BYTES", block)
+    path = tmp_path / "spool"
+    filled(path, 3).close()
+    data = path.read_bytes()
+    start = data.index(b"\n") + 1
+    size = (len(data) - start) // 3
+    exchanged = data[:start] + data[start + size : start + 2 * size] + data[start : start + size]
+    flipped = [data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :] for at in range(0, start + 2 * size, 5)]
+    for damaged in (exchanged + data[start + 2 * size :], *flipped):
+        path.write_bytes(damaged)
+        with pytest.raises(ResultError, match=r"spool cannot be used.*--overwrite"):
+            RecordSpool(path, 2, record(0))
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))  # of a record that is dropped anyway
+    with RecordSpool(path, 2, record(0)) as spool:
+        assert_holds(reversed(spool), [1, 0])
+
+
+@pytest.mark.parametrize("keep", [0, 2])
+def test_no_link_is_followed(tmp_path: Path, keep: int) -> None:
+    filled(tmp_path / "other", 3).close()
+    before = (tmp_path / "other").read_bytes()
+    (tmp_path / "spool").symlink_to(tmp_path / "other")
+    with pytest.raises(ResultError, match="a symbolic link"):
+        RecordSpool(tmp_path / "spool", keep, record(0))
+    assert (tmp_path / "other").read_bytes() == before
 
 
 def test_a_spool_with_too_few_records_says_so(tmp_path: Path) -> None:
     filled(tmp_path / "spool", 2).close()
     with pytest.raises(ResultError, match="ends early"):
-        RecordSpool(tmp_path / "spool", keep=3)
+        RecordSpool(tmp_path / "spool", 3, record(0))
 
 
 def test_a_folder_that_is_missing_is_told(tmp_path: Path) -> None:

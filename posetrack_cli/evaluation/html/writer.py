@@ -19,7 +19,8 @@ from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
 from posetrack_cli.evaluation.html.provenance import provenance
 from posetrack_cli.evaluation.html.summary import comparison_section, lead, notices, summary_tables
-from posetrack_cli.recording.output import check_folder, whole_or_nothing
+from posetrack_cli.files import write_output
+from posetrack_cli.recording.output import check_place, whole_or_nothing
 
 HERE = Path(__file__).parent
 SCRIPTS = (
@@ -72,7 +73,7 @@ def write_html(
     check_page(path)
     page = html_page(evaluations, comparison, pictures, title)
     with whole_or_nothing(path) as part:
-        part.write_bytes(page.encode("utf-8", "backslashreplace"))
+        write_output(part, page.encode("utf-8", "backslashreplace"))
 
 
 def check_page(path: Path) -> None:
@@ -86,7 +87,7 @@ def check_page(path: Path) -> None:
         raise UsageError("page is not named as HTML", where=path, expected="a name that ends in .html")
     if path.is_dir():
         raise UsageError("page is a folder", where=path, expected="the name of a file")
-    check_folder(path)
+    check_place(path)
 
 
 def html_page(

@@ -76,5 +76,5 @@ def particle_count(run: Mapping[str, str]) -> int | None:
             return int(configuration["particles"]["count"])
         swarm = configuration["filter"].get("kind") == "pso"
         return int(configuration["pso" if swarm else "filter"]["particles"])
-    except (KeyError, ValueError, TypeError, AttributeError):
+    except (KeyError, ValueError, TypeError, AttributeError, OverflowError):
         return None

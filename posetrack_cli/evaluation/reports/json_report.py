@@ -19,6 +19,7 @@ from posetrack_cli.evaluation.gates import GateOutcome
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import metric_of
 from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.text import printable_json
 
 FORMAT = "posetrack.eval/1"
 
@@ -50,7 +51,7 @@ def json_report(
         "comparison": None if comparison is None else _comparison(comparison),
         "gates": [asdict(outcome) for outcome in gates],
     }
-    return json.dumps(finite(report), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return printable_json(json.dumps(finite(report), indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def finite(value: Any) -> Any:

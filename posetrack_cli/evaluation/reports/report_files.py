@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.recording.output import check_folder, check_free, whole_or_nothing
+from posetrack_cli.files import write_output
+from posetrack_cli.recording.output import check_free, check_place, whole_or_nothing
 
 
 def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite: bool) -> None:
@@ -23,7 +24,7 @@ def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite:
     """
     taken = {path.resolve(): "an input" for path in inputs}
     for report in reports:
-        check_folder(report)
+        check_place(report)
         if report.exists() and not report.is_file():  # a device would be replaced, not written to
             found = "a folder" if report.is_dir() else "a device"
             hint = "- is standard output"
@@ -43,4 +44,4 @@ def write_report(path: Path, text: str) -> None:
         ResultError: it cannot be written.
     """
     with whole_or_nothing(path) as part:
-        part.write_bytes(text.encode("utf-8", "backslashreplace"))
+        write_output(part, text.encode("utf-8", "backslashreplace"))

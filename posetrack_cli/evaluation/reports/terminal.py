@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import IO, TYPE_CHECKING, Any
 
 from posetrack_cli.evaluation.reports.table import Table
+from posetrack_cli.text import one_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,12 +37,12 @@ def print_tables(
     plain = console.encoding.lower() not in ("utf-8", "utf8")
     available = console.width
     for table in tables:
-        for piece in _pieces(table, available):
+        for piece in _pieces(_printable(table, plain), available):
             console.width = max(available, _width(piece, range(len(piece.columns))))
-            printed = _printed(console, _rendered(piece, plain))
+            printed = _printed(console, _rendered(piece))
             file.write("".join(f"{line.rstrip()}\n" for line in (*printed.splitlines(), "")))
     for line in lines:
-        file.write(_printed(console, _encoded(line, plain), soft_wrap=True))
+        file.write(_printed(console, _shown(line, plain), soft_wrap=True))
 
 
 def _console(file: IO[str], width: int | None) -> Console:
@@ -92,27 +93,49 @@ def _width(table: Table, places: Sequence[int]) -> int:
     return max([*labels, *titles, cell_len(table.title)]) + sum(BETWEEN + cell for cell in cells)
 
 
-def _rendered(table: Table, plain: bool) -> RichTable:
+def _rendered(table: Table) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
     made = RichTable(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
-    made.add_column(Text(_encoded(table.title, plain)), no_wrap=True)
+    made.add_column(Text(table.title), no_wrap=True)
     for column in table.columns:
-        made.add_column(Text(_encoded(column, plain)), justify="right", no_wrap=True)
+        made.add_column(Text(column), justify="right", no_wrap=True)
     for section in table.sections:
         if section.title:
-            made.add_row(Text(_encoded(section.title, plain), style="bold cyan"))
+            made.add_row(Text(section.title, style="bold cyan"))
         for row in section.rows:
-            texts = (_label(row.label, row.indent), *row.cells)
-            made.add_row(*(Text(_encoded(text, plain)) for text in texts))
+            made.add_row(*map(Text, (_label(row.label, row.indent), *row.cells)))
     return made
+
+
+def _printable(table: Table, plain: bool) -> Table:
+    """The table as ``_shown`` makes its texts: names of results, joints and persons come from files."""
+
+    def shown(text: str) -> str:
+        return _shown(text, plain)
+
+    sections = tuple(
+        replace(
+            section,
+            title=shown(section.title),
+            rows=tuple(
+                replace(row, label=shown(row.label), cells=tuple(map(shown, row.cells)))
+                for row in section.rows
+            ),
+        )
+        for section in table.sections
+    )
+    return replace(
+        table, title=shown(table.title), columns=tuple(map(shown, table.columns)), sections=sections
+    )
 
 
 def _label(label: str, indent: int) -> str:
     return "  " * indent + label
 
 
-def _encoded(text: str, plain: bool) -> str:
-    """Write +- where an output has no sign for it."""
-    return text.replace("\u00b1", "+-") if plain else text
+def _shown(text: str, plain: bool) -> str:
+    """Return text on one line without control characters; +- where an output has no sign for it."""
+    safe = one_line(text)
+    return safe.replace("\u00b1", "+-") if plain else safe

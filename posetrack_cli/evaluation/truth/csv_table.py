@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.files import open_input
@@ -59,7 +61,9 @@ def read_header(path: Path) -> CsvHeader:
         raise TruthError("is empty", where=path, expected="a CSV file with a header row")
     _check_separator(path, row)
     columns = tuple(cell.strip() for cell in row)
-    twice = sorted({name for name in columns if name and columns.count(name) > 1})
+    if len(columns) > limits.COLUMNS:
+        raise TruthError("has too many columns", where=path, found=len(columns), expected=limits.COLUMNS)
+    twice = sorted(name for name, count in Counter(columns).items() if name and count > 1)
     if twice:
         raise TruthError("column occurs twice", where=path, found=", ".join(twice))
     return CsvHeader(path, columns)
@@ -147,7 +151,13 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     number = 0
     try:
         with open_input(path) as stream:
-            for number, line in enumerate(stream, 1):
+            while line := stream.readline(limits.LINE_BYTES + 1):
+                number += 1
+                if len(line) > limits.LINE_BYTES:
+                    found, expected = "a line without end", f"at most {limits.LINE_BYTES} bytes"
+                    raise TruthError(
+                        "is no CSV", where=f"{path} line {number}", found=found, expected=expected
+                    )
                 yield number, line.decode("utf-8-sig" if number == 1 else "utf-8")
     except OSError as error:
         raise TruthError("cannot be read", where=path, found=error.strerror or error) from error
@@ -236,7 +246,7 @@ def _numbers(
     try:
         values = np.array([list(map(float, pick(row))) for _, row in block])[:, :-1]
         required = [name not in optional for name in columns]
-        if np.isfinite(values[:, required]).all() and not np.isinf(values).any():
+        if np.isfinite(values[:, required]).all() and not (np.abs(values) > limits.NUMBER).any():
             return values
     except ValueError:
         pass
@@ -262,6 +272,8 @@ def _number(cell: str, optional: bool, where: str) -> float:
         raise TruthError("is not a number", where=where, found=repr(cell)) from error
     if not math.isfinite(value):
         raise TruthError("is not finite", where=where, found=cell)
+    if abs(value) > limits.NUMBER:
+        raise TruthError("is too large", where=where, found=cell, expected=f"{limits.NUMBER:g} at most")
     return value
 
 

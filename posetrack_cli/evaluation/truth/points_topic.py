@@ -17,7 +17,7 @@ from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.results.estimate import Subject
-from posetrack_cli.results.estimate_json import parse_fields
+from posetrack_cli.results.strict_json import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
 
 POINTS_SCHEMA_NAME = "posetrack.Points"
 _NUMBER = {"type": "number"}
@@ -41,6 +41,10 @@ POINTS_SCHEMA: Mapping[str, Any] = {
     "required": ["stamp_ns", "points"],
     "additionalProperties": False,
 }
+
+
+_POINT = object_of({"name": NAME, **dict.fromkeys("xyz", LENGTH_MM)})
+_read = reader_of(object_of({"stamp_ns": COUNT, "points": list_of(_POINT)}))
 
 
 def points_topic(subject: str) -> str:
@@ -111,9 +115,9 @@ def points_track(path: Path, subject: Subject, name: str, losses: LossLog) -> Tr
 def _parsed(data: bytes, where: str) -> tuple[tuple[str, ...], int, FloatArray]:
     """Names, stamp and points (P, 3) of a message."""
     try:
-        fields = parse_fields(data)
+        fields = _read(data)
         points = fields["points"]
         values = np.array([(p["x"], p["y"], p["z"]) for p in points], dtype=np.float64).reshape(-1, 3)
-        return tuple(str(p["name"]) for p in points), int(fields["stamp_ns"]), values
-    except (ValueError, KeyError, TypeError) as error:
+        return tuple(p["name"] for p in points), fields["stamp_ns"], values
+    except ValueError as error:
         raise TruthError(f"message is no {POINTS_SCHEMA_NAME}", where=where, found=error) from error

@@ -12,7 +12,16 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.recording.output import check_folder, check_not_written, lock, whole_or_nothing
+from posetrack_cli.files import open_output as open_output_file
+from posetrack_cli.files import utf8_name, write_output
+from posetrack_cli.recording.output import (
+    check_not_written,
+    check_place,
+    is_taken,
+    link_refused,
+    lock,
+    whole_or_nothing,
+)
 
 STANDARD_OUTPUT = Path("-")
 VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
@@ -50,7 +59,7 @@ class VideoFile:
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         self._path, self._rate = path, playable_rate(rate_hz)
-        self._part = path.with_name(f"{path.stem}.part{path.suffix}")
+        self._part = _video_part(path)
         check_not_written(self._part)
         self._writer: Any = None
         self._lock: IO[bytes] | None = None
@@ -68,11 +77,12 @@ class VideoFile:
     def _open(self) -> Any:
         code = cv2.VideoWriter.fourcc(*CODEC)
         try:
-            self._lock = self._part.open("wb")  # FFmpeg would not say why it cannot
+            self._lock = open_output_file(self._part)  # FFmpeg would not say why it cannot
             lock(self._lock)
         except OSError as error:
             raise ResultError("cannot be written", where=self._path, found=error.strerror or error) from error
-        writer = cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, code, self._rate, self._size)
+        with utf8_name(self._part) as name:
+            writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, code, self._rate, self._size)
         if not writer.isOpened():
             width, height = self._size
             raise ResultError(
@@ -106,6 +116,10 @@ class VideoFile:
         self._writer = self._lock = None
 
 
+def _video_part(path: Path) -> Path:
+    return path.with_name(f"{path.stem}.part{path.suffix}")
+
+
 def playable_rate(rate_hz: float) -> float:
     """A rate that MPEG-4 can state exactly: hundredths, within what players play."""
     return round(min(max(rate_hz, SLOWEST_HZ), FASTEST_HZ), 2)
@@ -121,7 +135,8 @@ def _even(picture: ImageArray) -> ImageArray:
 
 def _plays(path: Path, size: tuple[int, int], count: int) -> bool:
     """Whether a video states so many pictures of this size, and the first can be read."""
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    with utf8_name(path) as name:
+        video = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
     try:
         read, picture = video.read()
         stated = round(video.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -147,7 +162,7 @@ class PictureFolder:
         """Write the picture of a frame; raises ResultError where it cannot."""
         path = self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}"
         try:
-            path.write_bytes(png_of(picture, FAST))
+            write_output(path, png_of(picture, FAST))
         except OSError as error:  # a full disk leaves half a picture, and its error no name
             path.unlink(missing_ok=True)
             raise ResultError("cannot be written", where=path, found=error.strerror or error) from error
@@ -183,7 +198,7 @@ class Sheet:
         """Write the file."""
         if self._pictures:
             with whole_or_nothing(self._path) as part:
-                part.write_bytes(png_of(sheet_of(self._pictures)))
+                write_output(part, png_of(sheet_of(self._pictures)))
 
     def discard(self) -> None:
         """Nothing was written."""
@@ -224,7 +239,8 @@ def check_view_output(path: Path, *, overwrite: bool) -> None:
     """Refuse an output before anything is drawn.
 
     Raises:
-        UsageError: the name ends in something else than .mp4, .png or nothing, or would replace something.
+        UsageError: the name ends in something else than .mp4, .png or nothing, or something would be replaced
+            or written through a link.
         ResultError: its folder does not exist.
     """
     if path == STANDARD_OUTPUT:
@@ -240,7 +256,9 @@ def check_view_output(path: Path, *, overwrite: bool) -> None:
             found=f"a name that ends in {path.suffix}",
             expected="FILE.mp4, FILE.png or a folder",
         )
-    check_folder(path)
-    there = numbered_pictures(path) if path.is_dir() else path.exists()
+    check_place(path)
+    if path.suffix.lower() == VIDEO_SUFFIX and _video_part(path).is_symlink():
+        raise link_refused(_video_part(path))
+    there = numbered_pictures(path) if path.is_dir() else is_taken(path)
     if there and not overwrite:
         raise UsageError("exists already", where=path, hint="use --overwrite to replace it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from posetrack_cli.files import write_output
 from posetrack_cli.hand.calibration.calibrate import Calibration
 from posetrack_cli.hand.shape import SHAPE_NAMES
 from posetrack_cli.recording.output import whole_or_nothing
@@ -25,7 +26,7 @@ def write_hand_file(path: Path, calibration: Calibration, mesh: str | None, sour
         ResultError: it cannot be written.
     """
     with whole_or_nothing(path) as part:
-        part.write_text(hand_text(calibration, mesh, source, path.parent), encoding="utf-8")
+        write_output(part, hand_text(calibration, mesh, source, path.parent).encode())
 
 
 def hand_text(calibration: Calibration, mesh: str | None, source: str, folder: Path) -> str:

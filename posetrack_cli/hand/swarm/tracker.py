@@ -29,10 +29,11 @@ from posetrack_cli.hand.config import HandConfig, PsoSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
+from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
 from posetrack_cli.hand.swarm.objective import SwarmObjective
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, check_arrays, check_numbers
 
 REDRAWN = np.arange(TANGENT_ANGLES.start, TANGENT_ANGLES.stop)
 """The components that are redrawn: the paper's 20 of the fingers, here 15."""
@@ -45,7 +46,8 @@ class SwarmState:
     Attributes:
         pose: (22,) last solution.
         stamp_ns: of the last frame; None before the first.
-        misses: frames in a row without confidence.
+        misses: frames in a row without confidence; those before the first one with it count as many as make
+            a hand lost, for its start is but assumed.
     """
 
     pose: FloatArray
@@ -81,7 +83,7 @@ class SwarmTracker:
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> SwarmState:
         """Return the state in which the hand is at a pose (22,)."""
-        return SwarmState(inside_limits(pose[None])[0])
+        return SwarmState(inside_limits(pose[None])[0], misses=self.config.status.lost_after_frames)
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> SwarmState:
         """Return the state before a first frame: the hand that is found in it, else a pose (22,)."""
@@ -92,7 +94,8 @@ class SwarmTracker:
         """Advance by one frame; the state given is left as it is.
 
         Where there is nothing to compare with, the hand stays where it was. The estimate's cost is the
-        objective's first term, its confidence 1 - cost / d_M: the same measures as a filter's.
+        objective's first term, its confidence 1 - cost / d_M, and 0 where the frame shows no outline of a
+        hand there: the same measures as a filter's.
 
         Args:
             state: after the frame before.
@@ -107,12 +110,15 @@ class SwarmTracker:
         observation = self._observer.observe(frame.depth, state.pose)
         if observation.target_pixels == 0:
             following = SwarmState(state.pose, frame.stamp_ns, state.misses + 1)
-            return following, self._estimate(frame, following, None, 0)
+            return following, self._estimate(frame, following, None, None, 0)
         pose, optimum = self._search(state.pose, observation, rng)
         cost = float(self.objective.evaluate(pose[None], observation).depth[0])  # one evaluation more
-        misses = state.misses + 1 if self._confidence(cost) < self.config.status.lost_below else 0
-        following = SwarmState(pose, frame.stamp_ns, misses)
-        return following, self._estimate(frame, following, cost, optimum.evaluations + 1)
+        is_known = state.misses < self.config.status.lost_after_frames
+        shown = self._observer.shows_hand(frame.depth, pose, is_known=is_known)
+        confidence = max(0.0, 1.0 - cost / self.config.pso.clamp_mm) if shown else None
+        missed = confidence is None or confidence < self.config.status.lost_below
+        following = SwarmState(pose, frame.stamp_ns, state.misses + 1 if missed else 0)
+        return following, self._estimate(frame, following, cost, confidence, optimum.evaluations + 1)
 
     def _search(
         self, last: FloatArray, observation: Observation, rng: np.random.Generator
@@ -129,16 +135,15 @@ class SwarmTracker:
         moved = self._space.retract(last[None], optimum.position[None])
         return inside_limits(moved)[0], optimum  # limit - angle + angle may round to beyond the limit
 
-    def _confidence(self, cost: float | None) -> float:
-        return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.pso.clamp_mm)
-
-    def _estimate(self, frame: Frame, state: SwarmState, cost: float | None, evaluations: int) -> Estimate:
-        lost = cost is None or state.misses >= self.config.status.lost_after_frames
+    def _estimate(
+        self, frame: Frame, state: SwarmState, cost: float | None, confidence: float | None, evaluations: int
+    ) -> Estimate:
+        lost = confidence is None or state.misses >= self.config.status.lost_after_frames
         return Estimate(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=Status.LOST if lost else Status.TRACKING,
-            confidence=self._confidence(cost),
+            confidence=confidence or 0.0,
             position=state.pose[:3],
             quaternion=state.pose[3:7],
             shape=state.pose[ANGLES],
@@ -161,8 +166,14 @@ class SwarmTracker:
         return {"pose": state.pose}, numbers
 
     def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> SwarmState:
-        """Put a state together from what ``state_parts`` made of it."""
-        return SwarmState(arrays["pose"], numbers.get("stamp_ns"), numbers["misses"])
+        """Put a state together from what ``state_parts`` made of it.
+
+        Raises:
+            LayoutError: they are of no state of this tracker after a frame.
+        """
+        check_arrays(arrays, {"pose": pose_layout()})
+        check_numbers(numbers, {"stamp_ns": STAMPS_NS, "misses": COUNTS})
+        return SwarmState(arrays["pose"], numbers["stamp_ns"], numbers["misses"])
 
 
 def swarm_rules(settings: PsoSettings) -> SwarmRules:

@@ -9,6 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
+from posetrack_cli.files import utf8_name
 from posetrack_cli.head.detection.guess import FaceGuess
 
 # YuNet's own threshold for a face is 0.9; it becomes 0.5 as with every finder.
@@ -34,7 +35,8 @@ class YunetFaces:
         if not model.is_file():
             raise UsageError("face detector's model not found", where=model)
         try:
-            self._network = cv2.FaceDetectorYN.create(str(model), "", (320, 320), score_threshold=UNSURE)
+            with utf8_name(model) as name:
+                self._network = cv2.FaceDetectorYN.create(name, "", (320, 320), score_threshold=UNSURE)
         except cv2.error as error:
             raise UsageError(
                 "not a model of YuNet",

@@ -10,16 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli import limits
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.files import read_input, write_output
 from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.npz import loaded_npz
+from posetrack_cli.npz import read_npz
 from posetrack_cli.recording.output import whole_or_nothing
 
 FORMAT, VERSION = "posetrack.face_model", 1
 SHIPPED = Path(__file__).with_name("default.npz")
 """Built by ``scripts/build-face-model`` from statistics of ICT-FaceKit (USC ICT, MIT licence)."""
 _HEADER = "header"
+_LARGEST = 1e9
+"""Of coordinates, mm, and of parameters; no deviation is smaller than its reciprocal."""
 
 
 def load_face_model(path: Path | None = None) -> FaceModel:
@@ -33,12 +37,12 @@ def load_face_model(path: Path | None = None) -> FaceModel:
     if not path.is_file():
         raise UsageError("no such face model", where=path)
     try:
-        with loaded_npz(path.read_bytes()) as contents:
-            _check_header(json.loads(str(contents[_HEADER])))
-            return _checked({name: contents[name] for name in contents.files})
-    except PosetrackError:
-        raise
-    except Exception as error:  # zip, numpy and JSON each have their own errors for damaged bytes
+        contents = read_npz(read_input(path, limits.MODEL_BYTES))
+        _check_header(json.loads(str(contents[_HEADER])))
+        return _checked(contents)
+    except OSError as error:
+        raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultError(
             "is no face model",
             where=path,
@@ -63,7 +67,7 @@ def save_face_model(path: Path, model: FaceModel, source: str) -> None:
     stream = BytesIO()
     np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
     with whole_or_nothing(path) as part:
-        part.write_bytes(stream.getvalue())
+        write_output(part, stream.getvalue())
 
 
 def _shapes(identity: int, deformation: int) -> dict[str, tuple[int, ...]]:
@@ -92,16 +96,28 @@ def _checked(arrays: Mapping[str, np.ndarray[Any, Any]]) -> FaceModel:
     core = arrays["core"]
     if core.ndim != 4 or 0 in core.shape:
         raise ValueError(f"array 'core' of shape {core.shape}")
+    if max(core.shape[2:]) > limits.FACE_PARAMETERS:
+        raise ValueError(
+            f"array 'core' of {core.shape}, at most {limits.FACE_PARAMETERS} parameters of a kind"
+        )
     expected = _shapes(*core.shape[2:])
     for name, shape in expected.items():
         array = arrays[name]
         if array.dtype.kind != "f" or array.shape != shape:
             raise ValueError(f"array '{name}' as {array.dtype} {array.shape} beside 'core' of {core.shape}")
-        if not np.all(np.isfinite(array)):
-            raise ValueError(f"array '{name}' with values that are not finite")
-        if name.endswith("deviations") and np.any(array <= 0.0):
-            raise ValueError(f"array '{name}' with values that are not above 0")
+        _check_values(name, array)
     return FaceModel(**{name: arrays[name].astype(np.float64) for name in expected})
+
+
+def _check_values(name: str, array: np.ndarray[Any, Any]) -> None:
+    """Refuse values of no face: squares and quotients of those that are left are numbers, too."""
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"array '{name}' with values that are not finite")
+    if name.endswith("deviations") and np.any(array <= 0.0):
+        raise ValueError(f"array '{name}' with values that are not above 0")
+    largest = float(np.abs(array).max())
+    if largest > _LARGEST or (name.endswith("deviations") and float(array.min()) < 1.0 / _LARGEST):
+        raise ValueError(f"array '{name}' with values far beyond a face's")
 
 
 def _said(error: Exception) -> str:

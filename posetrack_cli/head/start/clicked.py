@@ -66,7 +66,8 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     except FileNotFoundError:
         raise UsageError("clicked points not found", where=path) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UsageError("clicked points cannot be read", where=path, found=error) from None
+        found = getattr(error, "strerror", None) or error
+        raise UsageError("clicked points cannot be read", where=path, found=found) from None
     header = tuple(reader.fieldnames or ())
     if not set(COLUMNS) <= set(header):
         found = ", ".join(header) or "an empty file"

@@ -14,7 +14,7 @@ from posetrack_cli.head.synthesis.frames import Plan, SyntheticHeadFrame
 from posetrack_cli.head.synthesis.truth import TruthChannels
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.output import check_folder, part_path
+from posetrack_cli.recording.output import check_place, is_taken, part_path
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
 
@@ -34,8 +34,8 @@ def check_folder_output(out: Path, *, overwrite: bool) -> None:
     """
     if out.suffix:
         raise UsageError("output cannot be used", where=out, expected="NAME.mcap, or a folder without a dot")
-    check_folder(out)
-    if not out.exists():
+    check_place(out)
+    if not is_taken(out):
         return
     if not overwrite:
         raise UsageError("exists already", where=out, hint="use --overwrite to replace it")
@@ -98,7 +98,7 @@ def _write(
 
 def _is_synthetic(out: Path) -> bool:
     """Whether a folder holds what is written here, and nothing else."""
-    if not out.is_dir():
+    if out.is_symlink() or not out.is_dir():
         return False
     names = {entry.name for entry in out.iterdir()}
     return not names or (TRUTH_FILE_NAME in names and names <= OWN_NAMES)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import IO
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.files import open_output
 from posetrack_cli.recording.output import check_target, whole_or_nothing
 from posetrack_cli.results.export.npz_format import write_npz
 from posetrack_cli.results.export.source import ExportSource
@@ -33,12 +34,18 @@ def export_file(source: ExportSource, format_name: str, out: Path, *, overwrite:
         if format_name == NPZ:
             write_npz(source, part)
             return
-        with part.open("wb") as stream:
+        with open_output(part) as stream:
             export_text(source, format_name, stream)
 
 
 def export_text(source: ExportSource, format_name: str, stream: IO[bytes]) -> None:
-    """Write one of ``TEXT_FORMATS`` to an open stream, as UTF-8.
+    """Write one of ``TEXT_FORMATS`` to an open stream, as UTF-8; see ``text_pieces``."""
+    for piece in text_pieces(source, format_name):
+        stream.write(piece.encode("utf-8", "backslashreplace"))
+
+
+def text_pieces(source: ExportSource, format_name: str) -> Iterator[str]:
+    """Yield one of ``TEXT_FORMATS``, piece by piece.
 
     Raises:
         UsageError: it is no text format.
@@ -48,5 +55,4 @@ def export_text(source: ExportSource, format_name: str, stream: IO[bytes]) -> No
         raise UsageError(
             f"{format_name} is no text", expected=", ".join(TEXT_FORMATS), hint="name a file with -o"
         )
-    for piece in TEXT_FORMATS[format_name](source):
-        stream.write(piece.encode("utf-8", "backslashreplace"))
+    yield from TEXT_FORMATS[format_name](source)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli.files import open_output
 from posetrack_cli.results.estimate import NUMBERS
 from posetrack_cli.results.export.header import header_values
 from posetrack_cli.results.export.source import ExportSource
@@ -49,5 +50,5 @@ def write_npz(source: ExportSource, path: Path) -> None:
     }
     if subject.number_names:
         extras["number_names"] = np.array(subject.number_names, dtype=np.str_)
-    with path.open("wb") as stream:
+    with open_output(path) as stream:
         np.savez(stream, **columns, **extras)  # type: ignore[arg-type]

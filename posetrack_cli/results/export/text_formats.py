@@ -14,6 +14,7 @@ from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.export.header import euler_order, header_lines, header_values, point_axes
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
+from posetrack_cli.text import printable_json
 
 METRES_PER_MM = 1e-3
 TUM_FIELDS = ("stamp_ns", "position", "quaternion")
@@ -57,12 +58,13 @@ def json_text(source: ExportSource) -> Iterator[str]:
     A value that there is not is null.
     """
     columns = source.columns()
-    header = json.dumps(header_values(source), indent=1, ensure_ascii=False)
+    header = printable_json(json.dumps(header_values(source), indent=1, ensure_ascii=False))
     yield f'{{"header": {header},\n"columns": {{'
     between = "\n"
     for group in table_of(source.result.subject):
         for name, values in zip(group.names, group.values(columns).T, strict=True):
-            yield f"{between}{json.dumps(name, ensure_ascii=False)}: {json.dumps(_plain(values))}"
+            key = printable_json(json.dumps(name, ensure_ascii=False))
+            yield f"{between}{key}: {json.dumps(_plain(values))}"
             between = ",\n"
     yield "\n}}\n"
 

@@ -22,10 +22,11 @@ from truth_support import (
 )
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import RecordingError, ResultError, TruthError, UsageError
+from posetrack_cli.errors import ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.truth import csv_table
 from posetrack_cli.evaluation.truth.csv_table import read_header
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.loading import load_truth
@@ -373,12 +374,12 @@ def test_stamps_of_truth_must_increase(tmp_path: Path) -> None:
 def test_an_unreadable_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_csv(tmp_path / "t.csv", {"t_s": [0.0]})
 
-    def refuse(self: Path, *args: Any, **options: Any) -> Any:
+    def refuse(path: Path) -> Any:
         raise PermissionError(13, "Permission denied")
 
     result = result_of(tmp_path)
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(RecordingError, match=r"t\.csv: cannot be read, found Permission denied"):
+    monkeypatch.setattr(csv_table, "open_input", refuse)
+    with pytest.raises(TruthError, match=r"t\.csv: cannot be read, found Permission denied"):
         load_truth(result, path)
 
 
@@ -434,3 +435,12 @@ def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_
     wrong = carried(estimates(other, 8), "/truth/head/estimate")
     with pytest.raises(TruthError, match="other shape entries"):
         truth_of(result_of(tmp_path / "other", HEAD, wrong))
+
+
+@pytest.mark.parametrize(
+    "content", [b"a" * (2 << 20), b"t_s," + b"c," * 20_000 + b"\n", b"t_s,x_mm\n0,1e13\n"]
+)
+def test_lines_and_numbers_without_end_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "t.csv").write_bytes(content)
+    with pytest.raises(TruthError, match=r"^[^\n]{1,400}$"):
+        csv_table.read_table(csv_table.read_header(tmp_path / "t.csv"), ["x_mm"])

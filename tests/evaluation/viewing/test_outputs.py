@@ -10,6 +10,7 @@ import pytest
 from viewing_support import pictures_of
 
 from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.viewing import outputs
 from posetrack_cli.evaluation.viewing.outputs import (
     PictureFolder,
     Sheet,
@@ -115,13 +116,27 @@ def test_a_folder_holds_a_picture_per_frame_and_loses_those_of_before(tmp_path: 
     np.testing.assert_array_equal(cv2.imread(str(folder / "frame_000004.png")), plain(4))
 
 
-def test_a_full_disk_names_the_picture_and_leaves_no_half_of_it(tmp_path: Path) -> None:
+def test_a_full_disk_names_the_picture_and_leaves_no_half_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, data: bytes) -> None:
+        path.write_bytes(data[:9])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(outputs, "write_output", full)
     folder = PictureFolder(tmp_path / "pictures")
-    broken = tmp_path / "pictures" / "frame_000003.png"
-    broken.symlink_to("/dev/full")
     with pytest.raises(ResultError, match=r"frame_000003.png: cannot be written, found No space left"):
         folder.add(3, plain(3))
-    assert not broken.is_symlink()
+    assert not list((tmp_path / "pictures").iterdir())
+
+
+def test_no_picture_is_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "victim").write_bytes(b"precious")
+    folder = PictureFolder(tmp_path / "pictures")
+    (tmp_path / "pictures" / "frame_000003.png").symlink_to("../victim")
+    with pytest.raises(ResultError, match="a symbolic link"):
+        folder.add(3, plain(3))
+    assert (tmp_path / "victim").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(("count", "width", "columns"), [(1, 96, 1), (6, 300, 6), (7, 700, 3), (3, 5000, 1)])

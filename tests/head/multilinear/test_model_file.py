@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,10 @@ def test_headers_that_are_none_are_refused(model: FaceModel, tmp_path: Path) -> 
         ("identity_mean", np.zeros(5), "array 'identity_mean' as float64 (5,)"),
         ("identity_deviations", np.zeros(4), "array 'identity_deviations' with values that are not above 0"),
         ("deformation_mean", np.array(["a", "b", "c"]), "array 'deformation_mean' as <U1 (3,)"),
+        ("mean", np.full((10, 3), 1e300), "array 'mean' with values far beyond a face's"),
+        ("identity_deviations", np.full(4, 1e-300), "array 'identity_deviations' with values far beyond"),
+        ("core", np.zeros((10, 3, 4, 300)), "array 'core' of (10, 3, 4, 300), at most 256 parameters"),
+        ("core", np.zeros((10, 3, 0, 10**15)), "array 'core' of shape (10, 3, 0, 1000000000000000)"),
     ],
 )
 def test_other_arrays_are_refused(
@@ -138,6 +143,20 @@ def test_missing_arrays_are_refused(model: FaceModel, tmp_path: Path) -> None:
 def test_pickled_arrays_are_refused(model: FaceModel, tmp_path: Path) -> None:
     arrays = arrays_of(model) | {"core": np.array([{"a": 1}], dtype=object)}
     refusal(write(tmp_path / "face.npz", HEADER, arrays))
+
+
+def test_a_small_file_of_large_arrays_is_refused(tmp_path: Path) -> None:
+    """Compressed zeros of 300 MB, in a file of 300 KB."""
+    path = tmp_path / "face.npz"
+    np.savez_compressed(path, header=np.array(json.dumps(HEADER)), core=np.zeros((10, 3, 1, 1_250_000)))
+    assert path.stat().st_size < 1 << 20
+    assert "arrays of 30000" in refusal(path) and "at most 268435456 are read" in refusal(path)
+
+
+def test_only_a_regular_file_is_a_model(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "face.npz")
+    with pytest.raises(UsageError, match="no such face model"):
+        load_face_model(tmp_path / "face.npz")
 
 
 def test_a_folder_that_does_not_exist(model: FaceModel, tmp_path: Path) -> None:

@@ -1,0 +1,129 @@
+"""States of head trackers that no tracker made: refused before they are put together, without a warning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from damage_support import OTHER_VALUES, Arrays, damaged_arrays, wild_numbers
+from mono_scene import Scene as MonoScene
+from test_stereo_tracker import Scene as StereoScene
+from test_stereo_tracker import Told
+
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.head.mono_reduction import ReducedState, ReducingTracker
+from posetrack_cli.results.layouts import LayoutError
+
+Put = Callable[[Arrays, dict[str, int]], object]
+Saved = tuple[Put, Callable[[Any], object], Arrays, dict[str, int]]
+"""What puts a state together, a step from it, and a real state's arrays and numbers."""
+
+
+def stereo(frames: int = 5) -> Saved:
+    scene = StereoScene()
+    for index in range(frames):
+        scene.step(index)
+    arrays, numbers = scene.tracker.state_parts(scene.state)
+    frame = scene.frame(frames)
+    return (
+        scene.tracker.state_from_parts,
+        lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)),
+        arrays,
+        numbers,
+    )
+
+
+def searching() -> Saved:
+    scene = StereoScene(told=Told(there=False))
+    scene.step(0, blank=True)
+    frame = scene.frame(1)
+    arrays, numbers = scene.tracker.state_parts(scene.state)
+    put = scene.tracker.state_from_parts
+    return put, lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)), arrays, numbers
+
+
+def mono(frames: int) -> Saved:
+    """In the middle of collecting faces, or following one."""
+    scene = MonoScene()
+    for index in range(frames):
+        scene.step(index)
+    tracker = ReducingTracker(scene.tracker._camera, 1e6, lambda *_: scene.tracker)
+    arrays, numbers = tracker.state_parts(ReducedState(1.0, scene.state))
+    frame = scene.frame(frames)
+    scene.told.index = frames
+    put = tracker.state_from_parts
+    return put, lambda state: tracker.step(state, frame, np.random.default_rng(0)), arrays, numbers
+
+
+STATES: dict[str, Callable[[], Saved]] = {
+    "stereo": stereo,
+    "stereo, searching": searching,
+    "mono, collecting": lambda: mono(2),
+    "mono, following": lambda: mono(14),
+}
+
+
+@pytest.fixture(scope="module", params=STATES)
+def saved(request: pytest.FixtureRequest) -> Saved:
+    return STATES[request.param]()
+
+
+def test_the_state_itself_is_taken(saved: Saved) -> None:
+    put, step, arrays, numbers = saved
+    step(put(arrays, numbers))
+
+
+def test_every_array_is_needed_and_of_its_type_and_shape(saved: Saved) -> None:
+    """But for those of one kind in each other's place: they are a state, if another one."""
+    put, step, arrays, numbers = saved
+    for what, damaged in damaged_arrays(arrays):
+        try:
+            state = put(damaged, numbers)
+        except LayoutError as error:
+            assert "\n" not in str(error)
+            continue
+        assert " and " in what and {a.dtype for a in damaged.values()} == {a.dtype for a in arrays.values()}
+        attempt(step, state)
+
+
+def test_numbers_that_are_none_are_refused_or_do_no_harm(saved: Saved) -> None:
+    """NaN stands for what was not seen, in a few arrays; a tracker goes on with it as it always did."""
+    put, step, arrays, numbers = saved
+    taken = []
+    for what, damaged in wild_numbers(arrays):
+        try:
+            state = put(damaged, numbers)
+        except LayoutError:
+            continue
+        taken.append(what)
+        attempt(step, state)
+    missing = ("pixels", "centres", "tangents", "single", "scale")
+    usual = {f"{name} with nan" for name in arrays if name.endswith(missing)}
+    assert set(taken) <= usual | {f"{name} of -1" for name in arrays if name.endswith("stamps")}
+
+
+def attempt(step: Callable[[Any], object], state: object) -> None:
+    """Go on from a state: it works, or is one line; warnings are errors."""
+    try:
+        step(state)
+    except PosetrackError as error:
+        assert "\n" not in str(error)
+
+
+def test_every_whole_number_is_needed_and_in_its_range(saved: Saved) -> None:
+    put, _, arrays, numbers = saved
+    for name in numbers:
+        with pytest.raises(LayoutError, match=f"no number '{name}'"):
+            put(arrays, {other: value for other, value in numbers.items() if other != name})
+        for value in OTHER_VALUES:
+            if value == -7 and name.endswith("_ns"):
+                continue  # a time as good as any
+            with pytest.raises(LayoutError, match=f"'{name}' as"):
+                put(arrays, numbers | {name: value})  # type: ignore[dict-item]
+
+
+def test_nothing_is_no_state(saved: Saved) -> None:
+    with pytest.raises(LayoutError, match="no array"):
+        saved[0]({}, {})
