@@ -134,7 +134,7 @@ def test_the_recording_s_losses_and_blank_frames_are_told_together(
     unreadable = Loss("images that cannot be read", 2, "000004.png")
     outcome = track(Memory(6, blank=(2, 3), losses=(unreadable,)))
     assert outcome.losses == (unreadable, Loss("frames without any reading", 2, "frame 2"))
-    assert outcome.lost == 2
+    assert outcome.lost == 6  # 4 frames of a wall, and 2 without a reading
     assert read_result(tmp_path / "r.mcap").summary["losses"] == (
         "images that cannot be read: 2, first 000004.png; frames without any reading: 2, first frame 2"
     )
