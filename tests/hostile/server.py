@@ -26,7 +26,7 @@ from typing import Any
 GIB = 1 << 30
 ADDRESS_BYTES = 6 * GIB
 """Of address space, beyond that of the idle process: threads and drivers reserve much that they never use."""
-BLOCKED_S = 10.0
+BLOCKED_S = 6.0
 """A child that has not computed for so long waits for something that never comes."""
 WALL_LIMIT_S = 900.0
 SPAWNING = (

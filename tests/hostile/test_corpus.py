@@ -16,7 +16,7 @@ from hostile.seeds import Seeds
 
 SLACK = 3.0
 """Seconds of CPU are longer while other tests share a core."""
-STATES = {"hand": 8, "stereo": 40, "mono": 40}
+STATES = {"hand": 4, "stereo": 40, "mono": 40}
 MODELS = 40
 """Of some hundred damaged ones, which ``scripts/fuzz`` begins with; hands take longer, as they need GL."""
 

@@ -12,7 +12,7 @@ from hostile.seeds import Seeds
 from hostile.targets import TARGETS
 
 EXAMPLES = {"states": 10, "models": 10, "configurations": 8, "meshes": 4}
-USUAL = 20
+USUAL = 16
 """Cases of a target; those that track take longer, so they are fewer."""
 SLACK = 3.0
 """Seconds of CPU are longer while other tests share a core."""
