@@ -67,6 +67,11 @@ def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
     return read_input(path, most).decode(encoding)
 
 
+def real_path(path: Path) -> Path:
+    """Return where a path leads; where links form a ring ``Path.resolve`` would raise RuntimeError."""
+    return Path(os.path.realpath(path))
+
+
 def open_output(path: Path) -> BufferedWriter:
     """Open a file to write it anew; a symbolic link in its place is refused.
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.files import real_path
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, Learned, load_model, model_bytes, save_model
 from posetrack_cli.head.passes import (
@@ -210,7 +211,7 @@ def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
     check_output(options.output, overwrite=replace, source=recording.path)
     if options.save_model is not None:
         own = (options.output, part_path(options.output), state_path(options.output))
-        if options.save_model.resolve() in [path.resolve() for path in own]:
+        if real_path(options.save_model) in [real_path(path) for path in own]:
             raise UsageError("result and model cannot be one file", where=options.save_model)
         if not options.overwrite and state_path(options.save_model).exists():
             where = part_path(options.save_model)

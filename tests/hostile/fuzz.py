@@ -155,11 +155,8 @@ def run(options: argparse.Namespace) -> int:
                     break
                 search(harness, seeds, target, options.batch, number, tally)
                 if not options.quiet:
-                    print(
-                        f"{(time.monotonic() - began) / 60.0:6.1f} min  {line_of(tally)}",
-                        file=sys.stderr,
-                        flush=True,
-                    )
+                    minutes = (time.monotonic() - began) / 60.0
+                    print(f"{minutes:6.1f} min  {line_of(tally)}", file=sys.stderr, flush=True)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     finally:

@@ -112,6 +112,17 @@ def test_what_is_not_known_is_an_empty_cell(path: Path) -> None:
     assert {row["milliseconds"] for row in rows} == {""}
 
 
+@pytest.mark.parametrize("format_name", ["csv", "tum", "json"])
+def test_a_name_with_control_characters_is_written_escaped(
+    path: Path, tmp_path: Path, format_name: str
+) -> None:
+    odd = tmp_path / "a\x1b[2J\x9b\u202e.mcap"
+    odd.write_bytes(path.read_bytes())
+    written = text(odd, format_name)
+    assert not {"\x1b", "\x9b", "\u202e"} & set(written)
+    assert "x1b[2J" in written or "u001b[2J" in written
+
+
 def test_comments_explain_every_column_once_and_state_order_and_axes(path: Path) -> None:
     lines = text(path, "csv").splitlines()
     comments = [line.removeprefix("# ") for line in lines if line.startswith("#")]

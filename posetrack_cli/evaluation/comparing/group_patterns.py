@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.files import real_path
 
 EXAMPLE = "such as rbpf='out/rbpf-*.mcap'"
 
@@ -47,6 +48,6 @@ def _check_disjoint(groups: dict[str, tuple[Path, ...]]) -> None:
     home: dict[Path, str] = {}
     for name, paths in groups.items():
         for path in paths:
-            other = home.setdefault(path.resolve(), name)
+            other = home.setdefault(real_path(path), name)
             if other != name:
                 raise UsageError("file is in two groups", where=path, found=f"{other} and {name}")

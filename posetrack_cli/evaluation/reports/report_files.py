@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.files import write_output
+from posetrack_cli.files import real_path, write_output
 from posetrack_cli.recording.output import check_free, check_place, whole_or_nothing
 
 
@@ -22,19 +22,19 @@ def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite:
         UsageError: a report is a folder, a device, an input, the same file as another, or is there already.
         ResultError: its folder does not exist.
     """
-    taken = {path.resolve(): "an input" for path in inputs}
+    taken = {real_path(path): "an input" for path in inputs}
     for report in reports:
         check_place(report)
         if report.exists() and not report.is_file():  # a device would be replaced, not written to
             found = "a folder" if report.is_dir() else "a device"
             hint = "- is standard output"
             raise UsageError("report cannot be written", where=report, found=found, hint=hint)
-        use = taken.get(report.resolve())
+        use = taken.get(real_path(report))
         if use:
             raise UsageError(f"report would replace {use}", where=report, hint="choose another name")
         if not overwrite:
             check_free(report)
-        taken[report.resolve()] = "another report"
+        taken[real_path(report)] = "another report"
 
 
 def write_report(path: Path, text: str) -> None:

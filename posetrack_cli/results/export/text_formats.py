@@ -14,7 +14,7 @@ from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.export.header import euler_order, header_lines, header_values, point_axes
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
-from posetrack_cli.text import printable_json
+from posetrack_cli.text import printable, printable_json
 
 METRES_PER_MM = 1e-3
 TUM_FIELDS = ("stamp_ns", "position", "quaternion")
@@ -72,7 +72,7 @@ def json_text(source: ExportSource) -> Iterator[str]:
 def _comments(lines: Iterable[str]) -> Iterator[str]:
     for line in lines:
         text = line if line == line.rstrip() and line.isprintable() else " ".join(line.split())
-        yield f"# {text}\n"
+        yield f"# {printable(text)}\n"
 
 
 def _csv_rows(rows: Iterable[Iterable[str]]) -> str:

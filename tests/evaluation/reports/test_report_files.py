@@ -35,6 +35,14 @@ def test_a_name_that_comes_again_adds_files_each_once(files: Path) -> None:
     }
 
 
+def test_an_input_that_is_a_link_to_itself_is_no_report(files: Path) -> None:
+    """That it cannot be read is told by whoever reads it; ``Path.resolve`` raised RuntimeError."""
+    Path("ring.mcap").symlink_to("ring.mcap")
+    check_reports(named("report.json"), named("ring.mcap"), overwrite=False)
+    with pytest.raises(UsageError, match="replace an input"):
+        check_reports(named("ring.mcap"), named("ring.mcap"), overwrite=True)
+
+
 def test_a_file_s_own_brackets_are_no_pattern(files: Path) -> None:
     assert expand_groups(["a=odd[1].mcap"]) == {"a": named("odd[1].mcap")}
 
