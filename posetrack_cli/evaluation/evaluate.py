@@ -219,9 +219,9 @@ def _without_offsets(
     if matched.estimate.subject != "hand" or options.joint_offsets is None:
         found = f"a {matched.estimate.subject}"
         raise UsageError("--joint-offsets is for hands", where=result.path, found=found)
-    from posetrack_cli.evaluation.viewing.hand_drawing import hand_of
+    from posetrack_cli.evaluation.recorded_hand import hand_of
 
-    anatomy = hand_of(result.run).anatomy
+    anatomy = hand_of(result).anatomy
     track, offsets = remove_joint_offsets(
         matched.estimate, matched.truth, matched.pairs, anatomy, options.joint_offsets
     )

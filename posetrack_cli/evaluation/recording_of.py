@@ -70,7 +70,7 @@ def found_beside(result: Result, opened: Callable[[Path], Found]) -> tuple[Found
         opened: opens what is there as the run did; RecordingError if it is another.
     """
     name = Path(result.run.get("input.name", "")).name
-    if not name:
+    if name in ("", ".."):
         return None, f"{result.path} does not say which recording it was made from"
     reasons = []
     for place in _places(result, name):
@@ -78,7 +78,7 @@ def found_beside(result: Result, opened: Callable[[Path], Found]) -> tuple[Found
             return opened(place), ""
         except RecordingError as error:
             reasons.append(str(error))
-    looked = ", ".join(dict.fromkeys(str(folder) for folder in _folders(result)))
+    looked = ", ".join(dict.fromkeys(str(folder) for folder in folders_of(result)))
     nowhere = f"no recording '{name}' in {looked}; pass it with --recording"
     return None, "; ".join(reasons) or nowhere
 
@@ -95,14 +95,15 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
     return search.recording
 
 
-def _folders(result: Result) -> Iterator[Path]:
+def folders_of(result: Result) -> Iterator[Path]:
+    """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
     yield from (beside, beside.resolve().parent, Path())
 
 
 def _places(result: Result, name: str) -> Iterator[Path]:
     """What bears the name, each once."""
-    places = (folder / name for folder in _folders(result))
+    places = (folder / name for folder in folders_of(result))
     yield from {place.resolve(): place for place in places if place.exists()}.values()
 
 

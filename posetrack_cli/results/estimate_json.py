@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import core_schema as schemas
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results.estimate import NUMBERS, UNKNOWN_ARRAYS, UNKNOWN_NUMBERS, Estimate, Status
@@ -217,7 +218,8 @@ _read = reader_of(
             "evaluations": COUNT,
             NUMBERS: schemas.dict_schema(schemas.str_schema(), NUMBER),
         },
-    )
+    ),
+    limits.MESSAGE_BYTES,
 )
 
 

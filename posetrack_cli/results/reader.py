@@ -256,6 +256,8 @@ class Result:
 
     def _calibrated(self, data: bytes) -> Camera:
         where = f"{self.path}, {CALIBRATION_TOPIC}"
+        if len(data) > limits.MESSAGE_BYTES:
+            raise ResultError("camera calibration cannot be used", where=where, found=f"{len(data)} bytes")
         try:
             calibration = CameraCalibration.FromString(data)
             camera = camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)

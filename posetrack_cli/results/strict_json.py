@@ -56,8 +56,8 @@ def object_of(
     return schemas.typed_dict_schema(fields, extra_behavior="ignore")
 
 
-def reader_of(schema: CoreSchema) -> Callable[[bytes | str], Any]:
-    """Return a function that reads JSON of a schema, exact to the last bit.
+def reader_of(schema: CoreSchema, most: int | None = None) -> Callable[[bytes | str], Any]:
+    """Return a function that reads JSON of a schema, exact to the last bit; of a message, of ``most`` bytes.
 
     It raises ValueError, in one line of printable length, for anything else: NaN, infinity, true for 1,
     numbers as text, nesting without end.
@@ -65,6 +65,8 @@ def reader_of(schema: CoreSchema) -> Callable[[bytes | str], Any]:
     validate = SchemaValidator(schema, _CONFIG).validate_json
 
     def read(text: bytes | str) -> Any:
+        if most is not None and len(text) > most:
+            raise ValueError(f"{len(text)} bytes, at most {most} are read")
         try:
             return validate(text)
         except ValidationError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,16 +14,14 @@ from glb_support import GlbWriter, hand_glb, joint_names, write_hand
 from hand_support import enclosed_volume, posed_from, random_poses
 from scipy.spatial import cKDTree
 
-from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.viewing.hand_drawing import hand_of
+from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_maker, hand_model
+from posetrack_cli.hand.model import HandModel, hand_maker, hand_model
 from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.hand.webxr import load_hand
-from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.rendering.gltf import read_glb
 from posetrack_cli.rendering.mesh import is_closed
@@ -294,13 +291,3 @@ def test_integers_may_stand_for_shares(tmp_path: Path) -> None:
     gltf = read_glb(path)
     np.testing.assert_allclose(gltf.numbers(shares), [[0.0, 0.2, 1.0, 0.0]])
     np.testing.assert_array_equal(gltf.numbers(counts), [[0, 51, 255, 0]])
-
-
-def test_a_hand_from_a_file_has_to_be_the_one_that_was_tracked(tmp_path: Path) -> None:
-    path = write_hand(tmp_path / "right.glb", make_anatomy(), RELAXED)
-    configuration = json.dumps({"hand": {"mesh": str(path), "scale": 1.1}})
-    run = {"configuration": configuration, MESH_DIGEST: file_digest(path)[1]}
-    assert hand_of(run).anatomy.scale == pytest.approx(1.1)
-    path.write_bytes(path.read_bytes() + b" ")
-    with pytest.raises(ResultError, match=r"right\.glb: not the hand that the run tracked"):
-        hand_of(run)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from results_support import make_estimate
 
+from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.results.camera_record import cameras_from_record, cameras_to_record
@@ -116,3 +117,10 @@ def test_an_estimate_that_cannot_be(key: str, value: Any) -> None:
         estimate_from_json(data)
     with pytest.raises(ResultError, match=rf"found '{key}"):
         list(column_blocks([data]))
+
+
+def test_a_message_larger_than_any_is_not_parsed() -> None:
+    """A message of a small file may be 128 MiB of brackets; as lists they take gigabytes."""
+    data = b'{"position": [' + b"[]," * (limits.MESSAGE_BYTES // 3)
+    with pytest.raises(ResultError, match="at most 1048576 are read"):
+        estimate_from_json(data)

@@ -14,10 +14,11 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.matched_frames import matched_frames
+from posetrack_cli.evaluation.recorded_hand import hand_of
 from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL, hand_of
+from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
@@ -118,7 +119,7 @@ def image_consistency(
         UsageError: the images are not of the size that was tracked.
         RenderingError: nothing can be rendered here.
     """
-    hand, track = hand_of(result.run), track_of_result(result, "", which)
+    hand, track = hand_of(result), track_of_result(result, "", which)
     if not len(track):
         return {}
     camera = result.camera()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.association import check_stamps
@@ -44,7 +45,7 @@ POINTS_SCHEMA: Mapping[str, Any] = {
 
 
 _POINT = object_of({"name": NAME, **dict.fromkeys("xyz", LENGTH_MM)})
-_read = reader_of(object_of({"stamp_ns": COUNT, "points": list_of(_POINT)}))
+_read = reader_of(object_of({"stamp_ns": COUNT, "points": list_of(_POINT)}), limits.MESSAGE_BYTES)
 
 
 def points_topic(subject: str) -> str:

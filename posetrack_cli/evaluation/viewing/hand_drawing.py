@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray
-from posetrack_cli.configuration import validated
-from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
 from posetrack_cli.evaluation.viewing.drawing import Shown, SkeletonDrawer
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS
-from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_model
-from posetrack_cli.recording.identity import file_digest
+from posetrack_cli.hand.model import HandModel
 from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
 
@@ -84,21 +77,3 @@ def _rim(mask: BoolArray) -> BoolArray:
     """The pixels of a region that touch what is outside."""
     eroded = cv2.erode(mask.astype(np.uint8), _RIM, borderType=cv2.BORDER_CONSTANT, borderValue=1)
     return np.asarray(mask & (eroded == 0), dtype=np.bool_)
-
-
-def hand_of(run: Mapping[str, str]) -> HandModel:
-    """The hand that a run tracked, from the configuration in its record.
-
-    Raises:
-        ResultError: the record holds no configuration of a hand run, or the hand's file has changed since.
-        UsageError: the hand's file cannot be read.
-    """
-    try:
-        hand = validated(HandSettings, json.loads(run["configuration"])["hand"], "run record")
-    except (KeyError, TypeError, ValueError, UsageError) as error:
-        what = "run record holds no hand's configuration"
-        raise ResultError(what, found=error, expected="the record of a hand run") from error
-    model = hand_model(hand)
-    if hand.mesh is not None and file_digest(Path(hand.mesh))[1] != run.get(MESH_DIGEST):
-        raise ResultError("not the hand that the run tracked: its file has changed", where=hand.mesh)
-    return model

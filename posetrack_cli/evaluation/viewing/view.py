@@ -13,11 +13,12 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
+from posetrack_cli.evaluation.recorded_hand import hand_of
 from posetrack_cli.evaluation.recording_of import check_same_size
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
-from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, hand_of
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.layering import (
     MOST_RESULTS,
     ViewOptions,
@@ -125,7 +126,7 @@ class View:
 def drawer_of(result: Result, context: Any) -> Drawer:
     """What draws the subject of a result: a hand's skin; of any other its points, bones and axes."""
     if result.subject.name == "hand":
-        return HandDrawer(context, hand_of(result.run))
+        return HandDrawer(context, hand_of(result))
     return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
 
 
@@ -158,9 +159,7 @@ def _with_segments(
     """
     sources = [result for result in results for _ in tracks]
     return tuple(
-        replace(
-            layer, segments=HandSegments(hand_of(result.run).anatomy, configuration_of(result.run), camera)
-        )
+        replace(layer, segments=HandSegments(hand_of(result).anatomy, configuration_of(result.run), camera))
         for layer, result in zip(layers, sources, strict=True)
     )
 

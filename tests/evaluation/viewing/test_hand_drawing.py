@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 import pytest
 from viewing_support import KINECT, open_hand, shown_pose
 
-from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.viewing.drawing import Shown
-from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer, hand_of
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
@@ -94,17 +92,3 @@ def test_pictures_of_changing_size(context: Any) -> None:
         depth = drawer.depth(camera, shown)
         assert depth is not None and depth.shape == (camera.height, camera.width)
         assert abs(depth[depth > 0].mean() - 650.0) < 30.0
-
-
-def test_the_hand_of_a_run_record() -> None:
-    hand = {"side": "left", "scale": 0.9, "finger_lengths": [1.0, 1.1, 1.0, 1.0, 1.0]}
-    anatomy = hand_of({"configuration": json.dumps({"hand": hand, "unknown": {"key": 1}})}).anatomy
-    expected = make_anatomy("left", 0.9, (1.0, 1.1, 1.0, 1.0, 1.0))
-    assert anatomy.side == "left"
-    np.testing.assert_allclose(anatomy.segments, expected.segments)
-
-
-@pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"hand": {"side": "middle"}}', '{"hand": 3}'])
-def test_a_record_without_a_hand_is_one_line(text: str | None) -> None:
-    with pytest.raises(ResultError, match="run record holds no hand's configuration"):
-        hand_of({} if text is None else {"configuration": text})

@@ -1,0 +1,67 @@
+"""The hand that a result's run tracked, from what the result states of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path, PurePath
+from typing import Any
+
+from posetrack_cli.configuration import validated
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.recording_of import folders_of
+from posetrack_cli.hand.config import HandSettings
+from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_model
+from posetrack_cli.recording.identity import file_digest
+from posetrack_cli.results.reader import Result
+
+
+def hand_of(result: Result) -> HandModel:
+    """Return the hand that a run tracked, from the configuration in its record.
+
+    A hand from a file is looked for by the end of the path that the record states: beside the result, one
+    folder up, and in the working folder. A result may be a stranger's, so what it states leads nowhere else,
+    and only to a file of the digest that it states.
+
+    Raises:
+        ResultError: the record holds no configuration of a hand run, or the hand's file is not found.
+        UsageError: the hand's file cannot be used.
+    """
+    settings = _settings(result)
+    if settings.mesh is not None:
+        settings = settings.model_copy(update={"mesh": str(_found_mesh(result, settings.mesh))})
+    return hand_model(settings)
+
+
+def _settings(result: Result) -> HandSettings:
+    try:
+        stated: Any = json.loads(result.run["configuration"])["hand"]
+        return validated(HandSettings, stated, "run record")
+    except (KeyError, TypeError, ValueError, RecursionError, UsageError) as error:
+        what = "run record holds no hand's configuration"
+        expected = "the record of a hand run"
+        raise ResultError(what, where=result.path, found=error, expected=expected) from error
+
+
+def _found_mesh(result: Result, stated: str) -> Path:
+    files = [path for path in _places(result, stated) if path.is_file()]
+    for path in files:
+        if file_digest(path)[1] == result.run.get(MESH_DIGEST):
+            return path
+    if files:
+        raise ResultError("not the hand that the run tracked: its file has changed", where=files[0])
+    raise ResultError(
+        "the hand that the run tracked is not found",
+        where=result.path,
+        found=f"no {PurePath(stated).name} beside it or in the working folder",
+        hint="copy the file there",
+    )
+
+
+def _places(result: Result, stated: str) -> Iterator[Path]:
+    """Where a stated path may lead: its last part, its last two ... below each of the folders."""
+    path = PurePath(stated)
+    parts = [part for part in path.parts if part not in (path.anchor, "..")]
+    for folder in folders_of(result):
+        for first in reversed(range(len(parts))):
+            yield folder.joinpath(*parts[first:])

@@ -1,0 +1,86 @@
+"""The hand of a run record: what a result states leads to files beside it, and to those it was made with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from posetrack_cli.errors import ResultError
+from posetrack_cli.evaluation.recorded_hand import hand_of
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.model import MESH_DIGEST
+from posetrack_cli.recording.identity import file_digest
+from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.reader import Result
+
+
+def result_of(run: dict[str, str], folder: Path = Path()) -> Result:
+    return Result(folder / "r.mcap", Subject("hand", "cam", (), (), ()), run, {}, False)
+
+
+def stating(hand: dict[str, Any], **more: str) -> dict[str, str]:
+    return {"configuration": json.dumps({"hand": hand, "unknown": {"key": 1}}), **more}
+
+
+def test_the_hand_of_a_run_record() -> None:
+    hand = {"side": "left", "scale": 0.9, "finger_lengths": [1.0, 1.1, 1.0, 1.0, 1.0]}
+    anatomy = hand_of(result_of(stating(hand))).anatomy
+    expected = make_anatomy("left", 0.9, (1.0, 1.1, 1.0, 1.0, 1.0))
+    assert anatomy.side == "left"
+    np.testing.assert_allclose(anatomy.segments, expected.segments)
+
+
+@pytest.mark.parametrize(
+    "text", [None, "", "[]", "{}", '{"hand": {"side": "middle"}}', '{"hand": 3}', "[" * 9999]
+)
+def test_a_record_without_a_hand_is_one_line(text: str | None) -> None:
+    with pytest.raises(ResultError, match="run record holds no hand's configuration"):
+        hand_of(result_of({} if text is None else {"configuration": text}))
+
+
+@pytest.fixture
+def mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file that is named as a hand, and stands for one; two folders below the working one."""
+    from posetrack_cli.evaluation import recorded_hand
+
+    monkeypatch.setattr(recorded_hand, "hand_model", lambda settings: settings.mesh)
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "models" / "hands" / "right.glb"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"a hand")
+    return path
+
+
+@pytest.mark.parametrize("stated", ["models/hands/right.glb", "/home/other/models/hands/right.glb"])
+def test_a_hand_s_file_is_found_below_the_working_folder_or_beside_the_result(
+    mesh: Path, stated: str
+) -> None:
+    run = stating({"mesh": stated}, **{MESH_DIGEST: file_digest(mesh)[1]})
+    elsewhere = mesh.parents[2] / "results" / "today"
+    elsewhere.mkdir(parents=True)
+    assert Path(str(hand_of(result_of(run, elsewhere)))).samefile(mesh)
+    assert Path(str(hand_of(result_of(run, mesh.parent)))).samefile(mesh)
+
+
+def test_a_file_that_has_changed_is_not_the_hand_that_was_tracked(mesh: Path) -> None:
+    run = stating({"mesh": "models/hands/right.glb"}, **{MESH_DIGEST: file_digest(mesh)[1]})
+    mesh.write_bytes(b"another hand")
+    with pytest.raises(ResultError, match=r"right\.glb: not the hand that the run tracked"):
+        hand_of(result_of(run))
+
+
+@pytest.mark.parametrize("stated", ["{}", "../../{}", "models/../../../{}"])
+def test_what_a_result_states_leads_nowhere_else(
+    mesh: Path, monkeypatch: pytest.MonkeyPatch, stated: str
+) -> None:
+    """Not by an absolute path, nor up: a result of a stranger is no way to open any file."""
+    run = stating({"mesh": stated.format(mesh)}, **{MESH_DIGEST: file_digest(mesh)[1]})
+    apart = mesh.parents[2] / "apart"
+    apart.mkdir()
+    monkeypatch.chdir(apart)
+    with pytest.raises(ResultError, match="the hand that the run tracked is not found"):
+        hand_of(result_of(run, apart / "results"))
