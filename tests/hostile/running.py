@@ -21,6 +21,8 @@ from hostile.case import Case
 
 CPU_S = 5.0
 """Of a command whose valid input takes next to none; ``WORK_S`` is added."""
+BLOCKED_S, TRIED_BLOCKED_S = 30.0, 3.0
+"""A child that computes nothing for so long waits for what never comes; where that is tried, sooner."""
 WORK_S = {
     ("hand", "run"): 5.0,
     ("hand", "synth"): 5.0,
@@ -114,7 +116,7 @@ class Harness:
                 "command": case.command,
                 "stop_after": stop_after,
             }
-            request["instead"] = instead
+            request |= {"instead": instead, "blocked_s": TRIED_BLOCKED_S if instead else BLOCKED_S}
             answer = self._ask(request | laid.streams() | {"cpu_s": cpu_limit_s(case)})
             return laid.outcome(answer)
 

@@ -26,8 +26,6 @@ from typing import Any
 GIB = 1 << 30
 ADDRESS_BYTES = 6 * GIB
 """Of address space, beyond that of the idle process: threads and drivers reserve much that they never use."""
-BLOCKED_S = 6.0
-"""A child that has not computed for so long waits for something that never comes."""
 WALL_LIMIT_S = 900.0
 SPAWNING = (
     "subprocess.Popen",
@@ -102,7 +100,7 @@ def run_child(request: dict[str, Any]) -> dict[str, Any]:
         os.close(reading)
         _be_child(request, writing)
     os.close(writing)
-    status, usage, ended = _wait(child, began, Path(request["stacks"]))
+    status, usage, ended = _wait(child, began, request["blocked_s"], Path(request["stacks"]))
     with os.fdopen(reading, "rb") as stream:
         said = stream.read().splitlines()
     reports: list[dict[str, Any]] = [json.loads(line) for line in said]
@@ -119,8 +117,10 @@ def run_child(request: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _wait(child: int, began: float, stacks: Path) -> tuple[int, resource.struct_rusage, str]:
-    """Wait for a child; one that hangs is told to say where, and killed."""
+def _wait(
+    child: int, began: float, blocked_s: float, stacks: Path
+) -> tuple[int, resource.struct_rusage, str]:
+    """Wait for a child; one that computes nothing for ``blocked_s`` is told to say where, and killed."""
     computed, since = 0.0, began
     pause = 0.001
     while True:
@@ -131,8 +131,8 @@ def _wait(child: int, began: float, stacks: Path) -> tuple[int, resource.struct_
         used = _cpu_seconds(child)
         if used > computed:
             computed, since = used, now
-        if now - since > BLOCKED_S or now - began > WALL_LIMIT_S:
-            ended = "blocked" if now - since > BLOCKED_S else "too long"
+        if now - since > blocked_s or now - began > WALL_LIMIT_S:
+            ended = "blocked" if now - since > blocked_s else "too long"
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGUSR1)
                 time.sleep(0.2)
