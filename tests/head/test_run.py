@@ -257,7 +257,7 @@ def test_a_model_is_not_written_over_another_interrupted_run(track: Track, tmp_p
 def test_a_model_file_is_not_written_through_a_link(track: Track, tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("mine")
     (tmp_path / "face.npz.part").symlink_to(tmp_path / "precious")
-    with pytest.raises(ResultError, match="a symbolic link"):
+    with pytest.raises(UsageError, match="a symbolic link"):
         track(Memory(), save_model=tmp_path / "face.npz")
     assert (tmp_path / "precious").read_text() == "mine"
 

@@ -207,7 +207,7 @@ def _change_metadata(draw: st.DrawFn, record: Record) -> None:
     else:
         try:
             tree = json.loads(values[key])
-        except ValueError:
+        except (ValueError, RecursionError):
             tree = values[key]
         values[key] = json_text(draw(changed_tree(tree)))
 
