@@ -51,8 +51,8 @@ def test_scalar_product_is_opencvs_correlation(image):
     both = image[23:39, 33:49], image[26:42, 35:51]
     exact = np.corrcoef(*(part.astype(float).ravel() for part in both))[0, 1]
     assert product(p, q) == pytest.approx(exact, abs=1e-12)
-    # OpenCV subtracts sums of squares, up to 256 * 255^2 = 1.7e7, which float32 holds to 1. So its result is good
-    # to a few times 1 / (256 variances), here 4e-5; how good depends on the processor.
+    # OpenCV subtracts sums of squares, up to 256 * 255^2 = 1.7e7, which float32 holds to 1. So its result is
+    # good to a few times 1 / (256 variances), here 4e-5; how good depends on the processor.
     assert np.std(both) > 10.0
     assert cv2.matchTemplate(*both, cv2.TM_CCOEFF_NORMED).item() == pytest.approx(exact, abs=2e-4)
 
