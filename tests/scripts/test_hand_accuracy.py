@@ -106,7 +106,7 @@ def test_figures_are_those_of_the_evaluation(tmp_path: Path) -> None:
     errors = np.linalg.norm(arrays["points"] - truth["points"], axis=2)
     assert figures["error_mm"] == pytest.approx(errors.mean())
     assert figures["astray"] == np.mean(errors.mean(axis=1) >= 20.0)
-    assert figures["lost"] == 0.0
+    assert figures["lost"] == np.mean(arrays["status"] == "lost")
     assert measured.figures(task, Row("small", "smoothed")) is None
     assert measured.figures(task, Row("other")) is None
     assert list(measured.everything) == ["a"]
