@@ -30,13 +30,7 @@ def open_input(path: Path) -> BufferedReader:
     Raises:
         OSError: it cannot be opened, or is no regular file.
     """
-    descriptor = _opened(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        _check_regular(path, os.fstat(descriptor).st_mode)
-        return os.fdopen(descriptor, "rb")
-    except BaseException:
-        os.close(descriptor)
-        raise
+    return os.fdopen(_opened(path, os.O_RDONLY), "rb")
 
 
 def read_input(path: Path, most: int) -> bytes:
@@ -87,12 +81,7 @@ def open_existing(path: Path) -> BufferedRandom:
     Raises:
         OSError: it cannot be opened, is a link, or no regular file.
     """
-    descriptor = _writable(path, os.O_RDWR)
-    try:
-        return os.fdopen(descriptor, "r+b")
-    except BaseException:
-        os.close(descriptor)
-        raise
+    return os.fdopen(_writable(path, os.O_RDWR), "r+b")
 
 
 def write_output(path: Path, data: bytes) -> None:
@@ -133,24 +122,25 @@ def _is_utf8(path: Path) -> bool:
 
 def _writable(path: Path, flags: int) -> int:
     try:
-        descriptor = _opened(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        return _opened(path, flags | os.O_NOFOLLOW)
     except OSError as error:
         if error.errno == errno.ELOOP:
             raise OSError(errno.ELOOP, "a symbolic link, which is not written through", str(path)) from error
         raise
+
+
+def _opened(path: Path, flags: int) -> int:
+    """Return the descriptor of a regular file, opened without waiting for anything."""
+    try:
+        descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except ValueError:  # a null byte, which a name from a file may hold
+        raise OSError(errno.EINVAL, "no name that a file can have", repr(str(path))) from None
     try:
         _check_regular(path, os.fstat(descriptor).st_mode)
     except BaseException:
         os.close(descriptor)
         raise
     return descriptor
-
-
-def _opened(path: Path, flags: int) -> int:
-    try:
-        return os.open(path, flags, 0o666)
-    except ValueError:  # a null byte, which a name from a file may hold
-        raise OSError(errno.EINVAL, "no name that a file can have", repr(str(path))) from None
 
 
 def _check_regular(path: Path, mode: int) -> None:
