@@ -57,7 +57,7 @@ class MessageDecoder:
     """
 
     def __init__(self) -> None:
-        self._decoders: dict[int, Callable[[bytes], Any] | OtherLayoutError] = {}
+        self._decoders: dict[int, Callable[[bytes], Any] | str] = {}  # or why nothing decodes them
 
     def decode(self, schema: Schema | None, channel: Channel, message: Message) -> Any:
         """Return the decoded message.
@@ -70,8 +70,8 @@ class MessageDecoder:
             if channel.id not in self._decoders:
                 self._decoders[channel.id] = _decoder(schema, channel)
             decoder = self._decoders[channel.id]
-            if isinstance(decoder, OtherLayoutError):
-                raise decoder
+            if isinstance(decoder, str):
+                raise OtherLayoutError(decoder)
             if len(message.data) > limits.MESSAGE_BYTES and kind_of(schema) not in IMAGES:
                 raise OtherLayoutError(f"it is larger than {limits.MESSAGE_BYTES} bytes")
             return decoder(message.data)
@@ -105,10 +105,10 @@ def _undecodable(channel: Channel) -> str:
     return f"message on {channel.topic} does not decode"
 
 
-def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] | OtherLayoutError:
+def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] | str:
     """Return what decodes a channel's messages, or why nothing does."""
     if schema is None or schema.name not in READ:
-        return OtherLayoutError("its type is none that is read")
+        return "its type is none that is read"
     try:
         if channel.message_encoding == "protobuf" and schema.name.startswith(_FOXGLOVE):
             return _foxglove_decoder(schema.name.removeprefix(_FOXGLOVE))
@@ -116,8 +116,8 @@ def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] 
             if channel.message_encoding == dialect and schema.encoding == language:
                 return _ros_decoder(dialect, schema)
     except OtherLayoutError as error:
-        return error
-    return OtherLayoutError("its encoding is none that is read for its type")
+        return str(error)
+    return "its encoding is none that is read for its type"
 
 
 def _foxglove_decoder(name: str) -> Callable[[bytes], Any]:

@@ -13,13 +13,14 @@ import lz4.frame
 import pytest
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Chunk, ChunkIndex
+from mcap.records import Channel, Chunk, ChunkIndex, Message, Schema
 from mcap.writer import CompressionType, Writer
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.mcap_chunks import ChunkLimitError, decompressed
+from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError
 from posetrack_cli.recording.mcap_records import HEAD, MAGIC, chunk_records, record_spans
 from posetrack_cli.recording.mcap_stream import DAMAGED_CHUNK, LARGE_CHUNK, read_messages
 from posetrack_cli.recording.mcap_summary import read_summary
@@ -243,3 +244,13 @@ def test_topics_are_told_in_one_pass(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(mcap_topics, "read_messages", counted)
     assert len(scan_topics(tmp_path / "r.mcap")) == 20
     assert len(passes) == 1
+
+
+def test_messages_that_do_not_decode_are_forgotten() -> None:
+    """Why nothing of a channel decodes is remembered, but none of its messages is."""
+    decoder = MessageDecoder()
+    schema, channel = Schema(1, b"uint8 a", "ros1msg", "sensor_msgs/Image"), Channel(1, "/i", "ros1", {}, 1)
+    with memory_below(8 * MIB):
+        for number in range(200):
+            with pytest.raises(UndecodableMessageError, match="has other fields than ROS publishes"):
+                decoder.decode(schema, channel, Message(1, number, bytes(MIB), number, number))
