@@ -23,9 +23,9 @@ from benchmarking.machine import describe_machine
 from benchmarking.rendering import against_particles, scoring
 from benchmarking.results import evaluation
 from benchmarking.rows import Row
-from posetrack_cli.hand.synthesis.frames import synthesise
-from posetrack_cli.hand.synthesis.options import SynthOptions
-from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.options import SynthOptions
 
 Part = Callable[[Any, Lengths], Iterator[Row]]
 

@@ -13,8 +13,6 @@ from posetrack_cli.hand.anatomy import ANGLE_NAMES, ANGLES, JOINT_NAMES, JOINT_P
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import HandSpace, pose_rates
-from posetrack_cli.hand.synthesis.natural import natural_motion
-from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA,
@@ -25,6 +23,8 @@ from posetrack_cli.results import (
     Subject,
     estimate_to_json,
 )
+from posetrack_cli.synthesis.hand.natural import natural_motion
+from posetrack_cli.synthesis.hand.sensor import CAMERA
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 SD = np.r_[np.full(3, 5.0), np.full(3, 0.06), np.full(15, 0.12)]

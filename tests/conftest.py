@@ -9,7 +9,9 @@ import pytest
 from hypothesis import settings
 
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.gl.context import open_context
+
+pytest_plugins = ["support.recordings"]
 
 # The same examples in every run: a red run means a change. HYPOTHESIS_PROFILE=random looks for new ones.
 # No deadline: a machine with much to do is no error.

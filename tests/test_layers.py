@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 LAYERS = (
     "cli",
     "evaluation",
+    "synthesis",
     "hand",
     "head",
     "tracking",
@@ -20,6 +21,7 @@ LAYERS = (
     "rendering",
     "results",
     "recording",
+    "mcap",
     "geometry",
 )
 APART = {"hand": "head", "head": "hand"}
@@ -31,6 +33,7 @@ BELOW_ALL = {
     "limits": set(),
     "files": set(),
     "errors": {"text"},
+    "losses": set(),
     "compiled": set(),
     "toml_text": {"limits"},
     "configuration": {"errors", "files", "limits", "toml_text"},

@@ -33,8 +33,8 @@ def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **o
     depth as 32-bit metres. Truth that IN carries goes along; --truth adds joints as /truth/hand/points, which
     eval measures results by. Exit code 3 means that frames were lost.
     """
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
-    from posetrack_cli.recording.losses import loss_line
     from posetrack_cli.recording.opening import open_recording
 
     source = open_recording(recording, **opening_arguments(options))

@@ -64,7 +64,7 @@ def _print_versions() -> None:
 
 def _working_devices() -> list[int]:
     """Numbers of the EGL devices that open; one that does not may lie between others that do."""
-    from posetrack_cli.rendering.context import open_context
+    from posetrack_cli.rendering.gl.context import open_context
 
     numbers = []
     for number in range(MOST_DEVICES):
@@ -76,7 +76,7 @@ def _working_devices() -> list[int]:
 
 def _check(label: str, device: int | None, particles: int) -> bool:
     """Print what a device draws with and how fast; say what is missing if it does not."""
-    from posetrack_cli.rendering.context import describe, open_context
+    from posetrack_cli.rendering.gl.context import describe, open_context
 
     try:
         with ExitStack() as stack:
@@ -101,7 +101,7 @@ def _scoring_times(context: Any, particles: int) -> dict[int, float]:
     from posetrack_cli.hand.kinematics import skinning_transforms
     from posetrack_cli.hand.mesh import hand_mesh
     from posetrack_cli.hand.start import scattered_poses
-    from posetrack_cli.rendering.benchmark import scoring_milliseconds
+    from posetrack_cli.rendering.gl.benchmark import scoring_milliseconds
 
     anatomy = make_anatomy()
     transforms = skinning_transforms(anatomy, scattered_poses(anatomy, particles, np.random.default_rng(0)))

@@ -299,7 +299,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
 
 def _close(found: Assessment) -> None:
     """Say on standard error what failed and what was lost, and choose the exit code."""
-    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.losses import loss_line
 
     for note in found.notes:
         print_note(f"baseline: {note}")

@@ -62,7 +62,7 @@ def export(
     their status says so in all formats but tum: there leave them out with --no-lost. Exit code 3 means that
     RESULT is truncated or damaged; what can be read is written all the same.
     """
-    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.results.export.export import export_file, text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result

@@ -119,7 +119,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.recording.opening import open_recording
-    from posetrack_cli.rendering.context import open_context
+    from posetrack_cli.rendering.gl.context import open_context
     from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)

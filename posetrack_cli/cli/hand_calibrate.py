@@ -51,7 +51,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """
     from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate
     from posetrack_cli.hand.calibration.hand_file import write_hand_file
-    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.opening import open_recording
     from posetrack_cli.recording.output import check_target
 

@@ -97,7 +97,7 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
     """
     import time
 
-    from posetrack_cli.hand.synthesis.writing import write_synthetic
+    from posetrack_cli.synthesis.hand.writing import write_synthetic
 
     options = synth_options(values)
     began = time.perf_counter()
@@ -117,7 +117,7 @@ def synth_options(values: dict[str, Any]) -> Any:
     """
     from dataclasses import asdict, replace
 
-    from posetrack_cli.hand.synthesis.options import Switches, SynthOptions, hand_of_seed
+    from posetrack_cli.synthesis.hand.options import Switches, SynthOptions, hand_of_seed
 
     values = dict(values)
     given = {name: values.pop(name) for name, _ in SWITCHES}

@@ -86,7 +86,7 @@ def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) 
     """
     import time
 
-    from posetrack_cli.head.synthesis.writing import write_synthetic
+    from posetrack_cli.synthesis.head.writing import write_synthetic
 
     options = head_synth_options(values)
     began = time.perf_counter()
@@ -105,7 +105,7 @@ def head_synth_options(values: dict[str, Any]) -> Any:
     Raises:
         UsageError: a value that cannot be meant.
     """
-    from posetrack_cli.head.synthesis.options import HeadSynthOptions
+    from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
     values = dict(values)
     width, height = _size(values.pop("image_size"))

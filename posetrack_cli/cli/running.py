@@ -57,7 +57,7 @@ def kept(output: Path) -> Iterator[None]:
 
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
     """Print the closing line and what there is to remark, and set the exit code."""
-    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.output import part_path
 
     rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0

@@ -117,7 +117,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.layering import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import View
-    from posetrack_cli.rendering.context import open_context
+    from posetrack_cli.rendering.gl.context import open_context
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[name] for name in DRAWN}
@@ -189,7 +189,7 @@ def _close(
     output: Path, count: int, drawn: View | HeadView, results: Sequence[Result], *, interrupted: bool
 ) -> None:
     """The closing line, and the exit code."""
-    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.losses import loss_line
 
     context, asked = click.get_current_context(), len(drawn.rows)
     if interrupted:
@@ -209,6 +209,6 @@ def _close(
 
 def _nothing(drawn: View | HeadView) -> Exception:
     from posetrack_cli.errors import RecordingError
-    from posetrack_cli.recording.losses import loss_line
+    from posetrack_cli.losses import loss_line
 
     return RecordingError("no frame can be drawn", where=drawn.recording_path, found=loss_line(drawn.losses))

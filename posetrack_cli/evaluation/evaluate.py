@@ -28,8 +28,7 @@ from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.doubts import doubts
 from posetrack_cli.evaluation.truth.loading import load_truth
-from posetrack_cli.recording.base import Loss
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.results.reader import Result, read_result
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 

@@ -13,7 +13,7 @@ from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.recording.base import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.results.tracks import FILTERED
 
 Value: TypeAlias = Statistics | float

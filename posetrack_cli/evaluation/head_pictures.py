@@ -45,7 +45,7 @@ def _drawn(evaluation: Evaluation, recording: Recording, rows: IntArray) -> dict
     """PNG, frame number and stamp of each row that the recording has a frame of."""
     from posetrack_cli.evaluation.matched_images import matched_images
     from posetrack_cli.evaluation.viewing.outputs import png_of
-    from posetrack_cli.recording.losses import LossLog
+    from posetrack_cli.losses import LossLog
 
     track, ordered, drawn = evaluation.track, np.sort(rows), {}
     panels, layer = _panels(evaluation, recording, rows)

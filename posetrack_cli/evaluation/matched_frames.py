@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 from posetrack_cli.arrays import IntArray
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.stored import StoredFrame, StoredRecording, decode_frames
 

@@ -7,8 +7,8 @@ from contextlib import closing
 from typing import Any, cast
 
 from posetrack_cli.arrays import IntArray
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame, Recording
-from posetrack_cli.recording.losses import LossLog
 
 
 def matched_images(

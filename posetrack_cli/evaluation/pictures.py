@@ -61,7 +61,7 @@ def worst_frame_pictures(
         ResultError, UsageError: the result cannot be drawn on these images.
     """
     from posetrack_cli.evaluation.viewing.frame_choice import worst_rows
-    from posetrack_cli.rendering.context import open_context
+    from posetrack_cli.rendering.gl.context import open_context
 
     errors, name = errors_of(evaluation)
     rows = worst_rows(evaluation.track, errors, count)
@@ -96,7 +96,7 @@ def _drawn(
     from posetrack_cli.evaluation.matched_frames import matched_frames
     from posetrack_cli.evaluation.viewing.outputs import png_of
     from posetrack_cli.evaluation.viewing.viewport import Viewport, largest_viewport, moved_to
-    from posetrack_cli.recording.losses import LossLog
+    from posetrack_cli.losses import LossLog
 
     track, panels = evaluation.track, _panels(evaluation, recording, context)
     points = track.points

@@ -13,9 +13,9 @@ from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.sums import TileSums
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
 
 Cost = Callable[[TileSums, ObservationSettings], FloatArray]
 

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import Loss
 
 TRUTH_PREFIX = "/truth/"
 """Topics of ground truth begin so, in recordings and in results."""
@@ -42,15 +43,6 @@ class Frame:
         if image is None:
             raise RecordingError("frame has no image of the first camera", found=f"frame {self.index}")
         return image
-
-
-@dataclass(frozen=True)
-class Loss:
-    """Data that a reader had to skip: what, how often, and where first."""
-
-    what: str
-    count: int
-    first: str
 
 
 @runtime_checkable

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, CameraFile, load_camera_file, no_intrinsics
 from posetrack_cli.recording.depth import depth_from_codes
@@ -18,7 +19,6 @@ from posetrack_cli.recording.image_files import (
     list_images,
     read_image,
 )
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.single_camera import SingleCameraRecording
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamps_at_rate
 from posetrack_cli.recording.stored import StoredFrame

@@ -9,6 +9,7 @@ from pathlib import Path
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.grey import StoredKind, decode_as_stored, decode_grey, kind_of_image
@@ -16,7 +17,6 @@ from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import files_digest, shown_name
 from posetrack_cli.recording.image_files import first_decoded, read_image
 from posetrack_cli.recording.image_folders import Stamped, find_folders, stamped_images, stamps_files
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage, StoredImages, match_images
 from posetrack_cli.recording.rig_file import Rig, found_rig, load_rig
 from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording

@@ -10,12 +10,14 @@ from typing import Any
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
+from posetrack_cli.mcap.stream import check_mcap, read_messages
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.camera_file import NotCalibratedError
 from posetrack_cli.recording.depth import Window
 from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
 from posetrack_cli.recording.mcap_cameras import (
     Source,
@@ -24,9 +26,7 @@ from posetrack_cli.recording.mcap_cameras import (
     find_sources,
     sources_of_rig,
 )
-from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError, stamp_of
 from posetrack_cli.recording.mcap_grey import grey_of_message
-from posetrack_cli.recording.mcap_stream import check_mcap, read_messages
 from posetrack_cli.recording.mcap_topics import Topic, scan_topics
 from posetrack_cli.recording.mcap_truth import read_truth
 from posetrack_cli.recording.rig_file import Rig, load_rig

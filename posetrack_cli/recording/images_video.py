@@ -15,11 +15,11 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input, utf8_name
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
 from posetrack_cli.recording.rig_file import Rig, found_rig
 from posetrack_cli.recording.several_cameras import SeveralCamerasRecording

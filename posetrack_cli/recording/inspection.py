@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError, RecordingError
-from posetrack_cli.recording.base import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.recording.camera_file import load_camera_file
 from posetrack_cli.recording.folder import camera_path
 from posetrack_cli.recording.identity import shown_name

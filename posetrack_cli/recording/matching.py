@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.ordering import LATEST_NS, NOT_LATER, OUT_OF_RANGE
 
 NS_PER_MS = 1_000_000

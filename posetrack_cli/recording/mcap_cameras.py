@@ -12,10 +12,10 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import placed, relative_to, rotation_from_rows
+from posetrack_cli.mcap.decoding import CALIBRATION, frame_id_of
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.grey import StoredKind
 from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
-from posetrack_cli.recording.mcap_decoding import CALIBRATION, frame_id_of
 from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
 from posetrack_cli.recording.mcap_grey import holds_grey, kind_of_message
 from posetrack_cli.recording.mcap_topics import Topic, frame_id_of_topic

@@ -14,10 +14,10 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.extrinsics import composed, inverse
 from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
+from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.recording.depth import MM_PER_M
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
-from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.mcap_topics import Topic
 
 MESSAGES = 1000

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.grey import (
     StoredKind,
     check_size,
@@ -18,7 +19,6 @@ from posetrack_cli.recording.grey import (
     kind_of_image,
 )
 from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN
-from posetrack_cli.recording.mcap_decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.stored import UnreadableImageError
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, ImageArray
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.depth import depth_from_codes, depth_from_metres
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, decode_codes
-from posetrack_cli.recording.mcap_decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.stored import DepthEncoding, UnreadableImageError
 
 RAW_DEPTH: dict[str, DepthEncoding] = {"16UC1": "16UC1", "mono16": "16UC1", "32FC1": "32FC1"}

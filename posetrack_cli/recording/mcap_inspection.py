@@ -9,22 +9,22 @@ from typing import Any
 from mcap.records import Attachment, Metadata
 
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.recording.base import RUN_RECORD
-from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.inspection import loss_values
-from posetrack_cli.recording.inspection_images import describe_rig
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_calibration import camera_from_message
-from posetrack_cli.recording.mcap_decoding import (
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
     UndecodableMessageError,
     frame_id_of,
     stamp_of,
 )
+from posetrack_cli.mcap.stream import McapItem, read_extras, read_messages
+from posetrack_cli.mcap.summary import read_summary
+from posetrack_cli.recording.base import RUN_RECORD
+from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.inspection import loss_values
+from posetrack_cli.recording.inspection_images import describe_rig
+from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.recording.mcap_grey import holds_grey
-from posetrack_cli.recording.mcap_stream import McapItem, read_extras, read_messages
-from posetrack_cli.recording.mcap_summary import read_summary
 from posetrack_cli.recording.mcap_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 

@@ -10,21 +10,21 @@ from typing import Any
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.recording.camera_file import CameraFile, load_camera_file
-from posetrack_cli.recording.depth import Window
-from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
-from posetrack_cli.recording.mcap_decoding import (
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
     UndecodableMessageError,
     frame_id_of,
     stamp_of,
 )
+from posetrack_cli.mcap.stream import McapItem, check_mcap, read_messages
+from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
+from posetrack_cli.recording.camera_file import CameraFile, load_camera_file
+from posetrack_cli.recording.depth import Window
+from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
 from posetrack_cli.recording.mcap_images import decode_depth, describe_image, millimetre_png
-from posetrack_cli.recording.mcap_stream import McapItem, check_mcap, read_messages
 from posetrack_cli.recording.mcap_topics import Topic, choose_depth_topic, frame_id_of_topic, scan_topics
 from posetrack_cli.recording.mcap_truth import read_truth
 from posetrack_cli.recording.single_camera import SingleCameraRecording

@@ -9,17 +9,17 @@ from typing import Any
 from mcap.records import Channel, Schema
 
 from posetrack_cli.errors import RecordingError, nearest_name
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_decoding import (
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
     UndecodableMessageError,
     frame_id_of,
     kind_of,
 )
+from posetrack_cli.mcap.stream import McapItem, read_messages
+from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.mcap_images import ImageDescription, describe_image
-from posetrack_cli.recording.mcap_stream import McapItem, read_messages
-from posetrack_cli.recording.mcap_summary import read_summary
 
 TRIES = 50
 """How many messages of a topic are looked at until one decodes."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_stream import read_messages
 
 
 def read_truth(path: Path, topics: Sequence[str]) -> Iterator[TruthMessage]:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input
+from posetrack_cli.mcap.records import MAGIC
 from posetrack_cli.recording.folder import FolderRecording
 from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.mcap_records import MAGIC
 from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
 from posetrack_cli.recording.stored import StoredRecording
 

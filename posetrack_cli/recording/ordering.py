@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol, TypeVar
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import LossLog
 
 NOT_LATER = "frame dropped, stamp not later than the frame before"
 OUT_OF_RANGE = "frame dropped, stamp before 1970 or after 2262"

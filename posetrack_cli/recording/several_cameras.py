@@ -9,8 +9,8 @@ from pathlib import Path
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Frame, Loss, TruthMessage
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.matching import StoredImage, StoredImages, match_images
 from posetrack_cli.recording.ordering import check_range, select_frames
 from posetrack_cli.recording.readahead import read_ahead

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Frame, Loss
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.ordering import check_range, select_frames
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.stored import StoredFrame, decode_frames

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from posetrack_cli.arrays import ImageArray
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame, Recording
-from posetrack_cli.recording.losses import LossLog
 
 DepthEncoding = Literal["16UC1", "32FC1"]
 

@@ -12,9 +12,9 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import calibration_message
-from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
 from posetrack_cli.results.annotations import image_annotations
 from posetrack_cli.results.estimate import Estimate, Subject

@@ -9,7 +9,7 @@ from typing import IO
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.files import open_input
-from posetrack_cli.recording.mcap_records import MAGIC
+from posetrack_cli.mcap.records import MAGIC
 
 
 @contextmanager

@@ -16,10 +16,8 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, ResultError, nearest_name
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, Loss, TruthMessage
-from posetrack_cli.recording.losses import LossLog, loss_line
-from posetrack_cli.recording.mcap_calibration import camera_from_message
-from posetrack_cli.recording.mcap_stream import (
+from posetrack_cli.losses import Loss, LossLog, loss_line
+from posetrack_cli.mcap.stream import (
     DAMAGED,
     TRUNCATED,
     McapItem,
@@ -28,7 +26,9 @@ from posetrack_cli.recording.mcap_stream import (
     read_extras,
     read_messages,
 )
-from posetrack_cli.recording.mcap_summary import read_summary
+from posetrack_cli.mcap.summary import read_summary
+from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage
+from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.results.channels import CALIBRATION_TOPIC

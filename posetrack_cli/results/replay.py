@@ -11,15 +11,15 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.mcap_records import (
+from posetrack_cli.mcap.records import (
     ChunkRecord,
     RecordSpan,
     chunk_records,
     read_record,
     record_spans,
 )
-from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.opening import opened

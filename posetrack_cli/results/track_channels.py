@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject, check_estimate
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.base import Loss, Recording
-from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.losses import Loss, loss_line
+from posetrack_cli.recording.base import Recording
 
 
 @dataclass(frozen=True)

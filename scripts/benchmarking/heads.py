@@ -23,10 +23,10 @@ from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.stereo_estimates import components_of
 from posetrack_cli.head.stereo_tracker import make_stereo_tracker
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.head.synthesis.options import HeadSynthOptions
-from posetrack_cli.head.synthesis.writing import write_synthetic
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.writing import write_synthetic
 from stepping import in_turn
 
 FEW, MANY = 1000, 5000

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from posetrack_cli import __version__
-from posetrack_cli.rendering.context import describe
+from posetrack_cli.rendering.gl.context import describe
 
 
 def describe_machine(context: Any) -> dict[str, str]:

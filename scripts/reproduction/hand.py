@@ -18,7 +18,7 @@ from posetrack_cli import __version__
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.cli.recording_options import recording_options
 from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.rendering.context import describe, open_context
+from posetrack_cli.rendering.gl.context import describe, open_context
 from reproduction import analysis, figures, report, study, timing
 from reproduction.unit import ENTRANTS, Unit, is_current, run_unit
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from posetrack_cli import __version__
-from posetrack_cli.rendering.context import describe, open_context
+from posetrack_cli.rendering.gl.context import describe, open_context
 from reproduction.accuracy.filters import Filters
 from reproduction.accuracy.measuring import Measured
 from reproduction.accuracy.options import FIRST_SEED, Options, Part, Targets

@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.synthesis.frames import synthesise
+from posetrack_cli.synthesis.hand.frames import synthesise
 from reproduction.unit import ENTRANTS, Unit
 from stepping import Walker, in_turn
 

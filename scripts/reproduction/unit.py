@@ -22,11 +22,11 @@ from posetrack_cli import __version__
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.synthesis.options import Switches, SynthOptions
-from posetrack_cli.hand.synthesis.writing import write_synthetic
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.gl.context import open_context
 from posetrack_cli.results import read_result
+from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
+from posetrack_cli.synthesis.hand.writing import write_synthetic
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ import cv2
 
 from benchmarking.commands import POSETRACK
 from benchmarking.recordings import link_recording
-from posetrack_cli.hand.synthesis.frames import synthesise
-from posetrack_cli.hand.synthesis.options import SynthOptions
-from posetrack_cli.hand.synthesis.sensor import CAMERA
-from posetrack_cli.head.synthesis.options import HeadSynthOptions
-from posetrack_cli.head.synthesis.writing import write_synthetic
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.options import SynthOptions
+from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.writing import write_synthetic
 from soaking.amounts import FLUSH_FRAMES, Amounts
 
 FPS = 30.0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarking.machine import describe_machine
 from benchmarking.rows import Row
-from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.gl.context import open_context
 from soaking.amounts import Amounts
 from soaking.cases import Case, Recordings
 from soaking.cold import soak_cold

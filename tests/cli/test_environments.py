@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile_files import write_depth, write_grey, write_hand_result
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from posetrack_cli.evaluation.viewing.outputs import VideoFile
+from support.hostile_files import write_depth, write_grey, write_hand_result
 
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
 KEPT = ("PATH", "PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eval_support import CAMERA, truth_message, write_result
-from evaluation_support import hand_track
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
+from support.eval_command import CAMERA, truth_message, write_result
+from support.evaluation import hand_track
 
-SUPPORT = Path(__file__).with_name("eval_support.py")
+TESTS = Path(__file__).parents[1]
 PASSES, FAILS = "joint_error_mm.mean > 1000", "joint_error_mm.mean > 0.001"
 
 
@@ -49,7 +49,10 @@ def shown(text: str) -> dict[str, list[str]]:
 
 def killed(path: Path, frames: int = 45) -> Path:
     done = subprocess.run(
-        [sys.executable, str(SUPPORT), str(path), str(frames)], capture_output=True, text=True
+        [sys.executable, "-m", "support.eval_command", str(path), str(frames)],
+        capture_output=True,
+        text=True,
+        cwd=TESTS,
     )
     assert done.returncode == -9, done.stderr
     return part_path(path)
@@ -253,7 +256,10 @@ def test_a_name_whose_run_was_killed_says_where_it_is(
 def test_a_run_that_is_going_on_is_evaluated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "r.mcap"
     going = subprocess.Popen(
-        [sys.executable, str(SUPPORT), str(path), "30", "wait"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-m", "support.eval_command", str(path), "30", "wait"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=TESTS,
     )
     try:
         assert going.stdout is not None

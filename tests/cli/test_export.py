@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from results_support import CAMERA, RUN, SUBJECT, make_estimate, write_result
 
 from posetrack_cli.cli.export import FORMATS, export
 from posetrack_cli.cli.main import run
@@ -18,6 +17,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_US
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.results import ResultWriter, Status, load_arrays
 from posetrack_cli.results.export import export as library
+from support.results import CAMERA, RUN, SUBJECT, make_estimate, write_result
 
 FRAMES = 26
 

@@ -11,8 +11,8 @@ from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.shape import SHAPE_NAMES
-from posetrack_cli.hand.synthesis.options import SynthOptions, hand_of_seed
-from posetrack_cli.hand.synthesis.writing import write_synthetic
+from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
+from posetrack_cli.synthesis.hand.writing import write_synthetic
 
 QUICK = ("--hand-side", "right", "--frames", "5", "--seconds", "0.5")
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from face_people import people, performance, write_stereo_result
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.head.multilinear.model_file import load_face_model
+from support.face_people import people, performance, write_stereo_result
 
 
 @pytest.fixture(scope="module")

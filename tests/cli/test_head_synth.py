@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from posetrack_cli.cli.head_synth import head_synth, head_synth_options
 from posetrack_cli.errors import UsageError
-from posetrack_cli.head.synthesis.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
 SMALL = ("--frames", "2", "--image-size", "96x64")
 

@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from posetrack_cli.cli.info import info
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, RecordingError
-from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.mcap.sink import McapSink
 
 MS = 1_000_000
 STAMPS_MS = [0, 100, 200, 300, 700, 800, 800, 650, 900]

@@ -63,7 +63,7 @@ def test_mcap_of_two_cameras_tells_how_they_stand(tmp_path: Path) -> None:
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
     from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-    from posetrack_cli.recording.mcap_sink import McapSink
+    from posetrack_cli.mcap.sink import McapSink
 
     def write(path: Path, baseline_m: float) -> Path:
         with McapSink(path) as sink:

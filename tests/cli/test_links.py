@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hostile_files import write_depth, write_hand_result
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DONE, EXIT_USAGE
+from support.hostile_files import write_depth, write_hand_result
 
 PRECIOUS = b"precious"
 DEPTH, RESULT = "depth", "result.mcap"

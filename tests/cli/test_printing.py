@@ -12,15 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import results_support
-from eval_support import write_result
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DONE
-from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import ResultWriter
 from posetrack_cli.text import printable
+from support import results as results_support
+from support.eval_command import write_result
 
 CLI = Path(__file__).parents[2] / "posetrack_cli" / "cli"
 HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b31m\x7f\u202e\nposetrack: done"

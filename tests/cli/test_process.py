@@ -9,11 +9,11 @@ from pathlib import Path
 
 import click
 import pytest
-from results_support import write_result
 
 from posetrack_cli.cli import main
 from posetrack_cli.cli.main import cli, run
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED
+from support.results import write_result
 
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
 CLOSINGS = ["2>&-", ">&-", "<&- >&- 2>&-"]

@@ -12,10 +12,10 @@ from pathlib import Path
 from types import FrameType
 
 import pytest
-from hostile_files import write_depth, write_grey, write_hand_result
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_USAGE
+from support.hostile_files import write_depth, write_grey, write_hand_result
 
 LIMIT_S = 60
 """After which nobody waits any more; each takes a second at most."""

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from eval_support import write_result
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
-from viewing_support import make_recording, make_result, moved, pictures_of
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
+from support.eval_command import write_result
+from support.viewing import make_recording, make_result, moved, pictures_of
 
 FRAMES = 90
 

@@ -14,8 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
-from viewing_support import (
+from posetrack_cli.cli.main import run
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.results import ResultWriter, Subject
+from support.viewing import (
     lost_from,
     make_folder,
     make_recording,
@@ -25,11 +28,6 @@ from viewing_support import (
     truth_of,
     write_camera,
 )
-
-from posetrack_cli.cli.main import run
-from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
-from posetrack_cli.results import ResultWriter, Subject
 
 FRAMES = 6
 CAPTION_PX = 18

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metrics_support import all_pairs, random_hand, random_head
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +18,7 @@ from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
+from support.metrics import all_pairs, random_hand, random_head
 
 FRAMES = 40
 ROUNDING = 1e-9

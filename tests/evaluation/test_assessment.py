@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from evaluation_support import hand_evaluation
 
 from posetrack_cli.evaluation import assessment
 from posetrack_cli.evaluation.assessment import Request, assess, stated_options
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import parse_gate
+from support.evaluation import hand_evaluation
 
 A, B, C = Path("a.mcap"), Path("b.mcap"), Path("c.mcap")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from evaluation_support import hand_evaluation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from posetrack_cli.evaluation.baseline import FLOOR, check_baseline, read_baseli
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.reports.json_report import json_report
 from posetrack_cli.evaluation.statistics import Statistics
+from support.evaluation import hand_evaluation
 
 OPTIONS = {"tolerance_ms": 5.0, "time_offset_s": 0.0, "align": "none"}
 

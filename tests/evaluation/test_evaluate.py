@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from truth_support import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv, write_result
 
 from posetrack_cli.errors import PosetrackError, ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
@@ -26,6 +25,7 @@ from posetrack_cli.results import (
     Subject,
     estimate_to_json,
 )
+from support.truth import CAMERA, HAND, HEAD, estimates, pose_columns, write_csv, write_result
 
 MS = 1_000_000
 SHIFT = np.array([2.0, 3.0, 6.0])

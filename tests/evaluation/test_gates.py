@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +17,7 @@ from posetrack_cli.evaluation.figures import figure_of
 from posetrack_cli.evaluation.gates import OPERATORS, check_gate, check_gates, parse_gate, read_gates
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
+from support.evaluation import hand_evaluation
 
 FIGURES = Statistics(mean=8.0, sd=2.0, median=7.5, p95=12.0, max=30.0, count=600)
 NOT_A_NUMBER = float("nan")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.evaluation.association import Pairs
@@ -21,6 +20,7 @@ from posetrack_cli.evaluation.html.components import (
 from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import quaternion_from_roll_pitch_yaw, roll_pitch_yaw
+from support.evaluation import hand_evaluation
 
 DEG = np.pi / 180.0
 SAMPLES = 40_000

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
-from html_support import PNG, head_evaluation, picture
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.association import Pairs
@@ -26,7 +24,9 @@ from posetrack_cli.evaluation.html import gallery, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import html_page
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.recording.base import Loss
+from posetrack_cli.losses import Loss
+from support.evaluation import hand_evaluation
+from support.html import PNG, head_evaluation, picture
 
 NASTY = "</script><img src=x onerror=alert(1)>&\"' ü 手 \u202e"
 VOID = {"meta", "link", "input", "img", "br"}

@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from evaluation_support import hand_track
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +18,7 @@ from posetrack_cli.evaluation.html.timebase import (
 )
 from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
 from posetrack_cli.evaluation.track import Track
+from support.evaluation import hand_track
 
 SECOND = 1_000_000_000
 

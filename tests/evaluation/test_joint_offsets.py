@@ -8,7 +8,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from metrics_support import all_pairs, random_hand
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
@@ -25,6 +24,7 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_NAMES, JOINT_PARENTS, make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
+from support.metrics import all_pairs, random_hand
 
 ANATOMY = make_anatomy()
 SINGLE = 1e-4

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.evaluation.matched_frames import matched_frames
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.stored import StoredFrame, UnreadableImageError
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from viewing_support import lost_from, make_recording, make_result, moved, truth_of
 
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.evaluation.evaluate import evaluate
@@ -17,6 +16,7 @@ from posetrack_cli.evaluation.viewing.colours import TRUTH
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results import Estimate
+from support.viewing import lost_from, make_recording, make_result, moved, truth_of
 
 FRAMES = 75  # two and a half seconds
 WORST = {70: 30.0, 69: 29.0, 20: 60.0, 40: 5.0}

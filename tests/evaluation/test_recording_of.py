@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from viewing_support import make_folder, make_recording, make_result, truth_of, write_camera
 
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
 from posetrack_cli.evaluation.recording_of import (
@@ -22,6 +21,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.results.reader import Result
+from support.viewing import make_folder, make_recording, make_result, truth_of, write_camera
 
 RATE = 20.0
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import relaxed
 
 from posetrack_cli.evaluation.result_names import plain_name, unique_names
+from support.metrics import relaxed
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from truth_support import FRAME_NS, HAND, HEAD, estimates, write_result
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.reader import read_result
+from support.truth import FRAME_NS, HAND, HEAD, estimates, write_result
 
 
 def track(tmp_path: Path, own: list[Estimate], subject: Subject = HAND) -> Track:

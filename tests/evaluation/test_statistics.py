@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import relaxed
 
 from posetrack_cli.evaluation.statistics import statistics
+from support.metrics import relaxed
 
 VALUES = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT, random_poses
-from scene_support import HANDS, WALL_MM, Stage, acquisition, relaxed, turned_about_its_length
 
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, distinct
 from posetrack_cli.hand.anatomy import ANGLES
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.synthesis import CAMERA, SynthOptions, synthesise
+from posetrack_cli.synthesis.hand import CAMERA, SynthOptions, synthesise
+from support.hand import KINECT, random_poses
+from support.hand_scene import HANDS, WALL_MM, Stage, acquisition, relaxed, turned_about_its_length
 
 FOUND_MM = 5.0
 """A drawn hand is found to 1 mm; what its window cuts off or it hides itself may be off."""

@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-from hand_support import BONE_LENGTHS_MM, REST, bent
 
 from posetrack_cli.hand.anatomy import (
     ANGLE_LIMITS,
@@ -17,6 +16,7 @@ from posetrack_cli.hand.anatomy import (
     make_anatomy,
 )
 from posetrack_cli.hand.kinematics import joint_positions
+from support.hand import BONE_LENGTHS_MM, REST, bent
 
 ROUNDING_MM = 1e-9
 

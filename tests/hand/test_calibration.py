@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.configuration import load_settings
@@ -35,12 +34,13 @@ from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.shape import POPULATION_SD, SHAPE_NAMES, SHAPE_SIZE, HandShape
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.hand.synthesis.options import SynthOptions, hand_of_seed
-from posetrack_cli.hand.synthesis.shapes import SHAPES
-from posetrack_cli.hand.synthesis.writing import write_synthetic
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
+from posetrack_cli.synthesis.hand.shapes import SHAPES
+from posetrack_cli.synthesis.hand.writing import write_synthetic
+from support.hand import KINECT
 
 TILE = 96
 OTHER = HandShape(

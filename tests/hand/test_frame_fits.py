@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
-from scene_support import HANDS, Stage, relaxed
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
@@ -19,6 +17,8 @@ from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.results.spool import RecordSpool
+from support.hand import KINECT
+from support.hand_scene import HANDS, Stage, relaxed
 
 HAND, SPACE = HANDS["right"], HandSpace()
 SD = np.concatenate([[4.0] * 3, [0.06] * 3, np.tile([0.15, 0.05, 0.15], 5)])

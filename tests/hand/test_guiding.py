@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
-from scene_support import HANDS, Stage, relaxed, turned_about_its_length
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.config import FitSettings, HandConfig
@@ -17,6 +15,8 @@ from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
+from support.hand import KINECT
+from support.hand_scene import HANDS, Stage, relaxed, turned_about_its_length
 
 FRAME_S = 1.0 / 30.0
 HAND, SPACE = HANDS["right"], HandSpace()

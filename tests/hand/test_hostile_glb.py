@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glb_support import GlbWriter, hand_glb
-from hand_support import posed_from
 
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
@@ -20,6 +18,8 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.webxr import load_hand
 from posetrack_cli.rendering.gltf import read_glb
 from posetrack_cli.rendering.gltf_skin import read_skin
+from support.glb import GlbWriter, hand_glb
+from support.hand import posed_from
 
 POSE = posed_from(np.zeros(3), np.array([0.4, 0.1, -0.2]), np.tile([0.3, 0.05, 0.4], 5))
 Change = Callable[[dict[str, Any]], Any]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_support import random_poses
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
@@ -13,6 +12,7 @@ from posetrack_cli.hand.hypotheses import detected_poses, turned_poses
 from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.segmentation import Detection
 from posetrack_cli.rendering.window import Window
+from support.hand import random_poses
 
 ANATOMIES = {"right": make_anatomy(), "left": make_anatomy("left")}
 PALM = np.array([120.0, -80.0, 700.0])

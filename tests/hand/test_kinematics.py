@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_support import REST, bent, pose_strategy, random_poses
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +15,7 @@ from posetrack_cli.hand.kinematics import (
     skinning_transforms,
 )
 from posetrack_cli.hand.space import HandSpace
+from support.hand import REST, bent, pose_strategy, random_poses
 
 ROUNDING_MM = 1e-9
 """Lengths below 1e3 mm, a few dozen operations in float64."""

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT, REST, bent
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -17,8 +16,9 @@ from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, paper_cost, union_cost
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.sums import sums_in_numpy
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from support.hand import KINECT, REST, bent
 
 ROUNDING = 1e-9
 depths = arrays(np.float32, (2, 3, 4), elements=st.sampled_from([0.0, 500.0, 507.0, 540.0]))

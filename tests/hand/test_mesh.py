@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_support import REST, bent, enclosed_volume, posed_from, random_poses
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -13,6 +12,7 @@ from posetrack_cli.hand.anatomy import FINGERS, JOINT_NAMES, JOINT_PARENTS, MIRR
 from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses, skinning_transforms
 from posetrack_cli.hand.mesh import LEVELS, hand_mesh
 from posetrack_cli.rendering.mesh import SkinnedMesh
+from support.hand import REST, bent, enclosed_volume, posed_from, random_poses
 
 RIGHT, LEFT = make_anatomy("right"), make_anatomy("left")
 FLOAT32_MM = 1e-3

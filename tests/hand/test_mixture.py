@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT, REST, bent
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
@@ -14,7 +13,8 @@ from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, reading_share
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from support.hand import KINECT, REST, bent
 
 HAND = average_hand()
 TRUTH = REST.copy()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hand_support import KINECT, REST
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import PixelSampler, everything, window_around
 from posetrack_cli.rendering.window import Window
+from support.hand import KINECT, REST
 
 ANATOMY = make_anatomy()
 windows = st.builds(

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
-from scene_support import HANDS, WALL_MM, Stage, relaxed
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.config import HandConfig
@@ -15,6 +13,8 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.rendering.window import Window
+from support.hand import KINECT
+from support.hand_scene import HANDS, WALL_MM, Stage, relaxed
 
 ANATOMY = HANDS["right"].anatomy
 STEP = 4

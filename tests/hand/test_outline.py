@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
-from scene_support import HANDS, Stage, relaxed
 
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.observer import Observer
@@ -15,6 +13,8 @@ from posetrack_cli.hand.start import centre_pose
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Status
+from support.hand import KINECT
+from support.hand_scene import HANDS, Stage, relaxed
 
 HAND = HANDS["right"]
 FRAME_NS = 33_333_333

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
-from scene_support import HANDS, WALL_MM, Stage, relaxed, tracker, turned_about_its_length
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import ANGLES
@@ -17,6 +15,8 @@ from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
+from support.hand import KINECT
+from support.hand_scene import HANDS, WALL_MM, Stage, relaxed, tracker, turned_about_its_length
 
 HAND = HANDS["right"]
 FRAME_NS = 33_333_333

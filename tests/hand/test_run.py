@@ -11,19 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flat_recording import CAMERA, CONFIG, FRAME_NS, Memory, after
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, run_record
-from posetrack_cli.recording.base import Loss, TruthMessage
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_stream import read_messages
+from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome, frames_ahead
+from support.flat_recording import CAMERA, CONFIG, FRAME_NS, Memory, after
 
 
 def truth_at(stamp_ns: int, data: bytes = b"{}") -> TruthMessage:

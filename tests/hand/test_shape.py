@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_support import REST, enclosed_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import average_hand, hand_model
 from posetrack_cli.hand.shape import POPULATION_SD, SHAPE_NAMES, SHAPE_SIZE, HandShape, random_shape
 from posetrack_cli.rendering.mesh import is_closed
+from support.hand import REST, enclosed_volume
 
 AVERAGE = make_anatomy()
 

@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
-from scene_support import HANDS, Stage, relaxed
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, smoothing_path
-from posetrack_cli.recording.base import Frame, Loss, TruthMessage
+from posetrack_cli.losses import Loss
+from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.results import load_arrays
 from posetrack_cli.results.tracks import TRACKS, estimate_topic
+from support.hand import KINECT
+from support.hand_scene import HANDS, Stage, relaxed
 
 FRAME_NS, COUNT = 33_333_333, 12
 CONFIG = HandConfig.model_validate(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from hand_support import pose_strategy, random_poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -12,6 +11,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 from posetrack_cli.hand.config import ComponentSettings
 from posetrack_cli.hand.space import HandSpace, inside_limits, pose_rates, tangent_vector
+from support.hand import pose_strategy, random_poses
 
 SPACE = HandSpace()
 ROUNDING = 1e-9

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hand_support import KINECT
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.start import USUAL_DEPTH_MM, centre_pose, read_pose, rest_pose, scattered_poses
+from support.hand import KINECT
 
 ANATOMY = make_anatomy(scale=0.9)
 ROUNDING_MM = 1e-9

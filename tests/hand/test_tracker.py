@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_support import KINECT
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
@@ -31,9 +30,10 @@ from posetrack_cli.hand.tracker import (
     state_from_arrays,
 )
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status
+from support.hand import KINECT
 
 ANATOMY = make_anatomy()
 START = rest_pose(ANATOMY, np.array([0.0, 0.0, 650.0]))

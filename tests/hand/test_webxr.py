@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from glb_support import GlbWriter, hand_glb, joint_names, write_hand
-from hand_support import enclosed_volume, posed_from, random_poses
 from scipy.spatial import cKDTree
 
 from posetrack_cli.errors import UsageError
@@ -25,6 +23,8 @@ from posetrack_cli.hand.webxr import load_hand
 from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.rendering.gltf import read_glb
 from posetrack_cli.rendering.mesh import is_closed
+from support.glb import GlbWriter, hand_glb, joint_names, write_hand
+from support.hand import enclosed_volume, posed_from, random_poses
 
 FLOAT32_MM = 1e-3
 """Positions in a file are float32 metres: 0.3 m times 6e-8, and skinning transforms are float32 at 0.1 m."""

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundles import CAMERA, noisy, random_bundle
-from mono_cases import random_templates
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.adjustment.album import Album
@@ -17,6 +15,8 @@ from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson, new_person
 from posetrack_cli.head.pose import HeadPose
+from support.bundles import CAMERA, noisy, random_bundle
+from support.mono_cases import random_templates
 
 SETTINGS = AdjustmentSettings()
 FACTOR = 1.9

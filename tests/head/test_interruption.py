@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from head_run_support import CAMERAS, COMPONENTS, FakeState, FakeTracker, Memory
 
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
@@ -17,6 +16,7 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, read_result
 from posetrack_cli.tracking.options import RunOutcome
+from support.head_run import CAMERAS, COMPONENTS, FakeState, FakeTracker, Memory
 
 
 class InterruptedTracker(FakeTracker):

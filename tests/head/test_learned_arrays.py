@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from head_run_support import CAMERAS, Memory
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
@@ -21,6 +20,7 @@ from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of
 from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.templates import WINDOW, TemplateSet
+from support.head_run import CAMERAS, Memory
 
 NEEDED = (
     *(f"face.{name}" for name in ("mean", "components", "variance", "counts")),

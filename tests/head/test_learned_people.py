@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bundles import random_model
-from mono_cases import random_known
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.mono_reduction import ReducingTracker
 from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_of, people_parts
+from support.bundles import random_model
+from support.mono_cases import random_known
 
 MODEL = random_model(0)
 CAMERA = Camera(640, 480, 700.0, 700.0, 320.0, 240.0)

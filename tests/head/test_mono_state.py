@@ -7,8 +7,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from bundles import random_model
-from mono_cases import assert_same, random_detected, random_following, random_known, random_templates
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.cuts import HEIGHT, WIDTH
@@ -17,6 +15,8 @@ from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, stat
 from posetrack_cli.head.person_arrays import people_parts
 from posetrack_cli.head.start.search import Search
 from posetrack_cli.results.layouts import LayoutError
+from support.bundles import random_model
+from support.mono_cases import assert_same, random_detected, random_following, random_known, random_templates
 
 MODEL = random_model(0)
 SETTINGS = AdjustmentSettings(average=6)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundles import random_model
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.head.mono_subject import MonoNumbers, mono_number_names, mono_subject
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import check_estimate
+from support.bundles import random_model
 
 
 def numbers(size: int) -> MonoNumbers:

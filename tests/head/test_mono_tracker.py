@@ -8,9 +8,6 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from mono_cases import assert_same
-from mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
-from textured_face import SHAPE, textured_face
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import angle_between
@@ -23,6 +20,9 @@ from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.templates import take_templates, tangents
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from support.mono_cases import assert_same
+from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
+from support.textured_face import SHAPE, textured_face
 
 ACROSS_MM = 0.2
 """0.3 px. Noise places a patch to some 0.02 px; where the features were first found, it is compared with."""

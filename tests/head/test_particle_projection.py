@@ -5,12 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from particle_scenes import FACING, LENS, cameras, model
 
 from posetrack_cli.geometry.projection import in_camera_axes
 from posetrack_cli.head.particle_kernels import BEHIND, recentre
 from posetrack_cli.head.particle_projection import ParticleProjection
 from posetrack_cli.head.pose import HeadPose
+from support.particle_scenes import FACING, LENS, cameras, model
 
 COEFFICIENTS = np.array([3.0, -2.0])
 SPREAD = np.array([20.0, 20.0, 40.0, 0.3, 0.3, 0.3, 5.0, 3.0])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from particle_scenes import FACING, cameras, model, observation, pixels
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.head import score_maps
@@ -15,6 +14,7 @@ from posetrack_cli.head.motion import FRAME_S, predicted_pose, velocity_between
 from posetrack_cli.head.particle_scores import ParticleScores
 from posetrack_cli.head.particles import HeadFilter
 from posetrack_cli.head.shape_model import rigid_model
+from support.particle_scenes import FACING, cameras, model, observation, pixels
 
 AT_REST = np.zeros(6)
 COEFFICIENTS = np.array([4.0, -2.0])

@@ -7,14 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bundles import CAMERA, UNIT_SD, Bundle, random_bundle, random_model
-from mono_cases import assert_same, random_templates
 
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.history import IdentityHistory
 from posetrack_cli.head.adjustment.views import Person, PointView
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.person import KnownPerson, new_person, rms
+from support.bundles import CAMERA, UNIT_SD, Bundle, random_bundle, random_model
+from support.mono_cases import assert_same, random_templates
 
 SEEDS = range(6)
 N_VIEWS = 10

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bundles import random_model
-from mono_cases import assert_same, random_known
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.album import PER_CELL
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.person import KnownPerson
 from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_of, people_parts
+from support.bundles import random_model
+from support.mono_cases import assert_same, random_known
 
 MODEL = random_model(0)
 SETTINGS = AdjustmentSettings(average=6)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mono_scene import CAMERA, FEW, MODEL, Scene
 
 from posetrack_cli.head.following import Followed
 from posetrack_cli.head.person import KnownPerson
 from posetrack_cli.head.person_following import PersonFollower
+from support.mono_scene import CAMERA, FEW, MODEL, Scene
 
 FRAMES = 12
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from textured_face import FACING, turned_camera
 
 from posetrack_cli.head.face import MEAN_SHAPE
 from posetrack_cli.head.projection import project
+from support.textured_face import FACING, turned_camera
 
 LENSES = {
     "none": {},

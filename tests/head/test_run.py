@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from head_run_support import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.head.config import HeadStereoConfig
@@ -20,14 +19,15 @@ from posetrack_cli.head.model_file import load_model, model_bytes
 from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.results.export.text_formats import csv_text
 from posetrack_cli.tracking.options import RunOutcome
+from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory
 
 Track = Callable[..., RunOutcome]
 NAME = "head-stereo"

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
@@ -19,6 +18,7 @@ from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status, check_estimate
+from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
 
 FRAME_NS = 33_333_333
 CAMERAS = stereo()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from textured_face import FACING, SHAPE, stereo, textured_face
 
 from posetrack_cli.head.face import POINT_NORMALS
 from posetrack_cli.head.patches import PATCH
@@ -19,6 +18,7 @@ from posetrack_cli.head.templates import (
     warped,
     warps_between,
 )
+from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 TURNED = FACING.moved(np.array([15.0, -10.0, -60.0, 0.15, -0.35, 0.2]))
 """Nearer by a tenth, 20 degrees of yaw, 11 of roll."""

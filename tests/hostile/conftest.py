@@ -1,12 +1,8 @@
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # hostile is a package
 
 from hostile.running import Harness, Pool
 from hostile.seeds import Seeds, make_seeds

@@ -19,8 +19,6 @@ from typing import Any
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from hostile.case import Case, load, save
 from hostile.corpus import every_case
 from hostile.invariant import violations

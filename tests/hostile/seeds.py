@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,8 +15,6 @@ import numpy as np
 from hostile.case import Case, Content
 from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, Record, file_bytes, read_records
 from hostile.running import SEED, Harness, Pool
-
-sys.path.append(str(Path(__file__).parents[1] / "hand"))  # glb_support
 
 FRAMES = 3
 STEP = 8
@@ -284,10 +281,9 @@ def video(suffix: str, fourcc: str) -> bytes:
 @cache
 def glb() -> bytes:
     """Return our own hand as GLB, of few vertices."""
-    from glb_support import hand_glb
-
     from posetrack_cli.hand.anatomy import make_anatomy
     from posetrack_cli.hand.mesh import hand_mesh
+    from support.glb import hand_glb
 
     anatomy = make_anatomy()
     pose = np.concatenate([[0.0, 0.0, 800.0, 0.0, 0.0, 0.0, 1.0], np.zeros(15)])

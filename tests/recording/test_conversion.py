@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC, convert_recording
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_sink import McapSink
-from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.recording.opening import open_recording
 
 SIZE_MARGIN = 0.02

@@ -11,11 +11,11 @@ import pytest
 from mcap.records import Metadata
 
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.mcap.stream import read_extras
 from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.folder import FolderRecording
 from posetrack_cli.recording.inspection import describe
-from posetrack_cli.recording.mcap_stream import read_extras
 from posetrack_cli.recording.opening import open_recording
 
 

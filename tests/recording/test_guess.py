@@ -10,13 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from images_support import HEIGHT, WIDTH, grey_images, rig, stamps, write_images, write_rig, write_stamps
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.guess import Guess, guess_of_camera, guess_of_field
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
+from support.images import HEIGHT, WIDTH, grey_images, rig, stamps, write_images, write_rig, write_stamps
 
 FRAMES = 3
 GUESSED = Camera(WIDTH, HEIGHT, 32.0, 32.0, 15.5, 11.5)

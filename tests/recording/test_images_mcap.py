@@ -245,7 +245,7 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
 ) -> None:
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
-    from posetrack_cli.recording.mcap_sink import McapSink
+    from posetrack_cli.mcap.sink import McapSink
     from posetrack_cli.results.messages import camera_transforms
 
     cameras = support.rig(["left", "right", "third"])
@@ -275,8 +275,8 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
 
 
 def copy_messages(path: Path, sink: Any) -> None:
-    from posetrack_cli.recording.losses import LossLog
-    from posetrack_cli.recording.mcap_stream import read_messages
+    from posetrack_cli.losses import LossLog
+    from posetrack_cli.mcap.stream import read_messages
 
     channels: dict[str, int] = {}
     for schema, channel, message in read_messages(path, LossLog()):

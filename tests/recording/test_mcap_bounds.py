@@ -18,12 +18,12 @@ from mcap.writer import CompressionType, Writer
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_chunks import ChunkLimitError, decompressed
-from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError
-from posetrack_cli.recording.mcap_records import HEAD, MAGIC, chunk_records, record_spans
-from posetrack_cli.recording.mcap_stream import DAMAGED_CHUNK, LARGE_CHUNK, read_messages
-from posetrack_cli.recording.mcap_summary import read_summary
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.chunks import ChunkLimitError, decompressed
+from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError
+from posetrack_cli.mcap.records import HEAD, MAGIC, chunk_records, record_spans
+from posetrack_cli.mcap.stream import DAMAGED_CHUNK, LARGE_CHUNK, read_messages
+from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.mcap_topics import scan_topics
 
 MIB = 1 << 20

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.recording.opening import open_recording
 
 FLAVOURS = ["foxglove", "ros1", "ros2"]

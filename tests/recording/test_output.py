@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.output import check_output, part_path, state_path, whole_or_nothing
 
 

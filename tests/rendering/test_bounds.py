@@ -14,7 +14,7 @@ from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.rendering.bounds import BoneSpheres
-from posetrack_cli.rendering.tiled import NEAR_MM, TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import NEAR_MM, TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from rendering_support import sphere
 
 from posetrack_cli.rendering.closest import closest_points
+from support.rendering import sphere
 
 ROUNDING = 1e-9
 

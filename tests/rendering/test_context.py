@@ -8,7 +8,7 @@ import moderngl
 import pytest
 
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.rendering.context import INSTALL_HINT, REQUIRED_GL, describe, open_context
+from posetrack_cli.rendering.gl.context import INSTALL_HINT, REQUIRED_GL, describe, open_context
 
 
 def test_a_context_tells_its_driver(context: Any) -> None:

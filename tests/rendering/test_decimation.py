@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendering_support import plane, rigid, sphere
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.rendering.decimation import decimated, decimation
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
+from support.rendering import plane, rigid, sphere
 
 EXACT = 1e-6
 

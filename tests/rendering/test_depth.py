@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rendering_support import CAMERA, cast, moved, octahedron, plane, rays, rigid, sagitta, sphere
 
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.gl.tiled import NEAR_MM, TiledDepthRenderer
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
-from posetrack_cli.rendering.tiled import NEAR_MM, TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
+from support.rendering import CAMERA, cast, moved, octahedron, plane, rays, rigid, sagitta, sphere
 
 DEPTH_MM = 0.1
 """The bound asked for. What a 24-bit depth of near / z can do: z^2 / near 2^-24 = 0.001 mm at 1 m."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendering_support import octahedron, rigid, sphere
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.rendering.mesh import (
@@ -16,6 +15,7 @@ from posetrack_cli.rendering.mesh import (
     loop_subdivided,
     smoothed_through,
 )
+from support.rendering import octahedron, rigid, sphere
 
 ROUNDING = 1e-12
 """Unit-sized numbers after a few dozen operations and one well-conditioned solve."""

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rendering_support import CAMERA, STILL, plane, rays
 from scipy.stats import norm
 
 from posetrack_cli.geometry.camera import Camera
@@ -16,10 +15,11 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
 from posetrack_cli.rendering.sums import sums_in_numpy
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
+from support.rendering import CAMERA, STILL, plane, rays
 
 MODEL = PixelMixture()
 DBOT = PixelMixture(near_sd_mm=3.0, sd_mm_per_m2=1.42, outlier=0.01)

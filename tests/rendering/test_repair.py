@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendering_support import octahedron
 
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
 from posetrack_cli.rendering.repair import closed, rims, welded
 from posetrack_cli.rendering.simplify import simplified
+from support.rendering import octahedron
 
 
 def volume(mesh: SkinnedMesh) -> float:

@@ -10,7 +10,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.textured import SAMPLES, Lighting, Surface, TexturedRenderer
+from posetrack_cli.rendering.gl.textured import SAMPLES, Lighting, Surface, TexturedRenderer
 
 CAMERA = Camera(64, 48, 100.0, 100.0, 31.5, 23.5)
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 1.0, 0.0]])

@@ -7,7 +7,6 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
-from rendering_support import CAMERA, STILL, moved, rigid, sphere
 
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
@@ -15,10 +14,11 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
-from posetrack_cli.rendering import tiled
+from posetrack_cli.rendering.gl import tiled
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
+from support.rendering import CAMERA, STILL, moved, rigid, sphere
 
 KINECT = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 MIDDLE = np.array([255.5, 211.5])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rendering_support import CAMERA
 
 from posetrack_cli.rendering.window import Window
+from support.rendering import CAMERA
 
 windows = st.builds(
     Window,

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
-from results_support import CAMERA, make_estimate
 
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results import Estimate, Status, Subject
 from posetrack_cli.results.annotations import AXIS_MM, image_annotations
 from posetrack_cli.results.line_scene import line_scene
 from posetrack_cli.results.scene import LOST_ALPHA
+from support.results import CAMERA, make_estimate
 
 SUBJECT = Subject(
     "head", "left", (), ("a", "b", "c", "d"), (-1,) * 4, colour=(0.5, 0.25, 0.75, 1.0), lines=((0, 1), (2, 3))

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from results_support import K, P, begin, make_estimate, with_fields, write_frames, write_result
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import ESTIMATE_SCHEMA_NAME, Estimate, estimate_to_json, read_result
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import FIELD_NAMES, VELOCITY_FIELDS
+from support.results import K, P, begin, make_estimate, with_fields, write_frames, write_result
 
 NO_VELOCITY: dict[str, object] = dict.fromkeys(VELOCITY_FIELDS)
 KINDS = {"frame_index": "i", "stamp_ns": "i", "status": "U", "resampled": "b"}

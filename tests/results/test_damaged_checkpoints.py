@@ -9,8 +9,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from damage_support import Arrays, changed_json, damaged_arrays, damaged_fields, sealed
-from results_support import CAMERA, RUN, SUBJECT, begin, make_estimate, make_truth
 
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.npz import read_npz
@@ -21,6 +19,8 @@ from posetrack_cli.results.checkpoint import Checkpoint, Progress
 from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, check_arrays, check_numbers, floats
 from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
 from posetrack_cli.tracking.protocol import Tracker
+from support.damage import Arrays, changed_json, damaged_arrays, damaged_fields, sealed
+from support.results import CAMERA, RUN, SUBJECT, begin, make_estimate, make_truth
 
 HINT = "--overwrite"
 FLUSHED, WRITTEN = 10, 13

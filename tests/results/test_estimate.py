@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from results_support import SUBJECT, make_estimate, with_fields
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results.estimate import Subject, check_estimate
+from support.results import SUBJECT, make_estimate, with_fields
 
 
 def test_a_sound_estimate_passes() -> None:

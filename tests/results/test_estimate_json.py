@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from results_support import make_estimate, with_fields
 
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results import ESTIMATE_SCHEMA, Status, estimate_from_json, estimate_to_json
 from posetrack_cli.results.estimate import FIELD_NAMES
+from support.results import make_estimate, with_fields
 
 KINDS: dict[str, tuple[type, ...]] = {
     "integer": (int,),

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from results_support import CAMERA, RUN, SUBJECT, begin, make_estimate, with_fields, write_frames
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.errors import ResultError, UsageError
@@ -31,6 +30,7 @@ from posetrack_cli.results.estimate import FIELD_NAMES
 from posetrack_cli.results.export.export import FORMATS, TEXT_FORMATS, export_file, export_text
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.results.export.table import table_of
+from support.results import CAMERA, RUN, SUBJECT, begin, make_estimate, with_fields, write_frames
 
 FRAMES = 12
 NO_VELOCITY: dict[str, object] = {"pose_rate": None, "twist": None, "twist_variance": None}

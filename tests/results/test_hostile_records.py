@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from results_support import make_estimate
 
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
@@ -18,6 +17,7 @@ from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import estimate_from_json, estimate_to_json
 from posetrack_cli.results.run_values import check_run_record
 from posetrack_cli.results.subject_record import subject_from_record, subject_to_record
+from support.results import make_estimate
 
 DEEP = "[" * 1000 + "]" * 1000
 SUBJECT = Subject("hand", "camera", ("a", "b"), ("p", "q"), (-1, 0), np.array([[0, 1, 2]]))

@@ -7,7 +7,6 @@ import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from results_support import CAMERA, RUN, SUBJECT, make_estimate, make_vertices, with_fields
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.errors import ResultError
@@ -18,6 +17,7 @@ from posetrack_cli.results.messages import (
     odometry,
 )
 from posetrack_cli.results.scene import LOST_ALPHA, SceneEncoder, _delimited
+from support.results import CAMERA, RUN, SUBJECT, make_estimate, make_vertices, with_fields
 
 ROUNDING = 1e-12  # of a few float64 products of numbers up to 1e3, relative
 

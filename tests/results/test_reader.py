@@ -10,16 +10,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from results_support import (
-    CAMERA,
-    RUN,
-    SUBJECT,
-    begin,
-    make_estimate,
-    make_truth,
-    write_frames,
-    write_result,
-)
 
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.geometry.camera import Camera
@@ -34,6 +24,16 @@ from posetrack_cli.results import (
     read_result,
 )
 from posetrack_cli.results.estimate import FIELD_NAMES
+from support.results import (
+    CAMERA,
+    RUN,
+    SUBJECT,
+    begin,
+    make_estimate,
+    make_truth,
+    write_frames,
+    write_result,
+)
 
 
 @pytest.fixture(scope="module")

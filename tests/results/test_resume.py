@@ -7,7 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from results_support import (
+
+from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.results import ResultWriter, Subject
+from support.results import (
     CAMERA,
     RUN,
     SUBJECT,
@@ -19,10 +23,6 @@ from results_support import (
     write_frames,
     write_result,
 )
-
-from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.recording.output import part_path, state_path
-from posetrack_cli.results import ResultWriter, Subject
 
 FRAMES = 26
 ENDS = range(FRAMES)
@@ -99,7 +99,7 @@ def test_a_run_can_be_interrupted_again_and_again(tmp_path: Path, whole: bytes) 
 def test_chunks_that_end_by_their_size_are_replayed_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bytes
 ) -> None:
-    monkeypatch.setattr("posetrack_cli.recording.mcap_sink.McapSink.__init__.__kwdefaults__", small_chunks())
+    monkeypatch.setattr("posetrack_cli.mcap.sink.McapSink.__init__.__kwdefaults__", small_chunks())
     uninterrupted = write_result(tmp_path / "whole.mcap", FRAMES).read_bytes()
     path = killed(tmp_path, 17)
     resume_result(path, FRAMES)

@@ -9,7 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from results_support import (
+
+from posetrack_cli.errors import ResultError
+from posetrack_cli.recording.output import part_path
+from posetrack_cli.results import Estimate, ResultWriter, read_result
+from posetrack_cli.results.messages import FrameTransforms, Odometry
+from posetrack_cli.results.writer import SUMMARY_RECORD
+from support.results import (
     SUMMARY,
     begin,
     checkpoint_at,
@@ -20,12 +26,6 @@ from results_support import (
     write_frames,
     write_result,
 )
-
-from posetrack_cli.errors import ResultError
-from posetrack_cli.recording.output import part_path
-from posetrack_cli.results import Estimate, ResultWriter, read_result
-from posetrack_cli.results.messages import FrameTransforms, Odometry
-from posetrack_cli.results.writer import SUMMARY_RECORD
 
 FRAMES = 26
 BEFORE_MM = 1000.0

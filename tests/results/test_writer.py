@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from results_support import (
+
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.results import Checkpoint, ResultWriter, read_result
+from support.results import (
     CAMERA,
     RUN,
     SUBJECT,
@@ -24,11 +28,7 @@ from results_support import (
     write_result,
 )
 
-from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.recording.output import part_path, state_path
-from posetrack_cli.results import Checkpoint, ResultWriter, read_result
-
-SUPPORT = Path(__file__).with_name("results_support.py")
+TESTS = Path(__file__).parents[1]
 FILE_LIMIT = 20_000  # bytes: room for the schemas and a few chunks, not for the whole run
 
 
@@ -66,7 +66,12 @@ def test_attachments_are_carried(tmp_path: Path) -> None:
 
 
 def test_a_killed_writer_leaves_every_flushed_frame(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, SUPPORT, tmp_path / "r.mcap", "17"], check=False, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-m", "support.results", tmp_path / "r.mcap", "17"],
+        check=False,
+        timeout=60,
+        cwd=TESTS,
+    )
     assert done.returncode == -signal.SIGKILL
     result = read_result(part_path(tmp_path / "r.mcap"))
     assert result.truncated
@@ -162,12 +167,11 @@ def test_a_folder_in_the_way_is_one_line(tmp_path: Path) -> None:
 DISK_FULL = """
 import resource, signal, sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from results_support import begin, write_frames
+from support.results import begin, write_frames
 from posetrack_cli.errors import ResultError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-writer = begin(Path(sys.argv[2]))
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), int(sys.argv[3])))
+writer = begin(Path(sys.argv[1]))
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
 try:
     with writer:
         write_frames(writer, 0, 500)
@@ -178,8 +182,8 @@ except ResultError as error:
 
 def test_a_full_disk_is_one_line_and_keeps_what_was_flushed(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    command = [sys.executable, "-W", "error", "-c", DISK_FULL, SUPPORT.parent, path, str(FILE_LIMIT)]
-    done = subprocess.run(command, check=True, timeout=60, capture_output=True, text=True)
+    command = [sys.executable, "-W", "error", "-c", DISK_FULL, path, str(FILE_LIMIT)]
+    done = subprocess.run(command, check=True, timeout=60, capture_output=True, text=True, cwd=TESTS)
     assert done.stdout == f"{part_path(path)}: cannot be written, found File too large\n"
     assert done.stderr == ""
     kept = frame_indices(part_path(path))

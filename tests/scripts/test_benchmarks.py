@@ -25,19 +25,19 @@ from benchmarking.recordings import link_recording, there_and_back, write_hand_r
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.hand.synthesis.sensor import CAMERA
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.views import Person
 from posetrack_cli.head.mono_config import HeadMonoConfig
 from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.subject import HeadNumbers
-from posetrack_cli.head.synthesis.options import HeadSynthOptions
-from posetrack_cli.head.synthesis.rig import make_cameras
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_images, open_recording
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import Estimate, Status
+from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.rig import make_cameras
 from stepping import in_turn
 
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cvar_support import annotated, make_folder
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.evaluation.truth.points_topic import points_topic, points_track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Subject
 from reproduction import cvar
+from support.cvar import annotated, make_folder
 
 HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 FILE_DIGITS = 5e-4

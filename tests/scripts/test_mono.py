@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from heads_support import CAMERAS, FRAME_NS, heads_folder, judged, pose
 
 from posetrack_cli.cli.head_build_model import head_build_model
 from posetrack_cli.cli.head_mono import head_mono
@@ -34,6 +33,7 @@ from reproduction.one_camera.measuring import Figures, Measured, Removed, compar
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.tables import THESIS
 from reproduction.steps import FILE, Chain, Step
+from support.heads import CAMERAS, FRAME_NS, heads_folder, judged, pose
 
 COMMANDS = {"synth": head_synth, "stereo": head_stereo, "build-model": head_build_model, "mono": head_mono}
 ROUNDED = 1e-9

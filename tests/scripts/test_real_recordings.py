@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cvar_support import make_folder as make_annotated
-from viewing_support import make_folder, make_recording, truth_of
 
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
@@ -23,6 +21,8 @@ from reproduction.accuracy.measuring import Measured
 from reproduction.accuracy.options import Options, Targets
 from reproduction.accuracy.real import HeadMounted, Kinect
 from reproduction.accuracy.tasks import command
+from support.cvar import make_folder as make_annotated
+from support.viewing import make_folder, make_recording, truth_of
 
 FRAMES = 6
 

@@ -7,6 +7,7 @@ import os
 import random
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,16 @@ FRAMES = 40
 
 
 def made_up(flaw: str = "none", frames: int = FRAMES) -> Case:
-    program = (sys.executable, str(Path(__file__).with_name("soak_tracker.py")))
+    program = (sys.executable, "-m", "support.soak_tracker")
     return Case("made-up", (str(frames), "--flaw", flaw), frames, program=program)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _importable() -> Iterator[None]:
+    """The made-up tracker is a program of its own: its process finds it among the tests' modules."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+        yield
 
 
 @pytest.fixture(scope="module")

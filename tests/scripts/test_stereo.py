@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heads_support import CAMERAS, FRAME_NS, heads_folder, judged, pose
 
 from posetrack_cli.cli.head_stereo import head_stereo
 from posetrack_cli.cli.head_synth import head_synth
@@ -17,9 +16,9 @@ from posetrack_cli.errors import PosetrackError
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face import MEAN_SHAPE, MOUTH, POINT_NAMES
 from posetrack_cli.head.subject import HeadNumbers, head_subject
-from posetrack_cli.head.synthesis.folder_writing import SYNTH_RECORD
-from posetrack_cli.recording.mcap_sink import McapSink
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import Estimate, ResultWriter, Status
+from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD
 from reproduction.accuracy.options import FIRST_SEED, Targets
 from reproduction.heads import comparison, conditions, experiment, figures, people, tasks
 from reproduction.heads.events import Events, events_of
@@ -27,6 +26,7 @@ from reproduction.heads.measuring import Course, Figures, Measured, course, figu
 from reproduction.heads.options import Options
 from reproduction.heads.tasks import ENTRANTS, Task, is_current, run_task
 from reproduction.stereo import PARTS
+from support.heads import CAMERAS, FRAME_NS, heads_folder, judged, pose
 
 ROUNDED_MM = 1e-4  # the truth's CSV has five digits after the point
 

@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.metrics.catalogue import metric_of
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
 from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, shown, tables
 from posetrack_cli.evaluation.statistics import Statistics
-from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.losses import loss_line
 
 
 def notices(evaluations: Sequence[Evaluation]) -> str:

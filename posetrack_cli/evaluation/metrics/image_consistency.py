@@ -25,12 +25,12 @@ from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import PredictedHand, segment
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.stored import StoredRecording
-from posetrack_cli.rendering.context import open_context
+from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.sums import TileSums
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 

@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.evaluation import Evaluation, Value
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, GROUP_TITLES, HEAD_POSE, metric_of, place_of
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
-from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.losses import loss_line
 
 ABSENT = "-"
 SPREAD = ("median", "p95", "max")

@@ -16,10 +16,10 @@ from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import unit_quaternions
 from posetrack_cli.geometry.rotations import rotate
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
+from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.recording.base import TRUTH_PREFIX
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_decoding import MessageDecoder, UndecodableMessageError, stamp_of
-from posetrack_cli.recording.mcap_stream import read_messages
 
 ODOMETRY_SCHEMA = "foxglove.Odometry"
 JOINT_STATES_SCHEMA = "foxglove.JointStates"

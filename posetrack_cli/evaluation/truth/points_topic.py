@@ -14,9 +14,9 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_stream import read_messages
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.strict_json import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
 

@@ -34,8 +34,7 @@ from posetrack_cli.evaluation.viewing.segments import HandSegments, configuratio
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, largest_viewport, moved_to
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
-from posetrack_cli.recording.base import Loss
-from posetrack_cli.recording.losses import LossLog
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.results.reader import Result
 

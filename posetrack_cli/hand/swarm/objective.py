@@ -27,8 +27,8 @@ from posetrack_cli.hand.config import HandConfig, PsoSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.sums import TileSums
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
 
 _ABDUCTIONS = [ANGLE_NAMES.index(f"{finger}_mcp_abduction") for finger in FINGERS[1:]]
 

@@ -14,7 +14,7 @@ from posetrack_cli.geometry.poses import in_object
 from posetrack_cli.head.face import EYES, POINT_NAMES
 from posetrack_cli.head.multilinear.build import mirrored
 from posetrack_cli.head.subject import HEAD, WEIGHT
-from posetrack_cli.recording.base import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import NUMBERS, Status
 from posetrack_cli.results.reader import Result, read_result

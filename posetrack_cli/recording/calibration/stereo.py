@@ -13,12 +13,12 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import epipolar_errors, relative_transform
 from posetrack_cli.geometry.triangulation import triangulate
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.calibration.boards import Board
 from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import CameraFit, fit_camera, place_cameras, shared_views
 from posetrack_cli.recording.calibration.views import CameraViews, find_views
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.rig_file import camera_file_text
 
 DOUBTFUL_PX = 1.0

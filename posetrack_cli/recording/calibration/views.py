@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, nearest_name
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
 from posetrack_cli.recording.grey import StoredKind, check_size, decode_as_stored, grey_of, kind_of_image
 from posetrack_cli.recording.image_files import read_image
 from posetrack_cli.recording.image_folders import find_folders, instants
-from posetrack_cli.recording.losses import LossLog
 from posetrack_cli.recording.stored import UnreadableImageError
 
 

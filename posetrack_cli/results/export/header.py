@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from posetrack_cli.geometry.euler import EULER_ORDER
-from posetrack_cli.recording.losses import loss_line
+from posetrack_cli.losses import loss_line
 from posetrack_cli.results.export.column_names import HEAD
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.export.table import table_of

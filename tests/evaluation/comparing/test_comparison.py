@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from evaluation_support import FRAME_NS, hand_evaluation
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -14,6 +13,7 @@ import posetrack_cli.evaluation.comparing.paired as paired_module
 from posetrack_cli.evaluation.comparing.blocks import block_means, neighbour_correlation, paired_blocks
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.comparing.paired import paired
+from support.evaluation import FRAME_NS, hand_evaluation
 
 SECOND = 1_000_000_000
 RUN = {"tracker": "hand", "seed": "1", "input.sha256": "aa"}

@@ -6,7 +6,6 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from posetrack_cli.evaluation.comparing.groups import compare_groups, pair_by_re
 from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.statistics import statistics
+from support.evaluation import hand_evaluation
 
 KEYS = st.lists(st.tuples(st.sampled_from("pqrst"), st.sampled_from("123")), unique=True, max_size=9)
 

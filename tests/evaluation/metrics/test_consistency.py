@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluation_support import hand_track
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.metrics.consistency import consistency_metrics, jitter
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
+from support.evaluation import hand_track
 
 FRAME_NS = 33_333_333
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import figures, measure, number, random_hand, random_head, relaxed
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.space import HandSpace
+from support.metrics import figures, measure, number, random_hand, random_head, relaxed
 
 STANDARD_ERRORS = 5.0
 """Tolerance in standard errors: one of two million calibrated filters would fail."""

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import NOTHING, figures, measure, moved, number, random_hand, relaxed
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
@@ -19,6 +18,7 @@ from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
+from support.metrics import NOTHING, figures, measure, moved, number, random_hand, relaxed
 
 ROUNDING_MM = 1e-9
 """Positions of 1000 mm carry 1e-13 mm; a few dozen operations stay far below."""

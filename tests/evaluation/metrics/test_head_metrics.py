@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics_support import HEAD_POINTS, figures, measure, moved, random_head, relaxed
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE, addresses
@@ -16,6 +15,7 @@ from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from support.metrics import HEAD_POINTS, figures, measure, moved, random_head, relaxed
 
 SEEDS = st.integers(0, 2**32 - 1)
 

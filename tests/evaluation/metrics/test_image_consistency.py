@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from viewing_support import lost_from, make_recording, make_result, moved, truth_of
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.evaluation import Value
@@ -18,11 +17,12 @@ from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.synthesis.options import Switches
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
 from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
 from posetrack_cli.results import ResultWriter, Subject, read_result
+from posetrack_cli.synthesis.hand.options import Switches
+from support.viewing import lost_from, make_recording, make_result, moved, truth_of
 
 FRAMES = 5
 NOISE_MM = 1.0

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from metrics_support import measure, number, random_hand
 
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_NAMES
+from support.metrics import measure, number, random_hand
 
 ROUNDING_MM = 1e-9
 

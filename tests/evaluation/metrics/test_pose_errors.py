@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from metrics_support import relaxed
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
@@ -14,6 +13,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from support.metrics import relaxed
 
 FEW_ULPS_DEG = 1e-10
 """A dozen float64 roundings of numbers up to 180 deg or 1000 mm stay below."""

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluation_support import hand_track
-from metrics_support import figures, number
 
 from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.evaluation.metrics.run_metrics import (
@@ -20,6 +18,8 @@ from posetrack_cli.evaluation.metrics.run_metrics import (
     run_metrics,
 )
 from posetrack_cli.evaluation.track import Track
+from support.evaluation import hand_track
+from support.metrics import figures, number
 
 RUN = {"configuration": json.dumps({"filter": {"particles": 512}})}
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from metrics_support import figures, measure, random_hand, random_head
 from scipy.spatial.transform import Rotation
+
+from support.metrics import figures, measure, random_hand, random_head
 
 VELOCITIES = ("velocity_error_mm_s", "angular_velocity_error_deg_s", "angle_velocity_error_deg_s")
 

@@ -7,11 +7,11 @@ import io
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluation import Curve
 from posetrack_cli.evaluation.reports.curve_report import curve_report
+from support.evaluation import hand_evaluation
 
 
 def test_a_row_for_each_threshold_and_two_columns_for_each_result() -> None:

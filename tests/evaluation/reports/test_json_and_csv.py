@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
 
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.comparing.groups import compare_groups
@@ -19,7 +18,8 @@ from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, 
 from posetrack_cli.evaluation.reports.csv_report import HEADER, csv_report
 from posetrack_cli.evaluation.reports.json_report import FORMAT, json_report
 from posetrack_cli.evaluation.statistics import Statistics, statistics
-from posetrack_cli.recording.base import Loss
+from posetrack_cli.losses import Loss
+from support.evaluation import hand_evaluation
 
 NAN = float("nan")
 OPTIONS = {"tolerance_ms": 5.0, "align": "none"}

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluation_support import hand_evaluation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +16,8 @@ from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, tables
 from posetrack_cli.evaluation.reports.terminal import print_tables
 from posetrack_cli.evaluation.statistics import Statistics
-from posetrack_cli.recording.base import Loss
+from posetrack_cli.losses import Loss
+from support.evaluation import hand_evaluation
 
 FIGURES = Statistics(mean=8.25, sd=2.0, median=7.5, p95=12.0, max=30.0, count=600)
 OTHER = Statistics(mean=4.0, sd=1.0, median=3.5, p95=6.0, max=15.0, count=600)

@@ -11,16 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from truth_support import (
-    FRAME_NS,
-    HAND,
-    HEAD,
-    estimates,
-    point_columns,
-    pose_columns,
-    write_csv,
-    write_result,
-)
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import TruthError
@@ -31,6 +21,16 @@ from posetrack_cli.results.estimate import Status, Subject
 from posetrack_cli.results.export.export import export_file
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.reader import read_result
+from support.truth import (
+    FRAME_NS,
+    HAND,
+    HEAD,
+    estimates,
+    point_columns,
+    pose_columns,
+    write_csv,
+    write_result,
+)
 
 HEAD_POINTS = tuple(
     f"{side}_{part}"

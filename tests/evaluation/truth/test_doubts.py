@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from evaluation_support import hand_track
-from truth_support import CAMERA, HAND, estimates
 
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.doubts import doubts
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.writer import ResultWriter
+from support.evaluation import hand_track
+from support.truth import CAMERA, HAND, estimates
 
 
 def result_of(path: Path, recording: str | None) -> Path:

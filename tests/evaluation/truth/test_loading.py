@@ -10,16 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from truth_support import (
-    FRAME_NS,
-    HAND,
-    HEAD,
-    estimates,
-    point_columns,
-    pose_columns,
-    write_csv,
-    write_result,
-)
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, TruthError, UsageError
@@ -30,13 +20,23 @@ from posetrack_cli.evaluation.truth import csv_table
 from posetrack_cli.evaluation.truth.csv_table import read_header
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.loading import load_truth
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.losses import LossLog
-from posetrack_cli.recording.mcap_sink import McapSink
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA, ESTIMATE_SCHEMA_NAME, estimate_to_json
 from posetrack_cli.results.reader import Result, read_result
+from support.truth import (
+    FRAME_NS,
+    HAND,
+    HEAD,
+    estimates,
+    point_columns,
+    pose_columns,
+    write_csv,
+    write_result,
+)
 
 METRES = 1e-12
 """Relative: millimetres go to metres and back, and through two rotations."""

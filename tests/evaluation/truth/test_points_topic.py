@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from truth_support import HAND, HEAD, estimates, write_result
 
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.evaluate import evaluate
@@ -18,6 +17,7 @@ from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.truth.points_topic import points_messages, points_topic
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.reader import read_result
+from support.truth import HAND, HEAD, estimates, write_result
 
 FRAMES = 5
 
@@ -69,7 +69,7 @@ def test_points_in_another_order_are_matched_by_name(tmp_path: Path) -> None:
 
 def test_a_recording_s_points_are_a_truth_given_by_path(tmp_path: Path) -> None:
     plain = read_result(write_result(tmp_path / "plain.mcap", HAND, estimates(HAND, FRAMES)))
-    from posetrack_cli.recording.mcap_sink import McapSink
+    from posetrack_cli.mcap.sink import McapSink
 
     with McapSink(tmp_path / "in.mcap") as sink:
         for message in points_messages(joints()):

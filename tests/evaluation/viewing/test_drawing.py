@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from viewing_support import KINECT, open_hand, shown_pose
 
 from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM, Shown, SkeletonDrawer
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_PARENTS
+from support.viewing import KINECT, open_hand, shown_pose
 
 WHITE = (255, 255, 255)
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from viewing_support import KINECT, open_hand, shown_pose
 
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
@@ -15,6 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
 from posetrack_cli.hand.kinematics import mirrored_poses
 from posetrack_cli.hand.model import average_hand
+from support.viewing import KINECT, open_hand, shown_pose
 
 SKIN = (150, 200, 235)
 GREEN = (0, 255, 0)

@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from viewing_support import pictures_of
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.viewing import outputs
@@ -19,6 +18,7 @@ from posetrack_cli.evaluation.viewing.outputs import (
     open_output,
     sheet_of,
 )
+from support.viewing import pictures_of
 
 RATE = 12.5
 COLOUR_TOLERANCE = 40

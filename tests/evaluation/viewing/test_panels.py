@@ -9,8 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from evaluation_support import FRAME_NS, hand_track
-from viewing_support import KINECT
 
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import LOST, SECOND, SKIN, TRUTH, DepthRange
@@ -23,6 +21,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Frame
+from support.evaluation import FRAME_NS, hand_track
+from support.viewing import KINECT
 
 FRAMES = 4
 WHOLE = Viewport.whole(KINECT)

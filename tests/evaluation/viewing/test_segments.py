@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from viewing_support import KINECT, make_recording, make_result, truth_of
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.viewing.drawing import Shown
@@ -20,6 +19,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.segmentation import Label
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.reader import read_result
+from support.viewing import KINECT, make_recording, make_result, truth_of
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 SEGMENTS = HandSegments(make_anatomy(), HandConfig(), CAMERA)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from viewing_support import KINECT, open_hand, shown_pose
 
 from posetrack_cli.evaluation.viewing.viewport import (
     LEAST_ROWS,
@@ -16,6 +15,7 @@ from posetrack_cli.evaluation.viewing.viewport import (
     moved_to,
 )
 from posetrack_cli.geometry.camera import Camera
+from support.viewing import KINECT, open_hand, shown_pose
 
 viewports = st.builds(
     Viewport,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fitting_support import HANDS, RIGHT, TILE_PX, numerical_gradient
-from hand_support import KINECT, REST, bent, random_poses
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
@@ -23,6 +21,8 @@ from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_e
 from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import mirrored_poses
 from posetrack_cli.hand.space import HandSpace
+from support.fitting import HANDS, RIGHT, TILE_PX, numerical_gradient
+from support.hand import KINECT, REST, bent, random_poses
 
 SPACE = HandSpace()
 ABOUT = plausibility_of(RIGHT.anatomy)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fitting_support import HANDS, RIGHT, TILE_PX, observed
-from hand_support import KINECT
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
@@ -18,6 +16,8 @@ from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.space import HandSpace
+from support.fitting import HANDS, RIGHT, TILE_PX, observed
+from support.hand import KINECT
 
 SPACE = HandSpace()
 CLAMP_MM = Terms().clamp_mm

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fitting_support import HANDS, TILE_PX
-from hand_support import KINECT, random_poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,8 +16,10 @@ from posetrack_cli.hand.fitting.raster import NEAR_MM, NOTHING, Drawing, View, d
 from posetrack_cli.hand.fitting.skeleton import PALM, empty_posed, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.observation import window_around
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from support.fitting import HANDS, TILE_PX
+from support.hand import KINECT, random_poses
 
 VIEW = View(90.0, 32.0, 95.0, 30.0)
 STILL = np.tile(np.eye(3, 4), (BONE_COUNT, 1, 1))

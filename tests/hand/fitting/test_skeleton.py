@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fitting_support import HANDS, RIGHT
-from hand_support import bent, pose_strategy, random_poses
 from hypothesis import given, settings
 
 from posetrack_cli.arrays import FloatArray
@@ -14,6 +12,8 @@ from posetrack_cli.hand.fitting.normal_equations import ROW
 from posetrack_cli.hand.fitting.skeleton import PALM, Posed, empty_posed, point_row, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import joint_jacobian, joint_positions, skinning_transforms
 from posetrack_cli.hand.space import HandSpace
+from support.fitting import HANDS, RIGHT
+from support.hand import bent, pose_strategy, random_poses
 
 SHAPED = make_anatomy("left", 1.1, (1.1, 0.9, 1.0, 1.05, 0.95), palm=(1.1, 0.9, 1.0), thumb_place=1.3)
 ANATOMIES = {"right": HANDS["right"].anatomy, "left": HANDS["left"].anatomy, "shaped": SHAPED}

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fitting_support import HANDS, TILE_PX, WALL_MM, drawn_depth
-from hand_support import KINECT, random_poses
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.hand.config import ObservationSettings
@@ -29,6 +27,8 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.rendering.mesh import SkinnedMesh
+from support.fitting import HANDS, TILE_PX, WALL_MM, drawn_depth
+from support.hand import KINECT, random_poses
 
 SPACE = HandSpace()
 SETTINGS = Terms()

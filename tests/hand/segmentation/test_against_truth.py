@@ -16,10 +16,10 @@ from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
 from posetrack_cli.hand.space import HandSpace
-from posetrack_cli.hand.synthesis import CAMERA, Switches, SynthOptions, synthesise
-from posetrack_cli.hand.synthesis.scene import Scene
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.synthesis.hand import CAMERA, Switches, SynthOptions, synthesise
+from posetrack_cli.synthesis.hand.scene import Scene
 
 HAND = average_hand()
 ANATOMY, SAMPLER, SETTINGS = HAND.anatomy, PixelSampler(CAMERA), SegmentationSettings()

@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hand_support import KINECT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +19,8 @@ from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.hand.segmentation.detection import coarse_window
 from posetrack_cli.hand.segmentation.palms import surfaces_of
 from posetrack_cli.hand.segmentation.region import region_around
-from posetrack_cli.hand.synthesis import CAMERA, SynthOptions, synthesise
+from posetrack_cli.synthesis.hand import CAMERA, SynthOptions, synthesise
+from support.hand import KINECT
 
 SETTINGS = DetectionSettings()
 WALL_MM = 1400.0

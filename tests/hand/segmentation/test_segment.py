@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hand_support import KINECT, REST
 
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
@@ -16,8 +15,9 @@ from posetrack_cli.hand.kinematics import mirrored_poses, skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
-from posetrack_cli.rendering.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.window import Window
+from support.hand import KINECT, REST
 
 ANATOMY, LEFT = make_anatomy(), make_anatomy("left")
 WALL_MM, ARM_MM, FACE_MM = 1500.0, 630.0, 900.0

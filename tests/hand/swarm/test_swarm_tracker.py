@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hand_support import KINECT
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
@@ -18,6 +17,7 @@ from posetrack_cli.hand.swarm.objective import Objective
 from posetrack_cli.hand.swarm.tracker import SwarmState, SwarmTracker, search_box
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from support.hand import KINECT
 
 ANATOMY = make_anatomy()
 START = rest_pose(ANATOMY, np.array([0.0, 0.0, 650.0]))

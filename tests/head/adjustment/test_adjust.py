@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundles import FREE, LENSES, moved_away, noisy, random_bundle
 from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
-from reference import Case, joined, numeric_jacobian, residual_vector, split
 from scipy.optimize import least_squares
 
 from posetrack_cli.geometry.projection import pixels_from_points
@@ -19,6 +17,8 @@ from posetrack_cli.head.adjustment.preparation import clipped, make_boxes
 from posetrack_cli.head.adjustment.solver.cost import cost
 from posetrack_cli.head.adjustment.views import Person
 from posetrack_cli.head.mono_config import AdjustmentSettings
+from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
+from support.bundles import FREE, LENSES, moved_away, noisy, random_bundle
 
 EPS = np.finfo(np.float64).eps
 seeds = st.integers(0, 2**32 - 1)

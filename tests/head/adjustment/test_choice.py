@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bundles import random_pose
 from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.head.adjustment.choice import spread, spreads_without, with_new
 from posetrack_cli.head.adjustment.views import PointView
+from support.bundles import random_pose
 
 ROUNDING = 1e-12
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import case_of, dense, equations_at, somewhere
 
 from posetrack_cli.head.adjustment.solver.elimination import (
     Held,
@@ -15,6 +14,7 @@ from posetrack_cli.head.adjustment.solver.elimination import (
     solve,
 )
 from posetrack_cli.head.adjustment.solver.problem import Part
+from support.adjustment_cases import case_of, dense, equations_at, somewhere
 
 ROUNDING = 1e-9
 """eps times the condition number of the equations in units of their diagonal, some 1e5, and to spare."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bundles import LENSES
-from cases import QUADRATIC, ROBUST, case_of, dense, equations_at, somewhere
-from reference import joined, numeric_jacobian, residual_vector, split, whitened_errors
 
 from posetrack_cli.head.adjustment.solver.cost import cost
 from posetrack_cli.head.adjustment.solver.elimination import make_elimination
 from posetrack_cli.head.adjustment.solver.equations import make_equations
 from posetrack_cli.head.adjustment.solver.problem import Part
+from support.adjustment_cases import QUADRATIC, ROBUST, case_of, dense, equations_at, somewhere
+from support.adjustment_reference import joined, numeric_jacobian, residual_vector, split, whitened_errors
+from support.bundles import LENSES
 
 STEP = 1e-5
 DIFFERENCES = 1e-7

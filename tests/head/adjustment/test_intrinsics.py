@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundles import CAMERA, moved_away, noisy, random_bundle
 
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.intrinsics import ENDS, STEP, FocalCheck, check_focal
 from posetrack_cli.head.adjustment.views import Person
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.pose import HeadPose
+from support.bundles import CAMERA, moved_away, noisy, random_bundle
 
 SETTINGS = AdjustmentSettings()
 

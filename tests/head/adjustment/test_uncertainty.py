@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from bundles import CAMERA, UNIT_SD, random_bundle, random_model
-from cases import dense, equations_at
-from reference import Case, joined, numeric_jacobian, residual_vector, split
 
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.mono_config import AdjustmentSettings
+from support.adjustment_cases import dense, equations_at
+from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
+from support.bundles import CAMERA, UNIT_SD, random_bundle, random_model
 
 DRAWS = 300
 NOISE_PX = 0.05

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mono_scenes import BLANK, PLAIN, Says, found, head
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.detection.detector import FaceDetector
@@ -16,9 +15,10 @@ from posetrack_cli.head.face import EYES
 from posetrack_cli.head.mono_config import MonoStartSettings
 from posetrack_cli.head.mono_start.detected import clicked_face, detect_face
 from posetrack_cli.head.start.start import NO_FACE, NoStart
-from posetrack_cli.head.synthesis.frames import synthesise
-from posetrack_cli.head.synthesis.options import HeadSynthOptions
-from posetrack_cli.head.synthesis.rig import make_cameras
+from posetrack_cli.synthesis.head.frames import synthesise
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.rig import make_cameras
+from support.mono_start_scenes import BLANK, PLAIN, Says, found, head
 
 SETTINGS = MonoStartSettings()
 NEAR, FAR = head(x=-150.0), head(yaw=10.0, x=200.0, z=1000.0)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mono_scenes import BENT, FISHEYE, PLAIN, head, pixels_of
 
 from posetrack_cli.geometry.projection import pixels_and_jacobian
 from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.mono_start.single import pose_of
+from support.mono_start_scenes import BENT, FISHEYE, PLAIN, head, pixels_of
 
 SURE = np.ones(10)
 # mm and rad: the descent ends when a step gains less than 1e-9 squared pixels; one pixel is some 1e-2 rad.

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mono_scenes import BENT, PLAIN, head, pixels_of
 
 from posetrack_cli.head.mono_config import HeadMonoConfig
 from posetrack_cli.head.mono_start.detected import clicked_face
@@ -14,6 +13,7 @@ from posetrack_cli.head.mono_start.start import MonoStart, begin
 from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.start.clicked import read_clicked
 from posetrack_cli.head.start.start import NO_FACE, NoStart
+from support.mono_start_scenes import BENT, PLAIN, head, pixels_of
 
 MODEL = load_face_model(None)
 MEAN = MODEL.of_person(MODEL.identity_mean).mean

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mono_scenes import BENT, PLAIN, head, pixels_of
 
 from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.mono_start.symmetry import LEFT, RIGHT, slope_deviation
+from support.mono_start_scenes import BENT, PLAIN, head, pixels_of
 
 turns = st.floats(-35.0, 35.0)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from face_people import acting, motions, people
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -20,6 +19,7 @@ from posetrack_cli.head.multilinear.build import (
 )
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.multilinear.model_file import load_face_model
+from support.face_people import acting, motions, people
 
 ROUNDING_MM = 1e-9
 """Of sums of some thousand products of millimetres."""

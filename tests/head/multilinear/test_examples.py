@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from face_people import CAMERA, LONG, NARROW, SHORT, WIDE, people, performance, write_stereo_result
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.head.face import EYES, POINT_NAMES
@@ -15,6 +14,7 @@ from posetrack_cli.head.multilinear.learning import learn_model
 from posetrack_cli.head.multilinear.observed_face import ObservedFace, read_face
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
+from support.face_people import CAMERA, LONG, NARROW, SHORT, WIDE, people, performance, write_stereo_result
 
 READ_MM = 1e-3
 """Estimates are written with this many decimals at least."""

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from face_people import acting, people
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.head.face import EYES, MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.head.multilinear.build import build_model, mirrored
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.multilinear.model_file import SHIPPED, load_face_model, save_face_model
+from support.face_people import acting, people
 
 
 @pytest.fixture(scope="module")

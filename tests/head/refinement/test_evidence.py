@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from textured_face import FACING, SHAPE, stereo, textured_face
 
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.patches import GRID, SIZE, normalise, sample_grid
 from posetrack_cli.head.refinement.evidence import belief, gather, make_evidence, make_room, project_point
 from posetrack_cli.head.refinement.scene import make_scene
 from posetrack_cli.head.templates import take_templates
+from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}
 MOVED = np.array([1.0, -0.8, 2.0])

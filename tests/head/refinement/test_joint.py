@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from textured_face import FACING, SHAPE, stereo, textured_face
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.refinement.evidence import gather, make_evidence, make_room
@@ -24,6 +23,7 @@ from posetrack_cli.head.refinement.refine import point_values, refine
 from posetrack_cli.head.refinement.scene import make_scene
 from posetrack_cli.head.shape_model import ShapeModel, rigid_model
 from posetrack_cli.head.templates import take_templates
+from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 MOTION = np.array([1.5, -1.0, 3.0, 0.015, -0.02, 0.01])
 FINE_MM, FINE_RAD = 0.1, 0.002

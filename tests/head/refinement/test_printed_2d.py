@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from textured_face import FACING, SHAPE, stereo, textured_face
 
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.patches import GRID, SIZE, normalise, sample_grid
@@ -14,6 +13,7 @@ from posetrack_cli.head.refinement.printed import Printed
 from posetrack_cli.head.refinement.printed_2d import recalculate_2d_as_printed
 from posetrack_cli.head.refinement.scene import make_scene
 from posetrack_cli.head.templates import take_templates
+from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 CAMERAS = stereo(1)
 FACE = textured_face()

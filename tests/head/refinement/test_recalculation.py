@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from textured_face import FACING, SHAPE, stereo, textured_face
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.patches import GRID, PATCH, SIZE, normalise, sample_grid
@@ -15,6 +14,7 @@ from posetrack_cli.head.refinement.refine import recalculate
 from posetrack_cli.head.refinement.scene import make_scene
 from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.templates import take_templates
+from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 OFFSETS = np.random.default_rng(8).uniform(-1.2, 1.2, (10, 3))
 """Of the points from where the model has them, mm."""

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from textured_face import FACING, SHAPE, stereo, textured_face
 
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.config import RefinementSettings
@@ -16,6 +15,7 @@ from posetrack_cli.head.refinement.printed_2d import recalculate_2d_as_printed
 from posetrack_cli.head.refinement.refine import recalculate
 from posetrack_cli.head.refinement.scene import make_scene
 from posetrack_cli.head.templates import take_templates
+from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 (CAMERA,) = stereo(1)
 BENT = replace(CAMERA, distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_support import LEFT, right_camera
 
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.head.start.clicked import clicked_camera, read_clicked
+from support.rig import LEFT, right_camera
 
 CAMERAS = (LEFT, right_camera(0.17))
 

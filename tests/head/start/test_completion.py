@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rig_support import LEFT, turned_head
 
 from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.start.completion import completed, deviations, relative_size, without_outliers
 from posetrack_cli.head.start.views import View
+from support.rig import LEFT, turned_head
 
 EVERY = np.ones(10, bool)
 VIEW = View(LEFT, np.zeros((480, 640), np.uint8))

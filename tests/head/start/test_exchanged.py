@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rig_support import LEFT, face_pixels, right_camera, turned_head
 
 from posetrack_cli.head.start.exchanged import exchanged_order, face_deviation
+from support.rig import LEFT, face_pixels, right_camera, turned_head
 
 # What a detector is off by in each image, pixels.
 NOISE_PX = 1.5

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from rig_support import turned_head
 
 from posetrack_cli.head.detection.features import FEATURES
 from posetrack_cli.head.start.head_frame import head_frame
+from support.rig import turned_head
 
 
 def test_an_average_faces_pose_is_found_exactly() -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from rig_support import LEFT, right_camera
 
 from posetrack_cli.head.start.matching import match_points
 from posetrack_cli.head.start.settings import StartSettings
 from posetrack_cli.head.start.views import View
+from support.rig import LEFT, right_camera
 
 DEPTH = 700.0
 PLACES = np.array([[x, y] for y in (180.0, 230.0, 280.0) for x in (270.0, 320.0, 370.0)] + [[300.0, 200.0]])

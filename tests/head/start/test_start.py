@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rig_support import LEFT, face_pixels, right_camera, turned_head
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
@@ -18,6 +17,7 @@ from posetrack_cli.head.start.from_clicked import start_from_clicked, weak_persp
 from posetrack_cli.head.start.settings import StartSettings
 from posetrack_cli.head.start.start import NoStart, Start, find_start, start_from_pixels
 from posetrack_cli.head.start.views import views_of
+from support.rig import LEFT, face_pixels, right_camera, turned_head
 
 CAMERAS = (LEFT, right_camera(0.17))
 BLANK = np.zeros((480, 640), np.uint8)

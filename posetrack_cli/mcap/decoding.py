@@ -1,0 +1,132 @@
+"""Decode MCAP messages: protobuf, ROS 1 and ROS 2, by layouts of our own; a file's schema only names them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+from mcap.records import Channel, Message, Schema
+
+from posetrack_cli import limits
+from posetrack_cli.mcap.ros_messages import Dialect, OtherLayoutError, check_definition, ros_decoder
+from posetrack_cli.recording.stamps import NS_PER_S
+
+RAW_IMAGE = "image"
+COMPRESSED_IMAGE = "compressed image"
+CALIBRATION = "calibration"
+IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE)
+
+KINDS = {
+    "foxglove.RawImage": RAW_IMAGE,
+    "sensor_msgs/Image": RAW_IMAGE,
+    "sensor_msgs/msg/Image": RAW_IMAGE,
+    "foxglove.CompressedImage": COMPRESSED_IMAGE,
+    "sensor_msgs/CompressedImage": COMPRESSED_IMAGE,
+    "sensor_msgs/msg/CompressedImage": COMPRESSED_IMAGE,
+    "foxglove.CameraCalibration": CALIBRATION,
+    "sensor_msgs/CameraInfo": CALIBRATION,
+    "sensor_msgs/msg/CameraInfo": CALIBRATION,
+}
+"""What a message is, by its schema's name."""
+
+TRANSFORM_TYPES = (
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+    "tf2_msgs/TFMessage",
+    "tf2_msgs/msg/TFMessage",
+    "tf/tfMessage",
+)
+TRUTH_TYPES = ("foxglove.Odometry", "foxglove.JointStates")
+READ = (*KINDS, *TRANSFORM_TYPES, *TRUTH_TYPES)
+"""Names of the schemas of all messages that are decoded."""
+_FOXGLOVE = "foxglove."
+_DEFINITIONS: dict[Dialect, str] = {"ros1": "ros1msg", "cdr": "ros2msg"}
+"""What MCAP calls the language of ROS's definitions, by the encoding of messages."""
+
+
+class UndecodableMessageError(Exception):
+    """One message does not decode; readers skip it and count a loss."""
+
+
+class MessageDecoder:
+    """Decodes messages of one file; keeps one decoder per channel.
+
+    Nothing is built from a schema of the file: protobuf messages are those of Foxglove that we know, which by
+    protobuf's rules take older and newer ones, and ROS messages those that ROS publishes (``ros_messages``).
+    """
+
+    def __init__(self) -> None:
+        self._decoders: dict[int, Callable[[bytes], Any] | str] = {}  # or why nothing decodes them
+
+    def decode(self, schema: Schema | None, channel: Channel, message: Message) -> Any:
+        """Return the decoded message.
+
+        Raises:
+            UndecodableMessageError: if it does not fit its layout, the layout is not known, or it is larger
+                than any of its kind.
+        """
+        try:
+            if channel.id not in self._decoders:
+                self._decoders[channel.id] = _decoder(schema, channel)
+            decoder = self._decoders[channel.id]
+            if isinstance(decoder, str):
+                raise OtherLayoutError(decoder)
+            if len(message.data) > limits.MESSAGE_BYTES and kind_of(schema) not in IMAGES:
+                raise OtherLayoutError(f"it is larger than {limits.MESSAGE_BYTES} bytes")
+            return decoder(message.data)
+        except OtherLayoutError as error:
+            raise UndecodableMessageError(f"{_undecodable(channel)}, {error}") from error
+        except Exception as error:  # decoders raise whatever the bytes lead to
+            raise UndecodableMessageError(_undecodable(channel)) from error
+
+
+def kind_of(schema: Schema | None) -> str | None:
+    """Return whether messages of a schema are images, compressed images, calibrations, or neither."""
+    return KINDS.get(schema.name) if schema is not None else None
+
+
+def stamp_of(decoded: Any, message: Message) -> int:
+    """Return when an image or calibration was taken, ns: its own stamp, or the log time if that is 0."""
+    header = getattr(decoded, "header", None)
+    if header is None:
+        own = decoded.timestamp.seconds * NS_PER_S + decoded.timestamp.nanos
+    else:
+        own = header.stamp.sec * NS_PER_S + header.stamp.nanosec
+    return int(own) or message.log_time
+
+
+def frame_id_of(decoded: Any) -> str:
+    """Return the coordinate frame an image or calibration belongs to."""
+    return str(getattr(decoded, "header", decoded).frame_id)
+
+
+def _undecodable(channel: Channel) -> str:
+    return f"message on {channel.topic} does not decode"
+
+
+def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] | str:
+    """Return what decodes a channel's messages, or why nothing does."""
+    if schema is None or schema.name not in READ:
+        return "its type is none that is read"
+    try:
+        if channel.message_encoding == "protobuf" and schema.name.startswith(_FOXGLOVE):
+            return _foxglove_decoder(schema.name.removeprefix(_FOXGLOVE))
+        for dialect, language in _DEFINITIONS.items():
+            if channel.message_encoding == dialect and schema.encoding == language:
+                return _ros_decoder(dialect, schema)
+    except OtherLayoutError as error:
+        return str(error)
+    return "its encoding is none that is read for its type"
+
+
+def _foxglove_decoder(name: str) -> Callable[[bytes], Any]:
+    generated = import_module(f"foxglove_schemas_protobuf.{name}_pb2")  # a name of READ, none from the file
+    decode: Callable[[bytes], Any] = getattr(generated, name).FromString
+    return decode
+
+
+def _ros_decoder(dialect: Dialect, schema: Schema) -> Callable[[bytes], Any]:
+    name = schema.name.rpartition("/")[2]
+    check_definition(dialect, name, schema.data.decode(errors="replace"))
+    return ros_decoder(dialect, name)

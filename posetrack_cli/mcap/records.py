@@ -1,0 +1,181 @@
+"""The records of an MCAP file, one by one, as far as they are whole: what every reader of MCAP here walks."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Container, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import IO, TypeAlias
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
+
+from posetrack_cli import limits
+from posetrack_cli.mcap.chunks import ChunkLimitError, check_size, decompressed, most_records
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")  # opcode, length of the content
+CHUNK_HEAD_BYTES = 64  # what a chunk's record holds besides its data, rounded up
+_SCHEMA, _CHANNEL, _MESSAGE = map(
+    int, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+)  # enums compare slowly
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+
+ChunkRecord: TypeAlias = Schema | Channel | Message
+Record: TypeAlias = ChunkRecord | Chunk | Metadata | Attachment | DataEnd
+
+_KINDS: dict[int, type[Schema | Channel | Chunk | Metadata | Attachment | DataEnd]] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.DATA_END: DataEnd,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordSpan:
+    """Where a whole record lies in its file.
+
+    Attributes:
+        opcode: kind of the record.
+        start: offset of its content, bytes.
+        end: offset after its last byte.
+    """
+
+    opcode: int
+    start: int
+    end: int
+
+
+def record_spans(stream: IO[bytes]) -> Iterator[RecordSpan]:
+    """Yield the records of an open MCAP file in order, ending after the footer or before one cut short.
+
+    Only their heads are read; the caller may read elsewhere in between.
+    """
+    size, position = stream.seek(0, 2), len(MAGIC)
+    while position + HEAD.size <= size:
+        stream.seek(position)
+        opcode, length = HEAD.unpack(stream.read(HEAD.size))
+        start, position = position + HEAD.size, position + HEAD.size + length
+        if opcode == 0 or position > size:
+            return
+        yield RecordSpan(opcode, start, position)
+        if opcode == Opcode.FOOTER:
+            return
+
+
+def read_record(stream: IO[bytes], span: RecordSpan) -> Record:
+    """Read a record of any of the kinds of ``Record``; a damaged one raises whatever its bytes lead to.
+
+    Raises:
+        ChunkLimitError: a chunk, or another record, is larger than any that is read.
+    """
+    if span.opcode == Opcode.CHUNK:
+        check_size(span.end - span.start - CHUNK_HEAD_BYTES)
+    elif span.end - span.start > limits.RECORD_BYTES:
+        raise ChunkLimitError(f"record of {span.end - span.start} bytes")
+    stream.seek(span.start)
+    content = stream.read(span.end - span.start)
+    if span.opcode == Opcode.MESSAGE:
+        return _message(content, 0, len(content))
+    record: Record = _KINDS[span.opcode].read(_stream(content))
+    return record
+
+
+class Definitions:
+    """The schemas and channels in the chunks of a file, which writers repeat: parsed where they are new."""
+
+    def __init__(self) -> None:
+        self._contents: dict[tuple[int, bytes], bytes] = {}
+        self._left = {Opcode.SCHEMA: limits.DEFINITION_BYTES, Opcode.CHANNEL: limits.CHANNEL_BYTES}
+
+    def parsed(self, opcode: int, content: bytes) -> Schema | Channel | None:
+        """Return a schema or channel, None if it is the one that its number was last given to.
+
+        Raises:
+            ChunkLimitError: together they are larger than those of any recording.
+        """
+        key = opcode, content[:2]  # the number
+        if self._contents.get(key) == content:
+            return None
+        kind = Opcode(opcode)
+        self._left[kind] -= len(content)
+        if self._left[kind] < 0:
+            raise ChunkLimitError("schemas or channels are larger than any recording's")
+        self._contents[key] = content
+        record: Schema | Channel = (Schema if kind is Opcode.SCHEMA else Channel).read(_stream(content))
+        return record
+
+
+def chunk_records(
+    chunk: Record, unwanted: Container[int] = (), definitions: Definitions | None = None
+) -> Iterator[ChunkRecord]:
+    """Yield a chunk's schemas, channels and messages in order, its checksum verified.
+
+    A damaged chunk raises whatever its bytes lead to, in the middle if it has no checksum.
+
+    Args:
+        chunk: its record.
+        unwanted: ids of channels whose messages are left out, which costs little; looked at as it goes.
+        definitions: of the chunks before; schemas and channels that are known from there are left out.
+
+    Raises:
+        ChunkLimitError: it is larger than any that is read.
+        ValueError: it ends within a record, or is no chunk.
+    """
+    if not isinstance(chunk, Chunk):
+        raise ValueError(f"{type(chunk).__name__} is no chunk")
+    most = most_records(len(chunk.data))
+    yield from content_records(decompressed(chunk), unwanted, definitions, most=most)
+
+
+def content_records(
+    data: bytes,
+    unwanted: Container[int] = (),
+    definitions: Definitions | None = None,
+    *,
+    most: int | None = None,
+    cut: bool = False,
+) -> Iterator[ChunkRecord]:
+    """Yield the records of a chunk's content as ``chunk_records`` does; content that is cut ends anywhere.
+
+    Raises:
+        ChunkLimitError: there are more than ``most`` records; by default as many as fit uncompressed bytes.
+    """
+    most = most_records(len(data)) if most is None else most
+    known = Definitions() if definitions is None else definitions
+    position, count, size = 0, 0, len(data)
+    while position + HEAD.size <= size:
+        opcode, length = HEAD.unpack_from(data, position)
+        start, end = position + HEAD.size, position + HEAD.size + length
+        if end > size:
+            break
+        position, count = end, count + 1
+        if count > most:
+            raise ChunkLimitError(f"chunk of more than {most} records")
+        if opcode == _MESSAGE:
+            if int.from_bytes(data[start : start + 2], "little") not in unwanted:
+                yield _message(data, start, end)
+        elif opcode in (_SCHEMA, _CHANNEL):
+            record = known.parsed(opcode, data[start:end])
+            if record is not None:
+                yield record
+        elif opcode == 0:
+            raise ValueError("record without a kind")
+    if position != size and not cut:
+        raise ValueError(f"chunk ends within a record, at {position} of {size} bytes")
+
+
+def _stream(content: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(content))
+
+
+def _message(data: bytes, start: int, end: int) -> Message:
+    if end - start < _MESSAGE_HEAD.size:
+        raise ValueError(f"a message of {end - start} bytes")
+    channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(data, start)
+    return Message(channel_id, log_time, data[start + _MESSAGE_HEAD.size : end], publish_time, sequence)

@@ -1,0 +1,234 @@
+"""Draws one skinned mesh in many poses at once, each into a tile of one depth texture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array
+from posetrack_cli.errors import RenderingError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.bounds import BoneSpheres
+from posetrack_cli.rendering.gl.shader_source import shader_source
+from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.pixel_model import PixelMixture, outline_distances
+from posetrack_cli.rendering.sums import TileSums
+from posetrack_cli.rendering.window import Window
+
+NEAR_MM = 50.0
+# An atlas of this many pixels (32 MiB) keeps a pass long enough to fill a GPU and small enough for any.
+ATLAS_PIXELS = 512 * 128 * 128
+LESS_HINT = "free memory of the GPU, or choose another with --device; posetrack doctor tells which there are"
+ROW_FLOATS = 8  # two vec4 a tile, see TileSums.from_rows
+LANES = 64  # work items that share a tile: 32 to 128 are alike on llvmpipe
+_GL_CLIP_DISTANCE0 = 0x3000
+
+
+class TiledDepthRenderer:
+    """Depth images, or sums over them, of one mesh in N poses.
+
+    One instanced draw renders up to ``capacity`` tiles; more are drawn in several passes. The sums are
+    reduced on the device: ROW_FLOATS numbers a tile come back, no image.
+
+    Args:
+        context: from ``open_context``.
+        mesh: the mesh that all poses share.
+        tile: (width, height) of a tile, pixels.
+        most: how many tiles a call asks for at most; sizes the atlas.
+
+    Raises:
+        RenderingError: the device has too little memory, or cannot make the textures and programs.
+    """
+
+    def __init__(self, context: Any, mesh: SkinnedMesh, tile: tuple[int, int], most: int = 512) -> None:
+        self.context = context
+        self.tile = tile
+        self.bones = mesh.weights.shape[1]
+        self.grid = _grid(context, tile, most)
+        self.capacity = self.grid[0] * self.grid[1]
+        self._spheres = BoneSpheres(mesh)
+        try:
+            self._make_targets()
+            self._make_programs(mesh)
+        except moderngl.Error as error:
+            found = " ".join(str(error).split())
+            raise RenderingError("OpenGL refuses what is drawn with", found=found, hint=LESS_HINT) from error
+
+    def _make_targets(self) -> None:
+        (width, height), (columns, rows) = self.tile, self.grid
+        self._atlas = self.context.depth_texture((width * columns, height * rows))
+        self._atlas.compare_func = ""  # read values, do not compare them
+        self._atlas.filter = (self.context.NEAREST, self.context.NEAREST)
+        self._framebuffer = self.context.framebuffer([], self._atlas)
+        self._observed = self.context.texture((width, height), 2, dtype="f4")
+        self._readings = np.zeros((height, width, 2), dtype=np.float32)
+        self._observed.filter = (self.context.NEAREST, self.context.NEAREST)
+        self._transforms = self.context.buffer(reserve=self.capacity * self.bones * 48, dynamic=True)
+        self._boxes = self.context.buffer(reserve=self.capacity * 16, dynamic=True)
+        self._sums = self.context.buffer(reserve=self.capacity * 4 * ROW_FLOATS, dynamic=True)
+        self._rows = np.empty((self.capacity, ROW_FLOATS), dtype=np.float32)
+
+    def _make_programs(self, mesh: SkinnedMesh) -> None:
+        influences = _influences(mesh)
+        names = {"BONES": self.bones, "INFLUENCES": influences.shape[1]}
+        self._draw = self.context.program(
+            vertex_shader=shader_source("skinned_depth.vert", names),
+            fragment_shader=shader_source("depth_only.frag", {}),
+        )
+        rest = self.context.buffer(mesh.vertices.astype("f4").tobytes())
+        index = self.context.buffer(mesh.triangles.astype("i4").tobytes())
+        self._vertices = self.context.vertex_array(self._draw, [(rest, "3f", "rest")], index_buffer=index)
+        self._influences = self.context.buffer(influences.tobytes())
+        self._reducers = {mixture: self._reducer(mixture) for mixture in (False, True)}
+        self._draw["tile_size"], self._draw["grid"] = self.tile, self.grid
+        self._draw["near_mm"] = NEAR_MM
+
+    def _reducer(self, mixture: bool) -> Any:
+        """The program that sums over tiles, with or without the misfits of a pixel's model."""
+        names = {"LANES": LANES, "MIXTURE": int(mixture)}
+        program = self.context.compute_shader(shader_source("tile_sums.comp", names))
+        program["tile_size"], program["columns"], program["near_mm"] = self.tile, self.grid[0], NEAR_MM
+        return program
+
+    def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
+        """Render and read back.
+
+        Args:
+            transforms: (N, B, 3, 4) camera_T_rest of every bone, mm.
+            camera: pinhole intrinsics; lens distortion is the caller's matter.
+            window: what the tiles show.
+
+        Returns:
+            (N, height, width) depth z, mm, 0 where nothing is drawn.
+        """
+        self._check(transforms, window)
+        parts = []
+        for part in self._passes(transforms, camera, window):
+            values = np.frombuffer(self._atlas.read(), dtype=np.float32)
+            parts.append(self._untiled(values)[: len(part)])
+        inverse = np.concatenate(parts)
+        drawn = inverse > 0
+        return np.divide(NEAR_MM, inverse, out=np.zeros_like(inverse), where=drawn)
+
+    def sums(
+        self,
+        transforms: Float32Array,
+        camera: Camera,
+        window: Window,
+        observed: Float32Array,
+        clamp_mm: float,
+        model: PixelMixture | None = None,
+        match_mm: float = 0.0,
+    ) -> TileSums:
+        """Render and reduce on the device.
+
+        Args:
+            transforms: (N, B, 3, 4) rigid camera_T_rest of every bone, mm.
+            camera: pinhole intrinsics.
+            window: what the tiles and the observed image show.
+            observed: (height, width) float32: depth of a target pixel, mm; negative where the reading
+                is of something else; 0 where there is none.
+            clamp_mm: c_max of eq. (4).
+            model: of a pixel, for the misfits; without one they are 0.
+            match_mm: depths that differ by less agree; at 0 none do.
+
+        Raises:
+            RenderingError: transforms, window or observed image do not fit.
+        """
+        if observed.shape != (window.height, window.width):
+            raise RenderingError(
+                "observed image does not fit the window",
+                found=observed.shape,
+                expected=(window.height, window.width),
+            )
+        self._check(transforms, window)  # before anything is written to the device
+        self._readings[..., 0] = observed
+        if model is not None:
+            self._readings[..., 1] = outline_distances(observed)
+        self._observed.write(self._readings)
+        program = self._reducers[model is not None]
+        uniforms = {} if model is None else {"slope": window.step / camera.fx, **model.uniforms}
+        for name, value in {"clamp_mm": clamp_mm, "match_mm": match_mm, **uniforms}.items():
+            program[name] = value
+        rows = np.empty((len(transforms), ROW_FLOATS), dtype=np.float32)
+        first = 0
+        for part in self._passes(transforms, camera, window):
+            boxes = self._spheres.tile_boxes(part, window.tile_projection(camera), self.tile, NEAR_MM)
+            self._boxes.write(boxes)
+            rows[first : first + len(part)] = self._reduced(program, len(part))
+            first += len(part)
+        return TileSums.from_rows(rows, float(np.count_nonzero(observed > 0)))
+
+    def _reduced(self, program: Any, count: int) -> Float32Array:
+        """The sums (count, ROW_FLOATS) of the tiles that are drawn."""
+        self._atlas.use(0)
+        self._observed.use(1)
+        self._sums.bind_to_storage_buffer(1)
+        self._boxes.bind_to_storage_buffer(3)
+        program.run(count)
+        self._sums.read_into(self._rows, size=count * 4 * ROW_FLOATS)
+        return self._rows[:count]
+
+    def _passes(self, transforms: Float32Array, camera: Camera, window: Window) -> Any:
+        """Draw the tiles, as many a time as the atlas holds; yield each part once it is drawn."""
+        self._draw["to_tile"] = window.tile_projection(camera)
+        for first in range(0, len(transforms), self.capacity):
+            part = transforms[first : first + self.capacity]
+            self._transforms.write(np.ascontiguousarray(part, dtype=np.float32))
+            self._draw_tiles(len(part))
+            yield part
+
+    def _draw_tiles(self, count: int) -> None:
+        gl = self.context
+        gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
+        gl.depth_func = ">"
+        # image rows run downwards and texture rows upwards, so what faces the camera winds clockwise
+        gl.front_face, gl.cull_face = "cw", "back"
+        for k in range(4):
+            gl.enable_direct(_GL_CLIP_DISTANCE0 + k)
+        self._framebuffer.use()
+        self._framebuffer.clear(depth=0.0)
+        self._transforms.bind_to_storage_buffer(0)
+        self._influences.bind_to_storage_buffer(2)
+        self._vertices.render(instances=count)
+
+    def _check(self, transforms: Float32Array, window: Window) -> None:
+        if transforms.shape[1:] != (self.bones, 3, 4):
+            raise RenderingError(
+                "bone transforms do not fit the mesh",
+                found=transforms.shape,
+                expected=f"(N, {self.bones}, 3, 4)",
+            )
+        if (window.width, window.height) != self.tile:
+            raise RenderingError(
+                "window does not fit the tile", found=(window.width, window.height), expected=self.tile
+            )
+
+    def _untiled(self, values: Float32Array) -> Float32Array:
+        (width, height), (columns, rows) = self.tile, self.grid
+        atlas = values.reshape(rows, height, columns, width)
+        return atlas.transpose(0, 2, 1, 3).reshape(rows * columns, height, width)
+
+
+def _grid(context: Any, tile: tuple[int, int], most: int) -> tuple[int, int]:
+    """Columns and rows of tiles: as many as asked for, within the budget and what a texture may have."""
+    width, height = tile
+    largest = min(context.info["GL_MAX_TEXTURE_SIZE"], 16384)
+    if max(width, height) > largest:
+        raise RenderingError(
+            "tile is too large for this GL", found=tile, expected=f"at most {largest} pixels"
+        )
+    count = max(1, min(most, ATLAS_PIXELS // (width * height)))
+    square = np.log2(np.sqrt(count * height / width))
+    columns = min(2 ** max(0, round(square + 0.49)), count, largest // width)
+    return columns, min(-(-count // columns), largest // height)
+
+
+def _influences(mesh: SkinnedMesh) -> Float32Array:
+    """Each vertex's bones and weights, heaviest first: (V, k, 2), k the most that any vertex has."""
+    most = int((mesh.weights > 0).sum(axis=1).max())
+    order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :most]
+    weights = np.take_along_axis(mesh.weights, order, axis=1)
+    return np.stack([order, weights], axis=-1).astype(np.float32)

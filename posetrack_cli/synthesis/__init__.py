@@ -1,0 +1,1 @@
+"""Synthetic recordings of hands and heads, with exact truth."""

@@ -1,0 +1,124 @@
+"""The person behind the hand: forearm, upper arm, trunk and head, of a right hand.
+
+The person faces the sensor, so the right shoulder is on the image's left. Camera axes, mm.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.synthesis.hand.solids import ellipsoid, limb, stacked
+
+FOREARM_MM = 255.0
+MOST_WRIST_BEND = np.deg2rad(60.0)
+WRIST_OFFSET_MM = 3.0
+"""Where the forearm begins, behind the wrist joint in hand coordinates: inside the hand's wrist cap."""
+
+ELBOW_MM = np.array([-60.0, 195.0, 890.0])
+"""Where the elbow tends to be while the wrist is at ``ELBOW_FOR_WRIST_MM``."""
+ELBOW_FOR_WRIST_MM = np.array([0.0, 55.0, 650.0])
+ELBOW_FOLLOWS = 0.5
+"""Share of the wrist's way that the elbow goes along."""
+
+TRUNK_MM = np.array([115.0, 0.0, 1065.0])
+HEAD_MM = np.array([115.0, -125.0, 1030.0])
+SHOULDER_MM = np.array([-65.0, 95.0, 1050.0])
+SWAY_MM, SWAY_HZ = 6.0, 0.31
+
+# Rings of neck, shoulders and trunk: height y, half width, half depth, mm.
+_TRUNK_RINGS = np.array(
+    [
+        (-30.0, 45.0, 45.0),
+        (20.0, 58.0, 55.0),
+        (42.0, 105.0, 72.0),
+        (65.0, 165.0, 88.0),
+        (110.0, 200.0, 102.0),
+        (220.0, 195.0, 115.0),
+        (420.0, 170.0, 112.0),
+        (620.0, 185.0, 115.0),
+        (900.0, 180.0, 110.0),
+    ]
+)
+
+
+def forearm_mesh(scale: float) -> SkinnedMesh:
+    """Two bones, from wrist to elbow; the near end has the wrist's width and thickness."""
+    return limb((29.0 * scale, 18.5 * scale), (43.0 * scale, 41.0 * scale), (0.6, 42.0 * scale, 37.0 * scale))
+
+
+def upper_arm_mesh(scale: float) -> SkinnedMesh:
+    """Two bones, from elbow to shoulder."""
+    return limb((45.0 * scale, 43.0 * scale), (62.0, 58.0))
+
+
+def trunk_mesh() -> SkinnedMesh:
+    """One bone: neck, shoulders and trunk down to below the image."""
+    return stacked(_TRUNK_RINGS)
+
+
+def head_mesh() -> SkinnedMesh:
+    """One bone."""
+    return ellipsoid((76.0, 112.0, 95.0))
+
+
+def forearm_bones(pose: FloatArray, scale: float) -> FloatArray:
+    """Transforms (2, 3, 4) of the forearm's ends for a hand's pose (22,).
+
+    Straight behind the hand the forearm would run along the hand's +y, the elbow draws it aside. With b
+    the angle between both, the wrist bends by m tanh(b / m), m = 60 degrees: a little is followed, more
+    is not.
+    """
+    hand = rotations.matrices_from_quaternions(pose[3:7])
+    start = pose[:3] + hand[:, 1] * WRIST_OFFSET_MM * scale
+    direction = _bent(hand[:, 1], _elbow_for(pose[:3]) - start)
+    frame = _frame(direction, hand[:, 0])
+    elbow = start + FOREARM_MM * scale * direction
+    return np.stack([_transform(frame, start), _transform(frame, elbow)])
+
+
+def upper_arm_bones(elbow: FloatArray, seconds: float) -> FloatArray:
+    """Transforms (2, 3, 4) of the upper arm's ends."""
+    shoulder = SHOULDER_MM + body_sway(seconds)
+    frame = _frame((shoulder - elbow) / np.linalg.norm(shoulder - elbow), np.array([1.0, 0.0, 0.0]))
+    return np.stack([_transform(frame, elbow), _transform(frame, shoulder)])
+
+
+def body_bones(seconds: float) -> FloatArray:
+    """Transforms (2, 3, 4) of trunk and head, which sway a little."""
+    sway = body_sway(seconds)
+    return np.stack([_transform(np.eye(3), TRUNK_MM + sway), _transform(np.eye(3), HEAD_MM + 1.5 * sway)])
+
+
+def body_sway(seconds: float) -> FloatArray:
+    """How far the trunk is from its place, mm."""
+    phase = 2.0 * np.pi * SWAY_HZ * seconds
+    return SWAY_MM * np.array([np.sin(phase), 0.0, 0.7 * np.sin(0.62 * phase + 1.0)])
+
+
+def _elbow_for(wrist: FloatArray) -> FloatArray:
+    elbow: FloatArray = ELBOW_MM + ELBOW_FOLLOWS * (wrist - ELBOW_FOR_WRIST_MM)
+    return elbow
+
+
+def _bent(straight: FloatArray, towards: FloatArray) -> FloatArray:
+    """Turn a unit vector towards another vector, by the wrist's bend."""
+    axis = np.cross(straight, towards)
+    sine, cosine = float(np.linalg.norm(axis)), float(straight @ towards)
+    if sine < 1e-9 * abs(cosine):
+        return straight
+    bend = MOST_WRIST_BEND * np.tanh(np.arctan2(sine, cosine) / MOST_WRIST_BEND)
+    return rotations.rotate(rotations.exponential(axis / sine * bend), straight)
+
+
+def _frame(along: FloatArray, across: FloatArray) -> FloatArray:
+    """The rotation (3, 3) whose y axis is ``along`` and whose x axis is as near to ``across`` as can be."""
+    x = across - (across @ along) * along
+    x /= np.linalg.norm(x)
+    return np.stack([x, along, np.cross(x, along)], axis=1)
+
+
+def _transform(rotation: FloatArray, position: FloatArray) -> FloatArray:
+    return np.hstack([rotation, position[:, None]])

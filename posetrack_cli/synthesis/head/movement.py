@@ -1,0 +1,124 @@
+"""How a synthetic head moves: it wanders, and where asked turns suddenly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.synthesis.head.curves import MINIMUM_JERK_PEAK, Sway, minimum_jerk, pulse, random_sway
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+
+_D = float(np.pi / 180.0)
+MOST = np.array([45.0, 28.0, 55.0, 26.0 * _D, 11.0 * _D, 10.0 * _D])
+"""How far the natural motion goes: x, y, z mm; yaw, pitch, roll rad."""
+SLIGHT = 0.2
+"""Factor on it of the slight motion."""
+FREQUENCIES_HZ = (0.08, 0.33)
+BEGIN_S = 1.5
+"""Time in which the motion sets in: a recording begins with a head at rest that faces the camera."""
+
+TURN_RAD_S = 200.0 * _D
+"""Greatest speed of the sudden turns."""
+TURN_RAD = 25.0 * _D
+"""They go from so far on one side to as far on the other and back."""
+TURN_HOLD_S = 0.5
+TURN_AT = 0.75
+"""Part of the recording at which the turns begin."""
+SETTLE_S = 0.8
+"""Before them the wandering comes to rest in this time and the head is turned aside; after them likewise."""
+
+DIFFERENCE_S = 1e-4
+"""Half the step of the central differences: third derivatives, at most 60 a / d^3 of a move of length a in
+time d, stay below 1e4 rad/s^3, so the error is below 2e-5 rad/s."""
+
+FACING = np.array([1.0, 0.0, 0.0, 0.0])
+"""Quaternion of a head that faces the camera: half a turn about x."""
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """A head's way.
+
+    Attributes:
+        origin: (3,) its first place, mm, reference camera.
+        sway: of x, y, z (mm), yaw, pitch, roll (rad); None for a head that keeps still.
+        speed: factor on the rate of the wandering's time.
+        turn_s: when the sudden turns begin, s; None if there are none.
+    """
+
+    origin: FloatArray
+    sway: Sway | None
+    speed: float
+    turn_s: float | None
+
+    def poses(self, times: FloatArray) -> FloatArray:
+        """Poses (T, 7) at times (T,): position mm, quaternion x y z w, of ``camera_T_head``.
+
+        R = R_y(yaw) R_x(pitch) R_z(roll) R_facing.
+        """
+        values = self._wandering(times)
+        values[:, 3] += self._turning(times)
+        poses = np.empty((len(times), 7))
+        poses[:, :3] = self.origin + values[:, :3]
+        pitch, yaw, roll = (rotations.exponential(values[:, i, None] * np.eye(3)[k]) for i, k in _ANGLES)
+        turned = rotations.multiply(yaw, rotations.multiply(pitch, roll))
+        poses[:, 3:] = rotations.canonical(rotations.multiply(turned, FACING))
+        return poses
+
+    def twists(self, times: FloatArray) -> FloatArray:
+        """Velocities (T, 6): mm/s in camera axes, rad/s in the head's, by central differences."""
+        before, after = self.poses(times - DIFFERENCE_S), self.poses(times + DIFFERENCE_S)
+        turn = rotations.multiply(rotations.conjugate(before[:, 3:]), after[:, 3:])
+        change = np.hstack([after[:, :3] - before[:, :3], rotations.logarithm(turn)])
+        return change / (2.0 * DIFFERENCE_S)
+
+    @property
+    def turn_interval(self) -> tuple[float, float] | None:
+        """From the first sudden turn's begin to the last one's end, s."""
+        if self.turn_s is None:
+            return None
+        return self.turn_s, self.turn_s + 2.0 * turn_time() + TURN_HOLD_S
+
+    def _wandering(self, times: FloatArray) -> FloatArray:
+        if self.sway is None:
+            return np.zeros((len(times), 6))
+        moving = minimum_jerk(times / BEGIN_S)
+        if self.turn_interval is not None:
+            start, end = self.turn_interval
+            moving = moving - pulse(times, start - SETTLE_S, SETTLE_S, end - start, SETTLE_S)
+        wandering: FloatArray = moving[:, None] * self.sway(self.speed * times)
+        return wandering
+
+    def _turning(self, times: FloatArray) -> FloatArray:
+        """The yaw (T,) of the sudden turns, rad."""
+        if self.turn_interval is None:
+            return np.zeros(len(times))
+        start, end = self.turn_interval
+        aside = pulse(times, start - SETTLE_S, SETTLE_S, end - start, SETTLE_S)
+        across = pulse(times, start, turn_time(), TURN_HOLD_S, turn_time())
+        return TURN_RAD * (2.0 * across - aside)
+
+
+_ANGLES = ((4, 0), (3, 1), (5, 2))  # of the values: pitch about x, yaw about y, roll about z
+
+
+def turn_time() -> float:
+    """Return how long one of the sudden turns takes, s."""
+    return MINIMUM_JERK_PEAK * 2.0 * TURN_RAD / TURN_RAD_S
+
+
+def make_movement(options: HeadSynthOptions, rng: np.random.Generator) -> Movement:
+    """Return the way that the options ask for."""
+    most = MOST * _nearness(options) * (SLIGHT if options.motion == "slight" else 1.0)
+    sway = random_sway(most, FREQUENCIES_HZ, rng)
+    turn = TURN_AT * options.duration_s if options.motion == "turn" else None
+    origin = np.array([0.0, 0.0, options.distance_mm])
+    return Movement(origin, None if options.motion == "still" else sway, options.speed, turn)
+
+
+def _nearness(options: HeadSynthOptions) -> FloatArray:
+    """Factors (6,) that keep a near head in the image."""
+    return np.array([*(3 * [min(options.distance_mm / 700.0, 1.5)]), 1.0, 1.0, 1.0])

@@ -1,0 +1,84 @@
+"""Drawn hands before a wall, and trackers that look for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.acquisition import Acquisition
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
+from posetrack_cli.hand.guiding import Guiding
+from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.model import HandModel, average_hand
+from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.tracker import HandTracker
+from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.window import Window
+from support.hand import KINECT
+
+WALL_MM = 1500.0
+HANDS = {"right": average_hand(), "left": average_hand("left")}
+
+
+def relaxed(
+    x: float = 0.0, y: float = 60.0, z: float = 650.0, turn: tuple[float, float, float] = (0.15, -0.2, 0.1)
+) -> FloatArray:
+    """A relaxed hand's pose (22,), its palm to the camera, turned by a rotation vector, rad."""
+    pose = np.zeros(POSE_SIZE)
+    pose[:3] = x, y, z
+    pose[3:7] = rotations.canonical(rotations.exponential(np.array(turn)))
+    pose[ANGLES] = RELAXED
+    return pose
+
+
+def turned_about_its_length(pose: FloatArray, angle: float) -> FloatArray:
+    """The pose with the back of the hand where the palm was, at 180 degrees."""
+    out = pose.copy()
+    turn = rotations.exponential(np.array([0.0, angle, 0.0]))
+    out[3:7] = rotations.canonical(rotations.multiply(pose[3:7], turn))
+    return out
+
+
+class Stage:
+    """Draws what a perfect sensor sees of hands before a wall."""
+
+    def __init__(self, context: Any, hand: HandModel) -> None:
+        self.hand = hand
+        self._renderer = TiledDepthRenderer(context, hand.smooth, (KINECT.width, KINECT.height), 1)
+
+    def depth(self, *poses: FloatArray, wall: float = WALL_MM) -> Float32Array:
+        """Depth (424, 512), mm, of hands at poses (22,)."""
+        nearest = np.full((KINECT.height, KINECT.width), wall, dtype=np.float32)
+        for pose in poses:
+            transforms = skinning_transforms(self.hand.anatomy, pose[None])
+            drawn = self._renderer.depth(transforms, KINECT, Window.whole(KINECT))[0]
+            nearest = np.where((drawn > 0) & (drawn < nearest), drawn, nearest)
+        return nearest
+
+    def error(self, found: FloatArray, truth: FloatArray) -> float:
+        """Mean distance of the joints, mm, of two poses (22,)."""
+        first, second = joint_positions(self.hand.anatomy, np.stack([found, truth]))
+        return float(np.linalg.norm(first - second, axis=1).mean())
+
+
+def acquisition(context: Any, hand: HandModel, config: HandConfig | None = None) -> Acquisition:
+    """What looks for a hand without a prediction."""
+    config = config or HandConfig()
+    scorer = RenderedCosts(context, hand, KINECT, config.observation, config.filter.particles)
+    observer = Observer(config, hand.anatomy, KINECT, segment=True)
+    return Acquisition(config, hand, KINECT, scorer, observer, Guiding(config, hand, KINECT))
+
+
+def tracker(context: Any, hand: HandModel, config: HandConfig | None = None) -> HandTracker:
+    """The tracker with all that it asks."""
+    config = config or HandConfig()
+    finder = acquisition(context, hand, config)
+    scorer = RenderedCosts(context, hand, KINECT, config.observation, config.filter.particles)
+    observer = Observer(config, hand.anatomy, KINECT, segment=True)
+    return HandTracker(config, hand.anatomy, KINECT, scorer, observer, finder)

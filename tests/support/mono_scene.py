@@ -1,0 +1,100 @@
+"""A one-camera tracker and a drawn face whose motion is known; told where the face is, it detects none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from unittest.mock import patch
+
+import numpy as np
+
+from posetrack_cli.head import mono_finder
+from posetrack_cli.head.detection.detector import Detection
+from posetrack_cli.head.detection.guess import FaceGuess
+from posetrack_cli.head.detection.points import FacePoints
+from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.mono_state import MonoState
+from posetrack_cli.head.mono_subject import mono_subject
+from posetrack_cli.head.mono_tracker import MonoTracker
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.multilinear.model_file import load_face_model
+from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.projection import project
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.estimate import Estimate, Subject, check_estimate
+from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
+
+FRAME_NS = 33_333_333
+(CAMERA,) = stereo(1)
+FACE = textured_face()
+FEW = HeadMonoConfig.model_validate({"particles": {"count": 150}, "adjustment": {"views": 8}})
+NOISE = 2.0
+"""Grey levels."""
+
+
+def drawn_model() -> FaceModel:
+    """The shipped model, moved so that its mean person at rest is the drawn face."""
+    model = load_face_model()
+    mean = model.of_person(model.identity_mean).mean
+    return replace(model, mean=model.mean + SHAPE - mean)
+
+
+MODEL = drawn_model()
+
+
+def pose_at(index: int) -> HeadPose:
+    """A head that turns, nods and moves aside, up to 3 mm and 0.5 degrees a frame."""
+    t = index / 30.0
+    turn = np.array([0.12 * np.sin(1.3 * t), 0.2 * np.sin(1.1 * t), 0.05 * np.sin(0.9 * t)])
+    return FACING.moved(np.concatenate([[30.0 * np.sin(t), 10.0 * np.sin(1.7 * t), 20.0 * np.sin(t)], turn]))
+
+
+@dataclass
+class Told:
+    """A detector that knows where the face is, a pixel beside it, when there is one."""
+
+    index: int = 0
+    there: bool = True
+    asked: int = 0
+
+    def detect(self, image: object) -> Detection:
+        self.asked += 1
+        if not self.there:
+            return Detection((), 0.3)
+        pose = pose_at(self.index)
+        pixels = project((CAMERA,), pose.points(SHAPE)).pixels[0] + [1.0, -1.0]
+        scale = CAMERA.fx / pose.position[2]
+        guess = FaceGuess(pixels[:4].mean(axis=0), 63.0 * scale, 0.0, 0.9)
+        return Detection((FacePoints(pixels, np.full(POINT_COUNT, 0.9), scale, np.zeros(3), guess),), 0.9)
+
+
+@dataclass
+class Scene:
+    """A tracker, and the recording it goes through."""
+
+    face: TexturedFace = FACE
+    config: HeadMonoConfig = FEW
+    told: Told = field(default_factory=Told)
+    known: dict[str, np.ndarray] | None = None
+    clicked: np.ndarray | None = None
+    tracker: MonoTracker = field(init=False)
+    subject: Subject = field(default_factory=lambda: mono_subject("camera", MODEL))
+    state: MonoState | None = None
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def __post_init__(self) -> None:
+        with patch.object(mono_finder, "FaceDetector", lambda settings: self.told):
+            self.tracker = MonoTracker(self.config, CAMERA, MODEL, clicked=self.clicked, known=self.known)
+
+    def frame(self, index: int, blank: bool = False) -> Frame:
+        (image,) = self.face.render((CAMERA,), pose_at(index), SHAPE, noise=NOISE, seed=index)
+        return Frame(index, index * FRAME_NS, (np.full_like(image, 110) if blank else image,))
+
+    def step(self, index: int, blank: bool = False) -> Estimate:
+        frame = self.frame(index, blank)
+        self.told.index = index
+        if self.state is None:
+            self.state = self.tracker.start(frame, self.rng)
+        self.state, estimate = self.tracker.step(self.state, frame, self.rng)
+        check_estimate(estimate, self.subject)
+        return estimate

@@ -1,0 +1,161 @@
+"""What is written reads back as a recording and as truth, the same every time; nothing else is replaced."""
+
+from __future__ import annotations
+
+import filecmp
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.geometry.rotations import quaternion_rate
+from posetrack_cli.head.subject import head_subject
+from posetrack_cli.recording.opening import open_images
+from posetrack_cli.results.estimate import check_estimate
+from posetrack_cli.results.estimate_json import estimate_from_json
+from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
+from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD
+from posetrack_cli.synthesis.head.frames import make_plan, synthesise
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.rig import make_cameras
+from posetrack_cli.synthesis.head.truth import COMPONENTS, truth_estimate
+from posetrack_cli.synthesis.head.writing import write_synthetic
+
+SMALL = HeadSynthOptions(frames=3, seed=5, width=160, height=120)
+TOPICS = {f"/truth/head/{name}" for name in ("odometry", "expression", "estimate")}
+METRES = 1e-9
+"""mm: metres of a message and back, a quaternion and back."""
+
+
+@pytest.mark.parametrize("image_format", ["png", "raw"])
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_a_file_reads_as_the_recording_that_was_made(tmp_path: Path, image_format: str, cameras: int) -> None:
+    options = replace(SMALL, cameras=cameras, distortion=cameras == 1)
+    write_synthetic(options, tmp_path / "a.mcap", image_format=image_format)
+    recording = open_images(tmp_path / "a.mcap")
+    for read, made in zip(recording.cameras, make_cameras(options), strict=True):
+        assert (read.matrix == made.matrix).all() and read.distortion == made.distortion
+        np.testing.assert_allclose(read.camera_T_reference, made.camera_T_reference, atol=METRES)
+    expected = list(synthesise(options))
+    frames = list(recording.frames())
+    assert not recording.losses
+    for frame, made_frame in zip(frames, expected, strict=True):
+        assert frame.stamp_ns == made_frame.stamp_ns
+        for read_image, image in zip(frame.images, made_frame.images, strict=True):
+            assert np.array_equal(read_image, image)
+    truth = list(recording.truth())
+    assert {message.topic for message in truth} == TOPICS
+    estimates = [estimate_from_json(m.data) for m in truth if m.topic == "/truth/head/estimate"]
+    for estimate, made_frame in zip(estimates, expected, strict=True):
+        check_estimate(estimate, head_subject("left", COMPONENTS))
+        assert (estimate.points == made_frame.pose.points(made_frame.shape)).all()
+        assert (estimate.position == made_frame.pose.position).all()
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_a_folder_reads_as_the_recording_that_was_made(tmp_path: Path, cameras: int) -> None:
+    options = replace(SMALL, cameras=cameras)
+    write_synthetic(options, tmp_path / "a", image_format="png")
+    names = {path.name for path in (tmp_path / "a").iterdir()}
+    folders = {"left", "right"} if cameras == 2 else {"camera"}
+    assert names == {"camera.toml", "timestamps.csv", "truth.mcap", *folders}
+    recording = open_images(tmp_path / "a")
+    assert recording.cameras == make_cameras(options)
+    for frame, made in zip(recording.frames(), synthesise(options), strict=True):
+        assert frame.stamp_ns == made.stamp_ns
+        assert all(np.array_equal(a, b) for a, b in zip(frame.images, made.images, strict=True))
+
+
+def test_truth_and_record_of_folder_and_file_are_the_same(tmp_path: Path) -> None:
+    write_synthetic(SMALL, tmp_path / "a")
+    write_synthetic(SMALL, tmp_path / "a.mcap")
+    contents = []
+    for path in (tmp_path / "a" / "truth.mcap", tmp_path / "a.mcap"):
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            record = next(m.metadata for m in reader.iter_metadata() if m.name == SYNTH_RECORD)
+            truth = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages(sorted(TOPICS))]
+        contents.append((record, truth))
+    assert contents[0] == contents[1]
+    assert contents[0][0]["identity"] == "1" and contents[0][0]["turn_s"] == ""
+
+
+def test_the_same_options_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_synthetic(SMALL, tmp_path / f"{name}.mcap")
+    assert filecmp.cmp(tmp_path / "a.mcap", tmp_path / "b.mcap", shallow=False)
+    write_synthetic(replace(SMALL, seed=6), tmp_path / "b.mcap", overwrite=True)
+    assert not filecmp.cmp(tmp_path / "a.mcap", tmp_path / "b.mcap", shallow=False)
+
+
+def test_truth_has_rates_of_the_pose_and_the_expressions_by_name(tmp_path: Path) -> None:
+    options = replace(SMALL, frames=40, fps=10.0, width=64, height=64, cameras=1)
+    frames = list(synthesise(options))
+    estimate = truth_estimate(frames[20])
+    assert estimate.pose_rate is not None and estimate.twist is not None
+    expected = quaternion_rate(estimate.quaternion, estimate.twist[3:])
+    np.testing.assert_allclose(estimate.pose_rate, [*estimate.twist[:3], *expected])
+    write_synthetic(options, tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = [m for _, _, _, m in reader.iter_decoded_messages(["/truth/head/expression"])]
+    for message, frame in zip(decoded, frames, strict=True):
+        assert [joint.name for joint in message.joints] == list(EXPRESSIONS)
+        np.testing.assert_array_equal([joint.position for joint in message.joints], frame.strengths)
+    assert max(abs(frame.strengths[:7]).max() for frame in frames) > 0.2
+
+
+def test_what_exists_is_kept_unless_it_may_be_replaced(tmp_path: Path) -> None:
+    one = replace(SMALL, frames=1)
+    for name in ("a.mcap", "a"):
+        write_synthetic(one, tmp_path / name)
+        with pytest.raises(UsageError, match="exists already"):
+            write_synthetic(one, tmp_path / name)
+        write_synthetic(one, tmp_path / name, overwrite=True)
+    (tmp_path / "a" / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="is no synthetic recording"):
+        write_synthetic(one, tmp_path / "a", overwrite=True)
+    assert (tmp_path / "a" / "notes.txt").read_text() == "mine"
+
+
+def test_bad_outputs_are_one_line(tmp_path: Path) -> None:
+    one = replace(SMALL, frames=1)
+    with pytest.raises(UsageError, match=r"NAME\.mcap, or a folder"):
+        write_synthetic(one, tmp_path / "a.bag")
+    with pytest.raises(ResultError, match="cannot be written"):
+        write_synthetic(one, tmp_path / "missing" / "a")
+    with pytest.raises(UsageError, match="--image-format cannot be used"):
+        write_synthetic(one, tmp_path / "a", image_format="raw")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a"])
+def test_an_interrupted_synthesis_leaves_nothing(tmp_path: Path, name: str) -> None:
+    def stop(_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_synthetic(SMALL, tmp_path / name, report=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "cameras"), [("a.mcap", 1), ("a.mcap", 2), ("a", 1), ("a", 2)])
+def test_images_that_are_missing_are_those_of_the_plan(tmp_path: Path, name: str, cameras: int) -> None:
+    """The others are the same as without drops."""
+    options = replace(SMALL, cameras=cameras, frames=20, seed=73, width=64, height=64, drops=True)
+    plan = make_plan(options)
+    made = write_synthetic(options, tmp_path / name, image_format="png")
+    assert made.missing == plan.dropped.sum() > 0
+    assert not plan.dropped[:, 0].any() and (cameras == 1 or not plan.dropped.all(axis=0).any())
+    taken = np.flatnonzero(~plan.dropped.all(axis=0))
+    whole = list(synthesise(replace(options, drops=False)))
+    for frame, index in zip(open_images(tmp_path / name).frames(), taken, strict=True):
+        assert frame.stamp_ns == plan.stamps_ns[index]
+        for image, dropped, expected in zip(
+            frame.images, plan.dropped[:, index], whole[index].images, strict=True
+        ):
+            assert image is None if dropped else np.array_equal(image, expected)
