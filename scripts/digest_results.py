@@ -24,7 +24,7 @@ import click
 import cv2
 import numpy as np
 
-from posetrack_cli.recording.output import state_path
+from posetrack_cli.outputs import state_path
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
 FLUSH = ("--set", "output.flush_frames=5")

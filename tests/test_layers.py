@@ -38,6 +38,8 @@ BELOW_ALL = {
     "toml_text": {"limits"},
     "configuration": {"errors", "files", "limits", "toml_text"},
     "npz": {"limits"},
+    "outputs": {"errors", "files"},
+    "units": set(),
 }
 """What every layer may use, and which of each other these modules use themselves."""
 FILES_AND_GL = {"cv2", "moderngl", "mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "pathlib", "os"}

@@ -63,9 +63,9 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     """
     from posetrack_cli.files import write_output
     from posetrack_cli.losses import LossLog, loss_line
+    from posetrack_cli.outputs import check_target, whole_or_nothing
     from posetrack_cli.recording.calibration.boards import Board
     from posetrack_cli.recording.calibration.stereo import calibrate_stereo as calibrated
-    from posetrack_cli.recording.output import check_target, whole_or_nothing
 
     check_target(output, overwrite=options["overwrite"], source=images)
     board = Board(

@@ -43,7 +43,7 @@ def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]
 
 
 def _interrupted(resumable: Path | None) -> str:
-    from posetrack_cli.recording.output import part_path, state_path
+    from posetrack_cli.outputs import part_path, state_path
 
     if resumable is None or not (state_path(resumable).is_file() and part_path(resumable).is_file()):
         return "posetrack: interrupted"

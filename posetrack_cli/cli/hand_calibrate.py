@@ -52,8 +52,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate
     from posetrack_cli.hand.calibration.hand_file import write_hand_file
     from posetrack_cli.losses import loss_line
+    from posetrack_cli.outputs import check_target
     from posetrack_cli.recording.opening import open_recording
-    from posetrack_cli.recording.output import check_target
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)

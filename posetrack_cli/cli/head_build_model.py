@@ -81,7 +81,7 @@ def head_build_model(
 
 
 def _check_outputs(results: Sequence[Path], output: Path, picture: Path | None, *, overwrite: bool) -> None:
-    from posetrack_cli.recording.output import check_target
+    from posetrack_cli.outputs import check_target
 
     if picture is not None and picture.suffix.lower() != ".png":
         raise UsageError(
@@ -151,7 +151,7 @@ def _draw(model: FaceModel, path: Path) -> None:
     from posetrack_cli.evaluation.viewing.face_model_picture import face_model_picture
     from posetrack_cli.evaluation.viewing.outputs import png_of
     from posetrack_cli.files import write_output
-    from posetrack_cli.recording.output import whole_or_nothing
+    from posetrack_cli.outputs import whole_or_nothing
 
     with whole_or_nothing(path) as part:
         write_output(part, png_of(face_model_picture(model)))

@@ -44,7 +44,7 @@ def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[
 @contextmanager
 def kept(output: Path) -> Iterator[None]:
     """When the run fails, its line also says what can still be read; what is refused has tracked nothing."""
-    from posetrack_cli.recording.output import part_path
+    from posetrack_cli.outputs import part_path
 
     try:
         yield
@@ -58,7 +58,7 @@ def kept(output: Path) -> Iterator[None]:
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
     """Print the closing line and what there is to remark, and set the exit code."""
     from posetrack_cli.losses import loss_line
-    from posetrack_cli.recording.output import part_path
+    from posetrack_cli.outputs import part_path
 
     rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
     what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"

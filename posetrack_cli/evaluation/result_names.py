@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from posetrack_cli.recording.output import part_path
+from posetrack_cli.outputs import part_path
 from posetrack_cli.results.tracks import FILTERED
 
 _PART = part_path(Path("x")).suffix

@@ -10,7 +10,7 @@ from mcap.records import Channel, Message, Schema
 
 from posetrack_cli import limits
 from posetrack_cli.mcap.ros_messages import Dialect, OtherLayoutError, check_definition, ros_decoder
-from posetrack_cli.recording.stamps import NS_PER_S
+from posetrack_cli.units import NS_PER_S
 
 RAW_IMAGE = "image"
 COMPRESSED_IMAGE = "compressed image"

@@ -14,7 +14,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.files import open_output
-from posetrack_cli.recording.output import lock
+from posetrack_cli.outputs import lock
 
 LIBRARY = "posetrack"
 """Fixed: the default would carry a version and change the bytes with every update of mcap."""

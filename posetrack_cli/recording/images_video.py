@@ -23,8 +23,9 @@ from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
 from posetrack_cli.recording.rig_file import Rig, found_rig
 from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
-from posetrack_cli.recording.stamps import NS_PER_S, stamp_at_rate, stamps_at_rate
+from posetrack_cli.recording.stamps import stamp_at_rate, stamps_at_rate
 from posetrack_cli.recording.video_stamps import VideoStamps
+from posetrack_cli.units import NS_PER_S
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 QUIET = "-8"

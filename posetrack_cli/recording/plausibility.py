@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from posetrack_cli.recording.stamps import NS_PER_S
+from posetrack_cli.units import NS_PER_S
 
 FASTEST_HZ = 2000.0
 """No camera whose images are tracked is faster: depth cameras reach 300 frames/s, high-speed ones 1000.

@@ -13,11 +13,11 @@ from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import read_text
 from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.units import NS_PER_S
 
 STAMPS_FILE_NAME = "timestamps.csv"
 STAMPS = f"0 to {LATEST_NS} ns, the years 1970 to 2262"
 EXPECTED_HEADER = "stamp_ns or time_s, with or without a column filename before it"
-NS_PER_S = 1_000_000_000
 SLOWEST_HZ, FASTEST_HZ = 1e-6, 1e6
 
 

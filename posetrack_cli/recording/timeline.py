@@ -6,7 +6,7 @@ from array import array
 from statistics import median
 
 from posetrack_cli.recording.plausibility import StampCheck
-from posetrack_cli.recording.stamps import NS_PER_S
+from posetrack_cli.units import NS_PER_S
 
 GAP_FACTOR = 1.5
 """An interval that is longer than this many usual ones lacks a frame."""

@@ -27,9 +27,9 @@ from posetrack_cli.mcap.stream import (
     read_messages,
 )
 from posetrack_cli.mcap.summary import read_summary
+from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import camera_from_message
-from posetrack_cli.recording.output import part_path
 from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined

@@ -13,8 +13,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.outputs import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
-from posetrack_cli.recording.output import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_to_record
 from posetrack_cli.results.channels import ResultChannels

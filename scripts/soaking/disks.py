@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarking.rows import Row
-from posetrack_cli.recording.output import state_path
+from posetrack_cli.outputs import state_path
 from soaking.cases import Case
 from soaking.findings import Findings
 from soaking.kills import unreadable

@@ -13,7 +13,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarking.rows import Row
-from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.outputs import part_path, state_path
 from soaking.cases import Case
 from soaking.findings import Findings
 from soaking.processes import DATA_LOST, DONE, FAILED, Ended, Started, frames_readable, started

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from posetrack_cli.recording.output import state_path
+from posetrack_cli.outputs import state_path
 from soaking.cases import Case
 from soaking.findings import Findings
 from soaking.processes import DONE, Started, started

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.passes import learned_before
-from posetrack_cli.recording.output import state_path
+from posetrack_cli.outputs import state_path
 from posetrack_cli.results.checkpoint import load
 from soaking.cases import Case
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import board_support as support
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from click.testing import CliRunner, Result
 from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, UsageError
 from posetrack_cli.recording.opening import open_images
+from support import boards as support
 
 BOARD = ("--squares", "7x5", "--square-mm", "26", "--marker-mm", "19")
 

@@ -12,7 +12,7 @@ import pytest
 from posetrack_cli.cli.doctor import LIBRARIES
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.rendering import context as contexts
+from posetrack_cli.rendering.gl import context as contexts
 
 SMALL = ["doctor", "--particles", "16"]
 

@@ -22,9 +22,9 @@ from posetrack_cli.cli.running import progress
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.output import part_path, state_path
 from posetrack_cli.results import load_arrays, read_result
 
 FRAMES = 24

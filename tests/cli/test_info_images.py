@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import images_support as support
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from posetrack_cli.cli.info import info
+from support import images as support
 
 LEFT, RIGHT = support.grey_images(4), support.grey_images(4, seed=1)
 

@@ -13,7 +13,7 @@ import pytest
 
 from posetrack_cli.cli.signals import terminate_as_interrupted
 from posetrack_cli.errors import EXIT_INTERRUPTED
-from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.outputs import part_path, state_path
 
 COMPILING = """
 import ctypes, pathlib, signal, sys, time

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from test_html_page import NASTY, shortened, without_truth
 
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation
@@ -20,7 +19,7 @@ from posetrack_cli.evaluation.html.downsample import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
 from support.browser import console_lines, open_browser, requested, set_features, set_width
 from support.evaluation import FRAME_NS, hand_evaluation
-from support.html import head_evaluation, picture
+from support.html import NASTY, head_evaluation, picture, shortened, without_truth
 
 FRAMES = 120
 PIXEL = 0.1

@@ -16,19 +16,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html import gallery, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import html_page
-from posetrack_cli.evaluation.track import Track
 from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
-from support.html import PNG, head_evaluation, picture
+from support.html import NASTY, PNG, head_evaluation, picture, shortened, without_truth
 
-NASTY = "</script><img src=x onerror=alert(1)>&\"' ü 手 \u202e"
 VOID = {"meta", "link", "input", "img", "br"}
 
 
@@ -79,41 +76,6 @@ def cells(text: str, label: str) -> list[str]:
         if plain and plain[0] == label:
             return plain[1:]
     raise AssertionError(f"no row {label}")
-
-
-def shortened(evaluation: Evaluation, frames: int) -> Evaluation:
-    """The first frames of an evaluation."""
-
-    def cut(track: Track) -> Track:
-        arrays = {k: v[:frames] for k, v in vars(track).items() if isinstance(v, np.ndarray)}
-        return dataclasses.replace(track, **arrays)
-
-    rows = np.arange(frames, dtype=np.int64)
-    assert evaluation.truth is not None
-    return dataclasses.replace(
-        evaluation,
-        coverage=Coverage(frames, frames, 0, 0, 0, 0, 0, True, frames),
-        series={name: values[:frames] for name, values in evaluation.series.items()},
-        series_stamp_ns=evaluation.series_stamp_ns[:frames],
-        track=cut(evaluation.track),
-        truth=cut(evaluation.truth),
-        pairs=Pairs(rows, rows),
-    )
-
-
-def without_truth(evaluation: Evaluation) -> Evaluation:
-    frames = len(evaluation.track)
-    return dataclasses.replace(
-        evaluation,
-        coverage=Coverage(frames, frames, 0, 0, frames, 0, 0, False, 0),
-        metrics={"coverage": 1.0},
-        absent={"joint_error_mm": "no truth"},
-        series={},
-        series_stamp_ns=evaluation.series_stamp_ns[:0],
-        curve=None,
-        truth=None,
-        pairs=None,
-    )
 
 
 def test_the_table_has_the_evaluation_s_figures() -> None:

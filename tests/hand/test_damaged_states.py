@@ -14,7 +14,7 @@ from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, smoothing_path
 from posetrack_cli.npz import read_npz
-from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results.layouts import LayoutError
 from support.damage import OTHER_VALUES, changed_json, damaged_arrays, sealed, wild_numbers
 from support.flat_recording import CONFIG, Memory, after

@@ -19,8 +19,8 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, run_record
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome, frames_ahead
 from support.flat_recording import CAMERA, CONFIG, FRAME_NS, Memory, after

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_stereo_tracker import Scene as StereoScene
-from test_stereo_tracker import Told
 
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.head.mono_reduction import ReducedState, ReducingTracker
 from posetrack_cli.results.layouts import LayoutError
 from support.damage import OTHER_VALUES, Arrays, damaged_arrays, wild_numbers
 from support.mono_scene import Scene as MonoScene
+from support.stereo_scene import Scene as StereoScene
+from support.stereo_scene import Told
 
 Put = Callable[[Arrays, dict[str, int]], object]
 Saved = tuple[Put, Callable[[Any], object], Arrays, dict[str, int]]

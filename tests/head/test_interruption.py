@@ -12,8 +12,8 @@ import pytest
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, read_result
 from posetrack_cli.tracking.options import RunOutcome
 from support.head_run import CAMERAS, COMPONENTS, FakeState, FakeTracker, Memory

@@ -21,8 +21,8 @@ from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.results.export.text_formats import csv_text

@@ -2,89 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.estimates import UNSEEN
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.projection import project
-from posetrack_cli.head.start.start import NO_FACE, NoStart, Start
+from posetrack_cli.head.start.start import NoStart
 from posetrack_cli.head.stereo_tracker import StereoTracker
-from posetrack_cli.head.subject import head_subject
-from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.estimate import Estimate, Status, check_estimate
-from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
+from posetrack_cli.results.estimate import Estimate, Status
+from support.stereo_scene import CAMERAS, FEW, Scene, Told, pose_at
+from support.textured_face import textured_face
 
-FRAME_NS = 33_333_333
-CAMERAS = stereo()
-FACE = textured_face()
-FEW = HeadStereoConfig.model_validate({"particles": {"count": 200}})
-NOISE = 2.0
-"""Grey levels. A patch of 256 pixels with slopes of some 10 levels a pixel then places a point to 0.02 px:
-0.015 mm across, 0.1 mm in depth with a base of 120 mm at 700 mm; ten points share the pose."""
 POSITION_MM, ROTATION_RAD = 0.3, np.radians(0.3)
 """Far above that, which leaves room for the planes' edges, and far below a pixel: 0.7 mm."""
-
-
-def pose_at(index: int) -> HeadPose:
-    """A head that turns, nods and moves aside, up to 5 mm and 0.5 degrees a frame."""
-    t = index / 30.0
-    turn = np.array([0.12 * np.sin(1.3 * t), 0.2 * np.sin(1.1 * t), 0.05 * np.sin(0.9 * t)])
-    return FACING.moved(np.concatenate([[30.0 * np.sin(t), 10.0 * np.sin(1.7 * t), 20.0 * np.sin(t)], turn]))
-
-
-@dataclass
-class Told:
-    """Says where the face is, 1 mm beside it, when there is one."""
-
-    index: int = 0
-    there: bool = True
-    failure: NoStart = field(default_factory=lambda: NoStart(NO_FACE, 0.3))
-    asked: int = 0
-
-    def __call__(self, images: object) -> Start | NoStart:
-        self.asked += 1
-        if not self.there:
-            return self.failure
-        pose = pose_at(self.index).moved(np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0]))
-        pixels = project(CAMERAS, pose.points(SHAPE)).pixels
-        return Start(pose, SHAPE.copy(), pixels, np.ones(len(SHAPE), dtype=bool), 0.9)
-
-
-@dataclass
-class Scene:
-    """A tracker, and the recording it goes through."""
-
-    face: TexturedFace = FACE
-    config: HeadStereoConfig = FEW
-    told: Told = field(default_factory=Told)
-    tracker: StereoTracker = field(init=False)
-    state: object = None
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-
-    def __post_init__(self) -> None:
-        self.tracker = StereoTracker(self.config, CAMERAS, self.told)
-
-    def frame(self, index: int, seen: tuple[bool, ...] = (True, True), blank: bool = False) -> Frame:
-        images = self.face.render(CAMERAS, pose_at(index), SHAPE, noise=NOISE, seed=index)
-        if blank:
-            images = [np.full_like(image, 110) for image in images]
-        kept = tuple(image if there else None for image, there in zip(images, seen, strict=True))
-        return Frame(index, index * FRAME_NS, kept)
-
-    def step(self, index: int, **how) -> Estimate:
-        frame = self.frame(index, **how)
-        self.told.index = index
-        if self.state is None:
-            self.state = self.tracker.start(frame, self.rng)
-        self.state, estimate = self.tracker.step(self.state, frame, self.rng)
-        check_estimate(estimate, head_subject("left", 5))
-        return estimate
 
 
 def errors(estimates: list[Estimate]) -> tuple[np.ndarray, np.ndarray]:

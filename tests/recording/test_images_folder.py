@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import images_support as support
 import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.opening import open_images
+from support import images as support
 
 LEFT, RIGHT = support.grey_images(5), support.grey_images(5, seed=1)
 

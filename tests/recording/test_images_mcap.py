@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
-import images_support as support
 import numpy as np
 import pytest
 
@@ -19,6 +18,7 @@ from posetrack_cli.recording.mcap_extrinsics import camera_places
 from posetrack_cli.recording.mcap_topics import scan_topics
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
+from support import images as support
 
 LEFT, RIGHT = support.grey_images(5), support.grey_images(5, seed=1)
 BASELINE_M, FX = 0.12, 40.0

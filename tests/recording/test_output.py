@@ -8,7 +8,7 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.output import check_output, part_path, state_path, whole_or_nothing
+from posetrack_cli.outputs import check_output, part_path, state_path, whole_or_nothing
 
 
 def refused(out: Path, *, overwrite: bool = True, source: Path | None = None) -> PosetrackError:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import images_support as support
 import numpy as np
 import pytest
 
@@ -12,6 +11,7 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import IN_PLACE, Camera
 from posetrack_cli.geometry.extrinsics import placed
 from posetrack_cli.recording.rig_file import camera_file_text, load_rig
+from support import images as support
 
 INTRINSICS = "fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n"
 PLACE = "rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1]\ntranslation_mm = [-100, 0, 0]\n"

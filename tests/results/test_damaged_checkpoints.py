@@ -12,7 +12,7 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.npz import read_npz
-from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import ResultWriter
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Checkpoint, Progress

@@ -13,8 +13,8 @@ from mcap.writer import Writer
 
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.output import part_path
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
     ResultWarning,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import ResultWriter, Subject
 from support.results import (
     CAMERA,

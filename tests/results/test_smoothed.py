@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.recording.output import part_path
+from posetrack_cli.outputs import part_path
 from posetrack_cli.results import Estimate, ResultWriter, read_result
 from posetrack_cli.results.messages import FrameTransforms, Odometry
 from posetrack_cli.results.writer import SUMMARY_RECORD

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.recording.output import part_path, state_path
+from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import Checkpoint, ResultWriter, read_result
 from support.results import (
     CAMERA,

@@ -20,8 +20,8 @@ from click.testing import CliRunner
 from benchmarking.recordings import link_recording
 from benchmarking.rows import Row
 from posetrack_cli.head.passes import first_pass_checkpoint, second_pass_checkpoint
+from posetrack_cli.outputs import state_path
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.output import state_path
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
 from posetrack_cli.tracking.checkpoints import Reached

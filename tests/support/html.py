@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -76,3 +77,41 @@ def head_evaluation(frames: int = 100, **changes: Any) -> Evaluation:
         "pairs": Pairs(rows, rows),
     }
     return Evaluation(**{**values, **changes})
+
+
+NASTY = "</script><img src=x onerror=alert(1)>&\"' ü 手 \u202e"
+
+
+def shortened(evaluation: Evaluation, frames: int) -> Evaluation:
+    """The first frames of an evaluation."""
+
+    def cut(track: Track) -> Track:
+        arrays = {k: v[:frames] for k, v in vars(track).items() if isinstance(v, np.ndarray)}
+        return dataclasses.replace(track, **arrays)
+
+    rows = np.arange(frames, dtype=np.int64)
+    assert evaluation.truth is not None
+    return dataclasses.replace(
+        evaluation,
+        coverage=Coverage(frames, frames, 0, 0, 0, 0, 0, True, frames),
+        series={name: values[:frames] for name, values in evaluation.series.items()},
+        series_stamp_ns=evaluation.series_stamp_ns[:frames],
+        track=cut(evaluation.track),
+        truth=cut(evaluation.truth),
+        pairs=Pairs(rows, rows),
+    )
+
+
+def without_truth(evaluation: Evaluation) -> Evaluation:
+    frames = len(evaluation.track)
+    return dataclasses.replace(
+        evaluation,
+        coverage=Coverage(frames, frames, 0, 0, frames, 0, 0, False, 0),
+        metrics={"coverage": 1.0},
+        absent={"joint_error_mm": "no truth"},
+        series={},
+        series_stamp_ns=evaluation.series_stamp_ns[:0],
+        curve=None,
+        truth=None,
+        pairs=None,
+    )

@@ -20,7 +20,7 @@ from posetrack_cli.evaluation.html.page_data import page_data
 from posetrack_cli.evaluation.html.provenance import provenance
 from posetrack_cli.evaluation.html.summary import comparison_section, lead, notices, summary_tables
 from posetrack_cli.files import write_output
-from posetrack_cli.recording.output import check_place, whole_or_nothing
+from posetrack_cli.outputs import check_place, whole_or_nothing
 
 HERE = Path(__file__).parent
 SCRIPTS = (

@@ -8,8 +8,8 @@ from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Value
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.recording.timeline import GAP_FACTOR
+from posetrack_cli.units import NS_PER_S
 
 
 def consistency_metrics(track: Track) -> dict[str, Value]:

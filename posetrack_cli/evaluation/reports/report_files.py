@@ -7,7 +7,7 @@ from pathlib import Path
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import real_path, write_output
-from posetrack_cli.recording.output import check_free, check_place, whole_or_nothing
+from posetrack_cli.outputs import check_free, check_place, whole_or_nothing
 
 
 def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite: bool) -> None:

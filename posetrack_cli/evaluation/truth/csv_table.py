@@ -19,8 +19,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.files import open_input
 from posetrack_cli.recording.ordering import LATEST_NS
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.estimate import Status
+from posetrack_cli.units import NS_PER_S
 
 COMMENT = "#"
 SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces"}

@@ -20,11 +20,11 @@ from posetrack_cli.mcap.stream import read_channels, read_messages
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.recording.ordering import LATEST_NS
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
 from posetrack_cli.results.reader import Result, is_result, read_result
+from posetrack_cli.units import NS_PER_S
 
 
 def load_truth(

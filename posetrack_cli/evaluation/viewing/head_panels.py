@@ -16,8 +16,8 @@ from posetrack_cli.evaluation.viewing.panels import marked
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_roll_pitch_yaw
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.reader import Result
+from posetrack_cli.units import NS_PER_S
 
 ANGLES = ("roll", "pitch", "yaw")
 

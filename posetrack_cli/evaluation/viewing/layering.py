@@ -17,9 +17,9 @@ from posetrack_cli.evaluation.viewing.colours import TONES
 from posetrack_cli.evaluation.viewing.drawing import Drawer
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
 from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
+from posetrack_cli.units import NS_PER_S
 
 MOST_RESULTS = len(TONES)
 MOST_IN_SHEET = 120

@@ -14,7 +14,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import open_output as open_output_file
 from posetrack_cli.files import utf8_name, write_output
-from posetrack_cli.recording.output import (
+from posetrack_cli.outputs import (
     check_not_written,
     check_place,
     is_taken,

@@ -17,8 +17,8 @@ from posetrack_cli.evaluation.viewing.viewport import Viewport
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.units import NS_PER_S
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
 _DIMMED, _OPACITY = 0.6, 0.8

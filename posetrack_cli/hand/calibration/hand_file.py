@@ -8,7 +8,7 @@ from pathlib import Path
 from posetrack_cli.files import write_output
 from posetrack_cli.hand.calibration.calibrate import Calibration
 from posetrack_cli.hand.shape import SHAPE_NAMES
-from posetrack_cli.recording.output import whole_or_nothing
+from posetrack_cli.outputs import whole_or_nothing
 
 _DECIMALS = 4
 

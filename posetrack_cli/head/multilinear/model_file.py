@@ -16,7 +16,7 @@ from posetrack_cli.files import read_input, write_output
 from posetrack_cli.head.face import POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.npz import read_npz
-from posetrack_cli.recording.output import whole_or_nothing
+from posetrack_cli.outputs import whole_or_nothing
 
 FORMAT, VERSION = "posetrack.face_model", 1
 SHIPPED = Path(__file__).with_name("default.npz")

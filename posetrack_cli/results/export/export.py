@@ -8,7 +8,7 @@ from typing import IO
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
-from posetrack_cli.recording.output import check_target, whole_or_nothing
+from posetrack_cli.outputs import check_target, whole_or_nothing
 from posetrack_cli.results.export.npz_format import write_npz
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.export.text_formats import csv_text, json_text, tum_text

@@ -9,12 +9,12 @@ from io import StringIO
 
 import numpy as np
 
-from posetrack_cli.recording.stamps import NS_PER_S
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.export.header import euler_order, header_lines, header_values, point_axes
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
 from posetrack_cli.text import printable, printable_json
+from posetrack_cli.units import NS_PER_S
 
 METRES_PER_MM = 1e-3
 TUM_FIELDS = ("stamp_ns", "position", "quaternion")

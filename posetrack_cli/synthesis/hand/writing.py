@@ -13,11 +13,11 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from posetrack_cli import __version__
 from posetrack_cli.hand.model import MESH_DIGEST
 from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, CHUNK_BYTES, IMAGE_TOPIC
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
-from posetrack_cli.recording.output import check_output, whole_or_nothing
 from posetrack_cli.synthesis.hand.frames import Plan, SyntheticFrame, make_plan, render_plan
 from posetrack_cli.synthesis.hand.options import SWITCH_NAMES, SynthOptions
 from posetrack_cli.synthesis.hand.sensor import CAMERA

@@ -12,9 +12,9 @@ import numpy as np
 from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
 from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.conversion import CHUNK_BYTES
 from posetrack_cli.recording.mcap_calibration import calibration_message
-from posetrack_cli.recording.output import check_output, whole_or_nothing
 from posetrack_cli.results import messages
 from posetrack_cli.synthesis.head.encoding import FORMATS, image_message, message_class
 from posetrack_cli.synthesis.head.expression_script import deforming_interval

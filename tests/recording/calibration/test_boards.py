@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import board_support as support
 import cv2
 import numpy as np
 import pytest
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder
+from support import boards as support
 
 CORNER_PX = 0.15
 """Root mean square of found corners in noisy images whose edges lie on thirds of pixels."""

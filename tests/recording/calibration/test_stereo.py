@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import board_support as support
 import cv2
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from posetrack_cli.recording.calibration.solve import fit_camera, place_cameras
 from posetrack_cli.recording.calibration.stereo import StereoCalibration, calibrate_stereo
 from posetrack_cli.recording.calibration.views import CameraViews
 from posetrack_cli.recording.rig_file import load_rig
+from support import boards as support
 
 VIEWS = 10
 CORNER_PX = 0.1
