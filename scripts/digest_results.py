@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -117,7 +118,7 @@ def head_runs() -> Iterator[Step]:
         "mono-start": "mono {head-two} --cameras left --adjust start",
         "mono-never": "mono {head-one} --adjust never --passes 1",
         "mono-loaded": "mono {head-one} --load-model mono.npz --passes 1",
-        "mono-guess": "mono faces/left --fov 50 --fps 30 --passes 1",
+        "mono-guess": "mono uncalibrated --fov 50 --fps 30 --passes 1",
         "mono-paper": "mono {head-one} --config head-mono-paper --passes 1",
     }
     saved = {"stereo-one": ("stereo.npz",), "mono-one": ("mono.npz",)}
@@ -248,6 +249,12 @@ class Workplace:
         values = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy")}
         (folder / "camera.toml").write_text("".join(f"{key} = {value!r}\n" for key, value in values.items()))
 
+    def copy_images(self, source: str, target: str) -> None:
+        """Copy the images of a folder without what else is told of them."""
+        (self._folder / target).mkdir()
+        for path in sorted((self._folder / source).glob("*.png")):
+            shutil.copy(path, self._folder / target / path.name)
+
 
 def files_of(path: Path) -> list[Path]:
     """Return a file, or all files of a folder in order."""
@@ -290,6 +297,7 @@ def main(output: Path | None, against: Path | None, only: Sequence[str], keep: P
         for step in (step for name in groups for step in GROUPS[name]()):
             if step.name == "convert-folder":
                 workplace.write_depth_folder("hand-C.mcap")
+                workplace.copy_images("faces/left", "uncalibrated")
             now[step.name] = workplace.digest(step)
             print(f"{time.monotonic() - began:7.1f} s  {step.name}", file=sys.stderr, flush=True)
     print(f"{sum(len(d) for d in now.values())} digests of {len(now)} commands")
