@@ -16,8 +16,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
-from posetrack_cli.results.camera_record import camera_from_json
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.records import camera_from_json
 
 Found = TypeVar("Found")
 

@@ -9,7 +9,8 @@ import numpy as np
 from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.estimate import FIELD_NAMES, Status, Subject
+from posetrack_cli.results.estimate import Status, Subject
+from posetrack_cli.results.fields import FIELD_NAMES
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import Subject, check_estimate
+from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.fields import check_estimate
 from support.results import SUBJECT, make_estimate, with_fields
 
 

@@ -26,10 +26,10 @@ from posetrack_cli.results import (
     load_arrays,
     read_result,
 )
-from posetrack_cli.results.estimate import FIELD_NAMES
 from posetrack_cli.results.export.export import FORMATS, TEXT_FORMATS, export_file, export_text
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.results.export.table import table_of
+from posetrack_cli.results.fields import FIELD_NAMES
 from support.results import CAMERA, RUN, SUBJECT, begin, make_estimate, with_fields, write_frames
 
 FRAMES = 12
