@@ -13,6 +13,7 @@ from posetrack_cli.losses import loss_line
 from posetrack_cli.results.columns import Columns, empty_columns, joined
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.results.export.table import table_of
+from posetrack_cli.results.fields import BY_NAME
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.subject_kind import kind_of
 
@@ -37,9 +38,9 @@ class ExportSource:
         Raises:
             ResultError: as there, or shape entries or points are not those of the result's subject.
         """
-        for block in self.result.column_blocks(
-            self.topic, {"status", "shape", "points", *(fields or self.result.field_names)}
-        ):
+        wanted = {"status", "shape", "points", *(fields or self.result.field_names)}
+        in_order = [name for name in BY_NAME if name in wanted]  # which decides the bytes of what is written
+        for block in self.result.column_blocks(self.topic, in_order):
             self._check(block)
             if self.lost:
                 yield block
