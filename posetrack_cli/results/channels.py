@@ -31,6 +31,13 @@ from posetrack_cli.results.tracks import (
     topics_prefix,
 )
 
+CAMERA_PREFIX = "/camera"
+CALIBRATION, ANNOTATIONS = "calibration", "annotations"
+CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
+"""Of the only camera; of several each has its own, ``/camera/<name>/calibration``."""
+PLACES_TOPIC = "/tf_static"
+"""Where the other cameras stand."""
+
 
 class TrackChannels:
     """Writes the estimates of one track, each on every topic that shows it.
@@ -93,14 +100,6 @@ class TrackChannels:
 
     def _write(self, channel_id: int, stamp_ns: int, message: messages.Message) -> None:
         self._sink.write(channel_id, stamp_ns, message.SerializeToString(deterministic=True))
-
-
-CAMERA_PREFIX = "/camera"
-CALIBRATION, ANNOTATIONS = "calibration", "annotations"
-CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
-"""Of the only camera; of several each has its own, ``/camera/<name>/calibration``."""
-PLACES_TOPIC = "/tf_static"
-"""Where the other cameras stand."""
 
 
 def camera_topic(camera: Camera, what: str, cameras: int) -> str:

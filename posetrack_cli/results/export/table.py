@@ -24,6 +24,9 @@ LINEAR_VELOCITY = ("vx_mm_s", "vy_mm_s", "vz_mm_s")
 ANGULAR_VELOCITY = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 
 
+Values: TypeAlias = np.ndarray[Any, Any]
+
+
 def point_columns(names: Iterable[str]) -> tuple[str, ...]:
     """Return three columns for each point, in mm."""
     return tuple(f"{name}_{axis}_mm" for name in names for axis in "xyz")
@@ -39,9 +42,6 @@ def rate_columns(subject: Subject, *suffixes: str) -> tuple[str, ...]:
     """Return a column for the rate of each shape entry, ``..._rad_s`` or ``..._per_s``."""
     unit = kind_of(subject.name).shape_unit or "per"
     return tuple("_".join((name, *suffixes, unit, "s")) for name in subject.shape_names)
-
-
-Values: TypeAlias = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
