@@ -116,7 +116,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.layering import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import View
-    from posetrack_cli.rendering.gl.context import open_context
+    from posetrack_cli.rendering.devices import open_device
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[name] for name in DRAWN}
@@ -126,7 +126,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     recording = required_recording(results[0], options["recording"], **chosen)
     if _of_images(results):
         return HeadView(results, recording, view_options)
-    return View(results, recording, view_options, open_context(options["device"]))
+    return View(results, recording, view_options, open_device(options["device"]))
 
 
 def _of_images(results: Sequence[Result]) -> bool:
