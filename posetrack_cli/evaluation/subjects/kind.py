@@ -33,7 +33,7 @@ class SubjectKind:
         measure: fills them.
         parts: names of parts by the kind of part (``Metric.part``). ``state`` are those that the covariance
             metrics tell apart.
-        point_part, shape_part: kinds of part that a result's own points and shape entries are.
+        point_part, shape_part: kinds of part that a result's points and shape entries are; empty for none.
         point_metric: the error of single points.
         key_figures: how good a track is, in a few figures. Regressions are found in these.
         studied_figures: what groups of results are compared by beyond the key figures.
@@ -64,6 +64,7 @@ class SubjectKind:
         self, metric: Metric, point_names: Sequence[str] = (), shape_names: Sequence[str] = ()
     ) -> tuple[str, ...]:
         """Return the parts of a metric for these points and shape entries, by default our own."""
+        if metric.part is None:
+            return ()
         own = {self.point_part: tuple(point_names), self.shape_part: tuple(shape_names)}
-        part = metric.part or ""
-        return own.get(part) or self.parts.get(part, ())
+        return own.get(metric.part) or self.parts.get(metric.part, ())
