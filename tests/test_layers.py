@@ -25,7 +25,17 @@ LAYERS = (
     "geometry",
 )
 """Packages, each above those that it may import from; single modules lie below all of them."""
-FOR_FILTERS = {"arrays", "errors", "numpy", "math", "__future__", "collections", "dataclasses", "types", "typing"}
+FOR_FILTERS = {
+    "arrays",
+    "errors",
+    "numpy",
+    "math",
+    "__future__",
+    "collections",
+    "dataclasses",
+    "types",
+    "typing",
+}
 """All that filters may use: they know plain arrays, no GL, no files, no OpenCV."""
 HEAVY = {"numpy", "scipy", "cv2", "pydantic", "mcap", "moderngl", "google.protobuf"}
 MODULES = {

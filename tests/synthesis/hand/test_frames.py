@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.synthesis.hand import Switches, SyntheticFrame, SynthOptions, make_plan, synthesise
-from posetrack_cli.synthesis.hand.edges import MISSING_FRACTIONS
-from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.synthesis.hand.frames import SyntheticHandFrame, make_plan, synthesise
+from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
+from posetrack_cli.synthesis.hand.sensor import CAMERA, MISSING_FRACTIONS
 
 BARE = Switches()
 
 
-def frames(context: Any, **options: Any) -> list[SyntheticFrame]:
+def frames(context: Any, **options: Any) -> list[SyntheticHandFrame]:
     return list(synthesise(SynthOptions(**{"switches": BARE, "frames": 4, **options}), context=context))
 
 
-def first(context: Any, **options: Any) -> SyntheticFrame:
+def first(context: Any, **options: Any) -> SyntheticHandFrame:
     return frames(context, frames=1, **options)[0]
 
 
