@@ -69,26 +69,6 @@ def check_option(name: str, value: object, good: bool, expected: str) -> None:
         raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
 
 
-def drawn(frames: Callable[[Any], Iterator[Frame]], context: Any = None) -> Iterator[Frame]:
-    """Yield the frames that a function draws with a GL context.
-
-    Args:
-        frames: draws them.
-        context: an open one; by default one is opened, and released at the end.
-
-    Raises:
-        RenderingError: there is no working GL.
-    """
-    from posetrack_cli.rendering.gl.context import open_context
-
-    own = open_context() if context is None else None
-    try:
-        yield from frames(context or own)
-    finally:
-        if own is not None:
-            own.release()
-
-
 def reported(frames: Iterator[Frame], report: Callable[[Frame], None]) -> Iterator[Frame]:
     """Yield frames, each after it was reported."""
     for frame in frames:

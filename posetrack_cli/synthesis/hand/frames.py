@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +19,9 @@ from posetrack_cli.hand.anatomy import (
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.space import pose_rates
+from posetrack_cli.rendering.devices import device_or_default
+from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.window import Window
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.synthesis.hand.motion import Motion, make_motion
@@ -28,7 +29,6 @@ from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.scene import Scene, room_depth
 from posetrack_cli.synthesis.hand.sensor import CAMERA, missing_beside_edges, noisy, quantised
 from posetrack_cli.synthesis.hand.walk import WalkNoise
-from posetrack_cli.synthesis.recording import drawn
 from posetrack_cli.synthesis.timeline import Timeline, make_timeline
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
@@ -130,28 +130,29 @@ def make_plan(options: SynthOptions, noise: WalkNoise | None = None) -> Plan:
 
 
 def synthesise(
-    options: SynthOptions, *, noise: WalkNoise | None = None, context: Any = None
+    options: SynthOptions, *, noise: WalkNoise | None = None, device: RenderingDevice | None = None
 ) -> Iterator[SyntheticHandFrame]:
     """Yield the frames of a synthetic recording; the camera is ``CAMERA``.
 
     Args:
         options: of the recording.
         noise: of the random walks A and B.
-        context: an open GL context to draw with; by default one is opened and released at the end.
+        device: draws the frames; by default one is opened, and closed at the end.
 
     Raises:
-        RenderingError: there is no working GL.
+        RenderingError: nothing can be drawn here.
     """
-    yield from render_plan(make_plan(options, noise), context=context)
+    yield from render_plan(make_plan(options, noise), device=device)
 
 
-def render_plan(plan: Plan, *, context: Any = None) -> Iterator[SyntheticHandFrame]:
+def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHandFrame]:
     """Yield the frames of a plan; as ``synthesise``."""
-    yield from drawn(partial(_frames, plan), context)
+    with device_or_default(device) as drawing:
+        yield from _frames(plan, drawing)
 
 
-def _frames(plan: Plan, context: Any) -> Iterator[SyntheticHandFrame]:
-    sensor = _Sensor(plan, context)
+def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHandFrame]:
+    sensor = _Sensor(plan, device)
     joints = joint_positions(plan.anatomy, plan.motion.poses)
     seconds, twists = plan.timeline.seconds, plan.motion.twists
     for index, instant in enumerate(np.flatnonzero(plan.written).tolist()):
@@ -170,16 +171,13 @@ def _frames(plan: Plan, context: Any) -> Iterator[SyntheticHandFrame]:
 class _Sensor:
     """Draws the scene and reads it as a Kinect would."""
 
-    def __init__(self, plan: Plan, context: Any) -> None:
-        from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
-        from posetrack_cli.rendering.window import Window
-
+    def __init__(self, plan: Plan, device: RenderingDevice) -> None:
         self._switches, self._rng = plan.options.switches, plan.rng
         self._mirrored = plan.anatomy.is_left
         self._scene = Scene(plan.hand, self._switches)
         self._window = Window.whole(CAMERA)
         size = (CAMERA.width, CAMERA.height)
-        self._renderer = TiledDepthRenderer(context, self._scene.mesh, size, most=1)
+        self._renderer = device.depth_renderer(self._scene.mesh, size, most=1)
         room = room_depth(CAMERA)
         self._room = room[:, ::-1] if self._mirrored else room
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +12,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.rendering.devices import device_or_default
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.synthesis.head.expression_script import ExpressionScript, make_script
@@ -27,7 +27,6 @@ from posetrack_cli.synthesis.head.person import Person, make_person
 from posetrack_cli.synthesis.head.scene import Scene
 from posetrack_cli.synthesis.head.sensor import Sensor, make_cameras
 from posetrack_cli.synthesis.head.skin_grid import SkinGrid, skin_grid
-from posetrack_cli.synthesis.recording import drawn
 from posetrack_cli.synthesis.timeline import Timeline, dropped_images, nominal_stamps
 
 COMPONENTS = 0
@@ -144,29 +143,32 @@ def make_plan(options: HeadSynthOptions) -> Plan:
     )
 
 
-def synthesise(options: HeadSynthOptions, *, context: Any = None) -> Iterator[SyntheticHeadFrame]:
+def synthesise(
+    options: HeadSynthOptions, *, device: RenderingDevice | None = None
+) -> Iterator[SyntheticHeadFrame]:
     """Yield the frames of a synthetic recording; its cameras are ``make_cameras(options)``.
 
     Args:
         options: of the recording.
-        context: an open GL context to draw with; by default one is opened and released at the end.
+        device: draws the frames; by default one is opened, and closed at the end.
 
     Raises:
-        RenderingError: there is no working GL.
+        RenderingError: nothing can be drawn here.
     """
-    yield from render_plan(make_plan(options), context=context)
+    yield from render_plan(make_plan(options), device=device)
 
 
-def render_plan(plan: Plan, *, context: Any = None) -> Iterator[SyntheticHeadFrame]:
+def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHeadFrame]:
     """Yield the frames of a plan; as ``synthesise``."""
-    yield from drawn(partial(_frames, plan), context)
+    with device_or_default(device) as drawing:
+        yield from _frames(plan, drawing)
 
 
-def _frames(plan: Plan, context: Any) -> Iterator[SyntheticHeadFrame]:
+def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHeadFrame]:
     sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
     size = (sensors[0].drawn.width, sensors[0].drawn.height)
     origin, looks, times = plan.movement.origin, plan.identity.looks, plan.timeline.seconds
-    scene = Scene(context, plan.person, looks, plan.grid, size, origin, plan.scenery)
+    scene = Scene(device, plan.person, looks, plan.grid, size, origin, plan.scenery)
     poses, twists = plan.movement.poses(times), plan.movement.twists(times)
     strengths = plan.script.strengths(times)
     try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
@@ -11,7 +9,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.poses import in_camera
 from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.rendering.gl.textured import Lighting, Surface, TexturedRenderer
+from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
 from posetrack_cli.synthesis.head.fields import layered_field, smooth_field, smooth_step
 from posetrack_cli.synthesis.head.identity import Looks
 from posetrack_cli.synthesis.head.illumination import LAMPS
@@ -47,7 +45,7 @@ class Scene:
     """Head, trunk, wall and an occluder, drawn as cameras see them.
 
     Args:
-        context: an open GL context.
+        device: draws it.
         person, looks: who is seen.
         grid: of the skin.
         size: (width, height) of the images drawn.
@@ -57,7 +55,7 @@ class Scene:
 
     def __init__(
         self,
-        context: Any,
+        device: RenderingDevice,
         person: Person,
         looks: Looks,
         grid: SkinGrid,
@@ -72,7 +70,7 @@ class Scene:
         skin = Surface(grid.triangles, grid.texcoords.reshape(-1, 2), head_texture(looks))
         others = (trunk_surface(cloth), wall_surface(wall))
         surfaces = [skin, ear, ear, *others, occluder_surface(board)]
-        self._renderer = TexturedRenderer(context, size, surfaces, LAMPS)
+        self._renderer = device.surface_renderer(size, surfaces, LAMPS)
         self._place(WALL, wall_vertices(float(origin[2])), facing=True)
 
     def set(self, pose: HeadPose, strengths: FloatArray, occluder: FloatArray | None) -> None:
