@@ -32,8 +32,7 @@ def checkpoint_of(tracker: Tracker[Any], reached: Reached, frames: int) -> Check
     record: dict[str, Any] = {"rng": reached.rng.bit_generator.state}
     if reached.state is None:
         return Checkpoint(reached.frame_index, frames, {}, record)
-    arrays, numbers = tracker.state_parts(reached.state)
-    return Checkpoint(reached.frame_index, frames, arrays, record | {"numbers": numbers})
+    return Checkpoint(reached.frame_index, frames, tracker.codec.to_arrays(reached.state), record)
 
 
 def reached_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> Reached:
@@ -46,7 +45,7 @@ def reached_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Gen
     _set_state(rng, record.get("rng"))
     if index < 0:
         return Reached(None, rng, index)
-    return Reached(tracker.state_from_parts(checkpoint.arrays, record.get("numbers", {})), rng, index)
+    return Reached(tracker.codec.from_arrays(checkpoint.arrays), rng, index)
 
 
 def _set_state(rng: np.random.Generator, state: Any) -> None:

@@ -25,6 +25,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
 from posetrack_cli.tracking.checkpoints import Reached
+from posetrack_cli.tracking.state_codec import whole
 from soaking import disks
 from soaking.__main__ import main
 from soaking.cases import Case, Recordings
@@ -195,8 +196,7 @@ def test_a_figure_beyond_its_bound_is_a_trouble(capsys: pytest.CaptureFixture[st
 class NoTracker:
     """A tracker whose states are numbers."""
 
-    def state_parts(self, state: int) -> Any:
-        return {"state": np.array([state])}, {}
+    codec = whole()
 
 
 def test_steps_of_both_passes_are_counted(tmp_path: Path) -> None:

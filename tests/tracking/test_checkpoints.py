@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,20 +10,20 @@ import numpy as np
 
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
+from posetrack_cli.results.layouts import floats
 from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
 from posetrack_cli.tracking.protocol import Tracker
+from posetrack_cli.tracking.state_codec import Fields, Value, whole
 
 
 class Counting:
     """A tracker whose state is an array and a number."""
 
-    def state_parts(self, state: tuple[np.ndarray, int]) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-        return {"sum": state[0]}, {"count": state[1]}
-
-    def state_from_parts(
-        self, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, int]
-    ) -> tuple[np.ndarray, int]:
-        return arrays["sum"], numbers["count"]
+    codec = Fields(
+        lambda sum, count: (sum, count),
+        sum=(itemgetter(0), Value(floats("n"))),
+        count=(itemgetter(1), whole()),
+    )
 
 
 TRACKER = cast(Tracker[Any], Counting())

@@ -6,8 +6,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import rotate_with_jacobian
 from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, deformation_basis, place, residual, turn
+from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, deformation_basis, place, residual
 
 
 @kernel
@@ -55,7 +56,7 @@ def view_lengths(
     """Write (K,) how far each point of a view is off, in standard deviations; infinite behind the camera."""
     rotation, left, arm, error = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
-    turn(local[3:6], problem.rotations[view], rotation, left)
+    rotate_with_jacobian(local[3:6], problem.rotations[view], rotation, left)
     for k in range(len(lengths)):
         place(problem, k, local, unknowns.shared, basis, rotation, arm)
         x, y, z = (

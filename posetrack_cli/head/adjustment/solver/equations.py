@@ -13,14 +13,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import rotate_with_jacobian
 from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import (
-    NEAREST_MM,
-    identity_basis,
-    place,
-    residual,
-    turn,
-)
+from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, identity_basis, place, residual
 
 
 class Equations(NamedTuple):
@@ -45,7 +40,7 @@ class Rows(NamedTuple):
     """Room for one view: its pose, bases and a point's rows.
 
     Attributes:
-        rotation, left: (3, 3) of ``turn``.
+        rotation, left: (3, 3) of ``rotate_with_jacobian``.
         deformations: (K, 3, A) of ``deformation_basis``.
         identities: (K, 3, S) of ``identity_basis``.
         by_point: (2, 3) d r / d X; in_head: times R.
@@ -96,7 +91,7 @@ def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equa
     """Write the equations at the unknowns, whose deformation basis stands in the rows."""
     begin(problem, unknowns, part, equations)
     for view in range(part.first, part.last):
-        turn(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
+        rotate_with_jacobian(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
         if part.shared > 0:
             identity_basis(problem, unknowns.local[view], rows.identities)
         for k in range(len(problem.mean)):
