@@ -234,7 +234,7 @@ def test_confidence_that_stays_low_is_lost_and_comes_back() -> None:
     for k in range(6):
         scorer.scale = 0.1 if k in (0, 4) else 1e9  # everywhere c_max, but in these frames
         state, estimate = tracker.step(state, seen(k), rng)
-        statuses.append((str(estimate.status), state.watch.misses))
+        statuses.append((str(estimate.status), state.monitor.misses))
     assert statuses == [
         ("tracking", 0),
         ("tracking", 1),
@@ -266,16 +266,16 @@ def same(first: Estimate, second: Estimate) -> None:
 def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(kind: str) -> None:
     tracker = tracker_with(DistanceScorer(START[:3]), kind, status={"lost_below": 0.99})
     state, _ = run(tracker, [seen(k) for k in range(4)])
-    assert state.watch.misses > 0
+    assert state.monitor.misses > 0
     restored = assert_lawful(tracker.codec, state)
-    assert restored.watch == state.watch
+    assert restored.monitor == state.monitor
     np.testing.assert_array_equal(restored.velocity, state.velocity)
     np.testing.assert_array_equal(restored.pose, state.pose)
     for k in range(4, 7):
         state, expected = tracker.step(state, seen(k), np.random.default_rng(k))
         restored, found = tracker.step(restored, seen(k), np.random.default_rng(k))
         same(expected, found)
-    assert restored.watch == state.watch
+    assert restored.monitor == state.monitor
 
 
 @both_filters

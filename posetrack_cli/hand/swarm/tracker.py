@@ -25,9 +25,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, TANGENT_ANGLES, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig, PsoSettings
-from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.protocol import found_pose, hand_estimate
 from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
 from posetrack_cli.hand.swarm.objective import SwarmObjective
 from posetrack_cli.recording.base import Frame
@@ -87,8 +87,7 @@ class SwarmTracker:
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> SwarmState:
         """Return the state before a first frame: the hand that is found in it, else a pose (22,)."""
-        found = None if self._finder is None else self._finder.search(frame.depth)
-        return self.start(pose if found is None else found.pose, frame.stamp_ns, rng)
+        return self.start(found_pose(self._finder, frame, pose), frame.stamp_ns, rng)
 
     def step(self, state: SwarmState, frame: Frame, rng: np.random.Generator) -> tuple[SwarmState, Estimate]:
         """Advance by one frame; the state given is left as it is.
@@ -96,11 +95,6 @@ class SwarmTracker:
         Where there is nothing to compare with, the hand stays where it was. The estimate's cost is the
         objective's first term, its confidence 1 - cost / d_M, and 0 where the frame shows no outline of a
         hand there: the same measures as a filter's.
-
-        Args:
-            state: after the frame before.
-            frame: depth, mm.
-            rng: source of randomness.
 
         Raises:
             FilterError: stamps do not increase.
@@ -139,19 +133,16 @@ class SwarmTracker:
         self, frame: Frame, state: SwarmState, cost: float | None, confidence: float | None, evaluations: int
     ) -> Estimate:
         lost = confidence is None or state.misses >= self.config.status.lost_after_frames
-        return Estimate(
+        return hand_estimate(
+            self.anatomy,
+            state.pose,
+            None,
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=Status.LOST if lost else Status.TRACKING,
             confidence=confidence or 0.0,
-            position=state.pose[:3],
-            quaternion=state.pose[3:7],
-            shape=state.pose[ANGLES],
-            pose_rate=None,
-            twist=None,
             pose_variance=None,
             twist_variance=None,
-            points=joint_positions(self.anatomy, state.pose[None])[0],
             effective_sample_size=None,
             resampled=False,
             cost=cost,
