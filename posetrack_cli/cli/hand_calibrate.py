@@ -49,8 +49,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     The hand should be seen open, from its palm and its back, and with its fingers bent, for a few seconds.
     What is written is a configuration: posetrack hand run RECORDING --config HAND.toml.
     """
-    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate
-    from posetrack_cli.hand.calibration.hand_file import write_hand_file
+    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate, write_hand_file
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
     from posetrack_cli.recording.opening import open_recording

@@ -14,7 +14,7 @@ from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.model import Sampling
 from posetrack_cli.filtering.step import Proposer
 from posetrack_cli.hand.config import FitSettings
-from posetrack_cli.hand.guiding import LocalFits
+from posetrack_cli.hand.local_fits import LocalFits
 
 BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
 """Components of the tangent space that move, or err, together: the palm, then each finger."""

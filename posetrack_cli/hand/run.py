@@ -17,8 +17,8 @@ from posetrack_cli.filtering.smoothing import NOTHING
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.protocol import HandTrackerProtocol
 from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother

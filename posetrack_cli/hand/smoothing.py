@@ -18,7 +18,7 @@ from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Smoothe
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.frame_fits import HandFits
+from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.proposals import BLOCKS, PROPOSALS
 from posetrack_cli.hand.protocol import hand_estimate

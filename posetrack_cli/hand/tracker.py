@@ -18,9 +18,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.guiding import LocalFits
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer
+from posetrack_cli.hand.local_fits import LocalFits
 from posetrack_cli.hand.monitor import TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
@@ -111,7 +111,7 @@ class HandTracker:
         self._proposal = PROPOSALS.find(config.filter.proposal)
         self._finder = finder if self._proposal.fits_frames else None
         plausible = finder is not None and self._proposal.looks_at_frames
-        self._fitter = finder.guiding.fitter if finder is not None and plausible else None
+        self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
         self._space, self.dynamics = HandSpace(), dynamics(config)
         resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self._model = FilterModel(self.dynamics, self._space, resampling, self._proposal.sampling)
@@ -162,16 +162,16 @@ class HandTracker:
         monitor = self._monitored(seen, cost if shown else None, confidence)
         unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
-        following = HandState(
+        new_state = HandState(
             particles, frame.stamp_ns, pose, velocity, monitor, unseen_ns, max(seen.dt, 0.0), seen.restarted
         )
         modes = None if seen.fits is None else seen.fits.modes
-        following = replace(following, modes=modes, observation=seen.observation)
+        new_state = replace(new_state, modes=modes, observation=seen.observation)
         again = seen.restarted and state.monitor.found
         status = Status.TRACKING if shown and monitor.is_believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
-        return following, replace(estimate, evaluations=_evaluations(seen, drawn))
+        return new_state, replace(estimate, evaluations=_evaluations(seen, drawn))
 
     def _observe(
         self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator
@@ -188,7 +188,7 @@ class HandTracker:
         if self._finder is None or dt <= 0.0:
             return FrameObservation(state, dt, observation)
         enough = state.monitor.sufficient_mm
-        fits = self._finder.guiding.fit(observation, predicted, state.pose[None], dt, rng, enough)
+        fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough)
         seen = FrameObservation(state, dt, observation, fits)
         return self._reconsidered(self._finder, seen, frame, rng)
 
@@ -244,7 +244,7 @@ class HandTracker:
         observation = self._observer.observe(frame.depth, found.pose)
         if observation.target_pixels == 0:
             return seen
-        fits = finder.guiding.fit(observation, found.pose, seen.state.pose[None], seen.dt, rng)
+        fits = finder.local_fitter.fit(observation, found.pose, seen.state.pose[None], seen.dt, rng)
         return seen._replace(observation=observation, fits=fits)
 
     def _restarted(
@@ -262,7 +262,7 @@ class HandTracker:
         observation = self._observer.observe(frame.depth, found.pose)
         if observation.target_pixels == 0:
             return FrameObservation(state, dt, None, restarted=True)
-        fits = finder.guiding.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
+        fits = finder.local_fitter.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
         return FrameObservation(state, dt, observation, fits, restarted=True)
 
     def _confidence(self, cost: float | None) -> float:

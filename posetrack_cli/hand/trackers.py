@@ -7,8 +7,8 @@ from typing import Any
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.proposals import PROPOSALS
@@ -38,7 +38,7 @@ def make_tracker(
     segmenting = Observer(config, hand.anatomy, camera, segment=True)
     finder, proposal = None, PROPOSALS.find(config.filter.proposal)
     if proposal.looks_at_frames or config.init.method == "auto":
-        finder = Acquisition(config, hand, camera, scorer, segmenting, Guiding(config, hand, camera))
+        finder = Acquisition(config, hand, camera, scorer, segmenting, LocalFitter(config, hand, camera))
     if config.filter.kind == "pso":
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, camera, objective, finder)

@@ -342,7 +342,7 @@ def test_annealing_takes_the_anatomy_s_potential_and_counts_every_pose(kind: str
         return 0.5 * np.square((poses[:, joint] - held) / sd)
 
     fitter = SimpleNamespace(potentials=potentials)
-    finder: Any = SimpleNamespace(guiding=SimpleNamespace(fitter=fitter))
+    finder: Any = SimpleNamespace(local_fitter=SimpleNamespace(fitter=fitter))
     config = configured(filter={"kind": kind, "particles": 64, "proposal": "annealed"})
     scorer = DistanceScorer(START[:3])
     tracker = HandTracker(config, ANATOMY, KINECT, scorer, observing(config), finder)

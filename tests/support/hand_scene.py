@@ -16,9 +16,9 @@ from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.tracker import HandTracker
@@ -121,7 +121,7 @@ def acquisition(device: RenderingDevice, hand: HandModel, config: HandConfig | N
     config = config or HandConfig()
     scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
     observer = Observer(config, hand.anatomy, KINECT, segment=True)
-    return Acquisition(config, hand, KINECT, scorer, observer, Guiding(config, hand, KINECT))
+    return Acquisition(config, hand, KINECT, scorer, observer, LocalFitter(config, hand, KINECT))
 
 
 def tracker(device: RenderingDevice, hand: HandModel, config: HandConfig | None = None) -> HandTracker:

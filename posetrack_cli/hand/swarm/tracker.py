@@ -103,16 +103,16 @@ class SwarmTracker:
             check_time_step((frame.stamp_ns - state.stamp_ns) * 1e-9)
         observation = self._observer.observe(frame.depth, state.pose)
         if observation.target_pixels == 0:
-            following = SwarmState(state.pose, frame.stamp_ns, state.misses + 1)
-            return following, self._estimate(frame, following, None, None, 0)
+            new_state = SwarmState(state.pose, frame.stamp_ns, state.misses + 1)
+            return new_state, self._estimate(frame, new_state, None, None, 0)
         pose, optimum = self._search(state.pose, observation, rng)
         cost = float(self.objective.evaluate(pose[None], observation).depth[0])  # one evaluation more
         is_known = state.misses < self.config.status.lost_after_frames
         shown = self._observer.shows_hand(frame.depth, pose, is_known=is_known)
         confidence = max(0.0, 1.0 - cost / self.config.pso.clamp_mm) if shown else None
         missed = confidence is None or confidence < self.config.status.lost_below
-        following = SwarmState(pose, frame.stamp_ns, state.misses + 1 if missed else 0)
-        return following, self._estimate(frame, following, cost, confidence, optimum.evaluations + 1)
+        new_state = SwarmState(pose, frame.stamp_ns, state.misses + 1 if missed else 0)
+        return new_state, self._estimate(frame, new_state, cost, confidence, optimum.evaluations + 1)
 
     def _search(
         self, last: FloatArray, observation: Observation, rng: np.random.Generator
