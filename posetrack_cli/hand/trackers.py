@@ -13,8 +13,7 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import HandTrackerProtocol
-from posetrack_cli.hand.swarm.objective import RenderedObjective
-from posetrack_cli.hand.swarm.tracker import SwarmTracker
+from posetrack_cli.hand.swarm import RenderedObjective, SwarmTracker
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.rendering.port import RenderingDevice
 

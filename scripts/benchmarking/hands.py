@@ -20,7 +20,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.swarm.objective import RenderedObjective
+from posetrack_cli.hand.swarm import RenderedObjective
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.port import RenderingDevice
 from stepping import Walker, in_turn

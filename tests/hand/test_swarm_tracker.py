@@ -13,8 +13,7 @@ from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.hand.swarm.objective import Objective
-from posetrack_cli.hand.swarm.tracker import SwarmState, SwarmTracker, search_box
+from posetrack_cli.hand.swarm import Objective, SwarmState, SwarmTracker, search_box
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
