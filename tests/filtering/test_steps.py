@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
+from posetrack_cli.filtering.filters import FILTERS, MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import velocity_moments
@@ -294,3 +294,9 @@ def test_velocity_of_a_steady_turn_through_half_a_turn_and_the_sign_flip() -> No
     assert np.all(np.abs(posterior.velocity - rate) < 4.0 * np.sqrt(posterior.velocity_variance))
     assert np.all(np.sqrt(posterior.velocity_variance) < 0.3)
     assert rot.angle_between(posterior.pose, seen) < 4.0 * np.sqrt(posterior.pose_variance.max())
+
+
+def test_filters_are_found_by_the_names_that_configurations_use() -> None:
+    assert (FILTERS.find("pf"), FILTERS.find("rbpf")) == (ParticleState, MarginalState)
+    with pytest.raises(FilterError, match="no such filter, found rpbf; did you mean 'rbpf'"):
+        FILTERS.find("rpbf")
