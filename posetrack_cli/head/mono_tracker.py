@@ -25,10 +25,10 @@ from posetrack_cli.head.person import KnownPerson, new_person
 from posetrack_cli.head.person_codec import known_people, people_codec
 from posetrack_cli.head.person_following import PersonFollower
 from posetrack_cli.head.projection import project
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.start.start import NoStart
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
@@ -45,7 +45,7 @@ FORGOTTEN_S = 1.0
 
 
 class MonoTracker:
-    """Follows one head in the images of one camera; a ``HeadTracker``.
+    """Follows one head in the images of one camera; a ``LearningTracker``.
 
     Args:
         config: parameters.
@@ -254,7 +254,7 @@ class MonoTracker:
         """Begin at once, from points that a person clicked."""
         start = self._finder.begin(detected)
         if isinstance(start, NoStart):
-            raise NoFaceError(
+            raise NothingFoundError(
                 "clicked points begin no head",
                 where=self._clicked_where,
                 found=start.reason,

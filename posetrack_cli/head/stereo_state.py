@@ -10,12 +10,13 @@ from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.following import Following
 from posetrack_cli.head.learning import FaceLearning, known_face
-from posetrack_cli.head.model_file import Learned, unusable
+from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.state_codecs import following_codec, search_codec, template_codec
 from posetrack_cli.head.templates import TemplateSet
 from posetrack_cli.results.layouts import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.state_codec import Array, Codec, Fields, Maybe, Stacked, Value, real, whole
+from posetrack_cli.tracking.two_pass import Learned
 
 
 @dataclass(frozen=True, eq=False)

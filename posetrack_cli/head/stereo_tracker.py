@@ -19,7 +19,6 @@ from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
 from posetrack_cli.head.motion import FRAME_S
 from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.start.start import NoStart, Start, find_start
@@ -29,6 +28,7 @@ from posetrack_cli.head.templates import TemplateSet, take_templates
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 
 class FindStart(Protocol):
@@ -39,7 +39,7 @@ class FindStart(Protocol):
 
 
 class StereoTracker:
-    """Follows one head in the images of calibrated cameras; a ``HeadTracker``.
+    """Follows one head in the images of calibrated cameras; a ``LearningTracker``.
 
     Args:
         config: parameters.
@@ -169,7 +169,7 @@ class StereoTracker:
         search = state.search.failed(failure)
         if search.images_exchanged:
             names = [camera.name for camera in self._cameras]
-            raise NoFaceError(
+            raise NothingFoundError(
                 "the cameras' images seem to be exchanged",
                 found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
                 + ", ".join(names[c] for c in search.order),

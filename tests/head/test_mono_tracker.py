@@ -16,10 +16,10 @@ from posetrack_cli.head.estimates import UNSEEN
 from posetrack_cli.head.mono_start import start as mono_start
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.projection import project
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.templates import take_templates, tangents
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same
 from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
@@ -290,7 +290,7 @@ def test_clicked_points_begin_at_once() -> None:
 def test_clicked_points_that_are_no_face_are_refused() -> None:
     pixels = project((CAMERA,), pose_at(0).points(SHAPE)).pixels[0]
     scene = Scene(clicked=pixels[[8, 5, 4, 1, 0, 3, 9, 2, 6, 7]])
-    with pytest.raises(NoFaceError, match="clicked points begin no head"):
+    with pytest.raises(NothingFoundError, match="clicked points begin no head"):
         scene.step(0)
 
 

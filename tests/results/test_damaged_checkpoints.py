@@ -18,7 +18,8 @@ from posetrack_cli.results import ResultWriter
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
 from posetrack_cli.results.layouts import floats
-from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
+from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
+from posetrack_cli.tracking.loop import RunState
 from posetrack_cli.tracking.protocol import Tracker
 from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
 from support.damage import Arrays, changed_json, damaged_arrays, damaged_fields, sealed
@@ -55,16 +56,16 @@ def interrupted(folder: Path) -> Path:
                 writer.add_truth(make_truth(index))
             step = generator.standard_normal(3)
             if writer.write(make_estimate(index)):
-                reached = Reached((step, index + 1, 10**18 + index), generator, index)
+                reached = RunState((step, index + 1, 10**18 + index), generator, index)
                 writer.save_checkpoint(checkpoint_of(TRACKER, reached, writer.frames_written))
     return folder / "r.mcap"
 
 
-def resume(path: Path) -> Reached:
+def resume(path: Path) -> RunState:
     """Go on as a run does, and stop at once."""
-    reached: list[Reached] = []
+    reached: list[RunState] = []
     writer, _ = ResultWriter.resume(
-        path, SUBJECT, CAMERA, RUN, check=lambda found: reached.append(reached_at(TRACKER, found, rng()))
+        path, SUBJECT, CAMERA, RUN, check=lambda found: reached.append(run_state_at(TRACKER, found, rng()))
     )
     writer.abort()
     return reached[0]
