@@ -145,9 +145,11 @@ class Acquisition:
         config: parameters.
         hand: the model.
         camera: of the depth images.
-        scorer: draws all hypotheses at once.
+        scorer: draws all hypotheses at once; without one the fits' own rasteriser does.
+
+    Attributes:
         observer: cuts out and segments windows.
-        local_fitter: local fits.
+        local_fitter: makes local fits.
     """
 
     def __init__(
@@ -155,14 +157,13 @@ class Acquisition:
         config: HandConfig,
         hand: HandModel,
         camera: Camera,
-        scorer: Costs,
-        observer: Observer,
-        local_fitter: LocalFitter,
+        scorer: Costs | None = None,
     ) -> None:
         self._config, self._settings = config, config.acquisition
-        self._hand, self._camera = hand, camera
-        self._scorer, self._observer, self.local_fitter = scorer, observer, local_fitter
-        self._space = HandSpace()
+        self._hand, self._camera, self._space = hand, camera, HandSpace()
+        self.observer = Observer(config, hand.anatomy, camera, segment=True)
+        self.local_fitter = LocalFitter(config, hand, camera)
+        self._scorer = scorer or DrawnCosts(self.local_fitter.fitter)
 
     def search(self, depth: ImageArray) -> Candidate | None:
         """Return the nearest hand in a whole image that fits well enough.
@@ -170,7 +171,7 @@ class Acquisition:
         Args:
             depth: (height, width) mm.
         """
-        detections = detect(depth, self._camera, self._config.detection, self._observer.sampler)
+        detections = detect(depth, self._camera, self._config.detection, self.observer.sampler)
         found = (self._fitted(depth, detection) for detection in detections)  # the nearest first
         worst = self._settings.accept_mm
         return next((one for one in found if one is not None and one.cost <= worst), None)
@@ -182,11 +183,11 @@ class Acquisition:
         return self._best(observation, turned_poses(pose, self._hand.anatomy))
 
     def _fitted(self, depth: ImageArray, detection: Detection) -> Candidate | None:
-        observation = self._observer.observe_detection(depth, detection)
+        observation = self.observer.observe_detection(depth, detection)
         if observation.target_pixels == 0:
             return None
         first = self._best(observation, detected_poses(detection, self._hand.anatomy))
-        again = self._observer.observe(depth, first.pose)  # with the wrist where the fit has it
+        again = self.observer.observe(depth, first.pose)  # with the wrist where the fit has it
         if again.target_pixels == 0:
             return first
         second = self._best(again, first.pose[None])

@@ -50,6 +50,22 @@ class LocalFits(NamedTuple):
     renders: int
 
 
+class FrameReading(NamedTuple):
+    """An observation as fits read it.
+
+    Attributes:
+        tile: the observation.
+        depth_mm: of its target pixels, their median.
+        share: how much of an independent reading a pixel is.
+        height: log p that all target pixels cost together where nothing explains them.
+    """
+
+    tile: Tile
+    depth_mm: float
+    share: float
+    height: float
+
+
 class LocalFitter:
     """Fits a hand to frames from several starts.
 
@@ -63,7 +79,7 @@ class LocalFitter:
         self._config, self._settings, self._camera = config, config.fit, camera
         self._anatomy, self._space = hand.anatomy, HandSpace()
         terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
-        self._sigma_mm = terms.sigma_mm
+        self.sigma_mm = terms.sigma_mm
         self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
         self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
 
@@ -87,7 +103,8 @@ class LocalFitter:
             enough_mm: a best fit that costs more is tried with each finger folded otherwise.
         """
         settings, fitter = self._settings, self.fitter
-        tile = fitter.tile(observation)
+        reading = self.read(observation)
+        tile = reading.tile
         starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
         prior = PosePrior(expected, motion_precision(settings, dt))
         priors = [prior.about(start[:3]) for start in starts]
@@ -99,7 +116,7 @@ class LocalFitter:
         if _cost(first) > enough_mm:
             refolded, more = self._refolded(tile, first.pose, prior)
             fits, renders = fits + refolded, renders + more
-        modes = self._modes(tile, observation, fits)
+        modes = self._likelihood(reading, fits)
         return LocalFits(modes, min(_cost(fit) for fit in fits), renders + len(modes))
 
     def _refolded(self, tile: Tile, pose: FloatArray, prior: PosePrior) -> tuple[list[Fit], int]:
@@ -114,25 +131,36 @@ class LocalFitter:
         drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
         return fits, drawn + settings.iterations + 1
 
-    def _modes(self, tile: Tile, observation: Observation, fits: Sequence[Fit]) -> LikelihoodModes:
-        chosen = [self.fitter.assessed(tile, fit.pose) for fit in self._distinct(fits)]
-        z = float(np.median(observation.image[observation.image > 0]))
-        share, noise_sd = self.share(observation, z), float(self._mixture.noise_sd(np.array(z)))
-        scale = share * self._settings.sharpening * (self._sigma_mm / noise_sd) ** 2
-        pairs = [(fit.data, self.fitter.anatomy(fit.pose)) for fit in chosen]
-        pixels = share * tile.observed * float(self._mixture.unexplained(np.array(z)))
+    def _likelihood(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
+        chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self._distinct(fits)]
+        noise_sd = float(self._mixture.noise_sd(np.array(reading.depth_mm)))
+        scale = reading.share * self._settings.sharpening * (self.sigma_mm / noise_sd) ** 2
         clamp = self._config.observation.clamp_mm
-        return LikelihoodModes(
-            np.array([fit.pose for fit in chosen]),
-            np.array([scale * data.vector + own.vector for data, own in pairs]),
-            np.array([scale * data.matrix + own.matrix for data, own in pairs]),
-            np.array([-pixels * fit.cost[0] / clamp for fit in chosen]),
-        )
+        heights = np.array([-reading.height * fit.cost[0] / clamp for fit in chosen])
+        return self.modes(chosen, np.full(len(chosen), scale), heights)
 
-    def share(self, observation: Observation, depth_mm: float) -> float:
-        """How much of an independent reading a pixel of the window is."""
+    def read(self, observation: Observation) -> FrameReading:
+        """Return an observation with at least one target pixel as fits read it."""
+        tile, depth = (
+            self.fitter.tile(observation),
+            float(np.median(observation.image[observation.image > 0])),
+        )
         correlation = self._config.observation.mixture.correlation_mm
-        return reading_share(depth_mm, observation.window.step, self._camera, correlation)
+        share = reading_share(depth, observation.window.step, self._camera, correlation)
+        height = share * tile.observed * float(self._mixture.unexplained(np.array(depth)))
+        return FrameReading(tile, depth, share, height)
+
+    def modes(self, fits: Sequence[Fit], scales: FloatArray, log_heights: FloatArray) -> LikelihoodModes:
+        """Return the likelihood about fits, its sharpness (K,) times theirs, with the anatomy's factor."""
+        parts = [
+            (scale, fit.data, self.fitter.anatomy(fit.pose)) for scale, fit in zip(scales, fits, strict=True)
+        ]
+        return LikelihoodModes(
+            np.array([fit.pose for fit in fits]),
+            np.array([scale * data.vector + own.vector for scale, data, own in parts]),
+            np.array([scale * data.matrix + own.matrix for scale, data, own in parts]),
+            log_heights,
+        )
 
     def _distinct(self, fits: Sequence[Fit]) -> list[Fit]:
         """The best fit, and others nearly as good whose joints lie elsewhere."""
@@ -169,20 +197,6 @@ STEP = np.concatenate([np.full(3, 30.0), np.full(3, 0.4), np.full(15, 0.5)])
 """(21,) as far as one iteration goes, mm and rad."""
 
 
-class Seen(NamedTuple):
-    """A frame as fits read it.
-
-    Attributes:
-        tile: the observation.
-        share: how much of an independent reading a pixel is.
-        height: of log p per mm of cost.
-    """
-
-    tile: Tile
-    share: float
-    height: float
-
-
 class HandFits:
     """The local fits of frames, made from what is kept of them (`filtering.fit_smoothing.FrameFits`).
 
@@ -193,13 +207,9 @@ class HandFits:
     """
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
-        self._camera, self._space = camera, HandSpace()
-        self._settings, self._observing = config.smoothing, config.observation
+        self._local, self._space = LocalFitter(config, hand, camera), HandSpace()
+        self._settings, self._clamp_mm = config.smoothing, config.observation.clamp_mm
         self._most, self._size = config.fit.most_modes, config.observation.tile_px
-        terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
-        self._terms_sd = terms.sigma_mm
-        self._fitter = HandFitter(hand, camera, self._size, terms)
-        self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
 
     def keep(self, observation: Observation | None, modes: LikelihoodModes | None) -> dict[str, Any]:
         """Return what is kept of a frame: its window and where the filter's fits are."""
@@ -215,13 +225,13 @@ class HandFits:
         """Return the filter's fits, assessed anew; None where it had none."""
         if not frame["count"]:
             return None
-        return self._assessed(self._seen(frame), frame["fits"][: int(frame["count"])])
+        return self._assessed(self._reading(frame), frame["fits"][: int(frame["count"])])
 
     def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
         """Return these and one more, fitted from a belief's mean with the belief as its prior."""
         if not self._settings.refit_iterations:
             return known
-        found = self._refitted(self._seen(frame), belief)
+        found = self._refitted(self._reading(frame), belief)
         return LikelihoodModes(
             np.concatenate([known.poses, found.poses]),
             np.concatenate([known.gradients, found.gradients]),
@@ -229,7 +239,7 @@ class HandFits:
             np.concatenate([known.log_heights, found.log_heights]),
         )
 
-    def _refitted(self, seen: Seen, belief: StateGaussian) -> LikelihoodModes:
+    def _refitted(self, reading: FrameReading, belief: StateGaussian) -> LikelihoodModes:
         """The likelihood about the best pose on the way from a belief's mean to the posterior's maximum.
 
         Gauss-Newton: (1 + C H)^-1 (C g + off), C the belief's covariance, off from the pose to its mean.
@@ -238,39 +248,30 @@ class HandFits:
         C = belief.covariance[:size, :size]
         precision = np.linalg.pinv(C, hermitian=True)  # what is known for sure may not vary at all
         pose = belief.pose
-        best = here = self._assessed(seen, pose[None])
+        best = here = self._assessed(reading, pose[None])
         highest = float(here.log_heights[0])
         for _ in range(self._settings.refit_iterations):
             off = self._space.local(pose, belief.pose)
             step = np.linalg.solve(np.eye(size) + C @ here.information[0], C @ here.gradients[0] + off)
             pose = self._space.retract(pose[None], np.clip(step, -STEP, STEP)[None])[0]
-            here, off = self._assessed(seen, pose[None]), self._space.local(pose, belief.pose)
+            here, off = self._assessed(reading, pose[None]), self._space.local(pose, belief.pose)
             height = float(here.log_heights[0] - 0.5 * off @ precision @ off)
             if height > highest:
                 best, highest = here, height
         return best
 
-    def _assessed(self, seen: Seen, poses: FloatArray) -> LikelihoodModes:
+    def _assessed(self, reading: FrameReading, poses: FloatArray) -> LikelihoodModes:
         """The likelihood about poses (K, 22), noise taken from what each leaves, and the anatomy's factor."""
-        fits = [self._fitter.assessed(seen.tile, pose) for pose in poses]
-        own = [self._fitter.anatomy(pose) for pose in poses]
+        fitter = self._local.fitter
+        fits = [fitter.assessed(reading.tile, pose) for pose in poses]
         cost = np.array([fit.cost[0] for fit in fits])
         noise_sd = SD_PER_COST * np.maximum(cost, LEAST_COST_MM)
-        scale = seen.share * self._settings.sharpening * (self._terms_sd / noise_sd) ** 2
-        return LikelihoodModes(
-            poses,
-            np.array([s * fit.data.vector + o.vector for s, fit, o in zip(scale, fits, own, strict=True)]),
-            np.array([s * fit.data.matrix + o.matrix for s, fit, o in zip(scale, fits, own, strict=True)]),
-            -seen.height * cost - self._fitter.potentials(poses),
-        )
+        scales = reading.share * self._settings.sharpening * (self._local.sigma_mm / noise_sd) ** 2
+        height = self._settings.height_share * reading.height / self._clamp_mm
+        return self._local.modes(fits, scales, -height * cost - fitter.potentials(poses))
 
-    def _seen(self, frame: Memory) -> Seen:
+    def _reading(self, frame: Memory) -> FrameReading:
         image = np.asarray(frame["image"])
         left, top, step = (int(value) for value in frame["place"])
         window = Window(left, top, step, self._size, self._size)
-        readings = image[image > 0]
-        tile = self._fitter.tile(Observation(window, image, readings.size))
-        z = float(np.median(readings))
-        share = reading_share(z, step, self._camera, self._observing.mixture.correlation_mm)
-        pixels = share * readings.size * float(self._mixture.unexplained(np.array(z)))
-        return Seen(tile, share, self._settings.height_share * pixels / self._observing.clamp_mm)
+        return self._local.read(Observation(window, image, int(np.count_nonzero(image > 0))))

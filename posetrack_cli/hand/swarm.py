@@ -170,8 +170,8 @@ class SwarmTracker:
     Args:
         config: parameters.
         anatomy: the hand.
-        camera: of the depth images.
         objective: what is minimised.
+        observer: cuts out and segments windows.
         finder: the search for a hand of which no pose is known, for the start.
     """
 
@@ -179,13 +179,12 @@ class SwarmTracker:
         self,
         config: HandConfig,
         anatomy: HandAnatomy,
-        camera: Camera,
         objective: SwarmObjective,
+        observer: Observer,
         finder: Acquisition | None = None,
     ) -> None:
         self.config, self.anatomy, self.objective = config, anatomy, objective
-        self._finder = finder
-        self._observer = Observer(config, anatomy, camera, segment=True)
+        self._observer, self._finder = observer, finder
         self._space = HandSpace()
         self._rules = swarm_rules(config.pso)
         self._spread = tangent_vector(config.pso.spread)

@@ -14,7 +14,6 @@ from posetrack_cli.filtering.model import Dynamics, FilterModel, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
@@ -90,7 +89,6 @@ class HandTracker:
     Args:
         config: parameters.
         anatomy: the hand.
-        camera: of the depth images.
         scorer: the likelihood.
         observer: cuts out and segments windows.
         finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it
@@ -101,12 +99,11 @@ class HandTracker:
         self,
         config: HandConfig,
         anatomy: HandAnatomy,
-        camera: Camera,
         scorer: PoseScorer,
         observer: Observer,
         finder: Acquisition | None = None,
     ) -> None:
-        self.config, self.anatomy, self.camera = config, anatomy, camera
+        self.config, self.anatomy = config, anatomy
         self.scorer, self._observer, self._start_finder = scorer, observer, finder
         self._proposal = PROPOSALS.find(config.filter.proposal)
         self._finder = finder if self._proposal.fits_frames else None

@@ -8,7 +8,6 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.proposals import PROPOSALS
@@ -34,14 +33,14 @@ def make_tracker(
         FilterError: a swarm that would not converge.
     """
     scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
-    segmenting = Observer(config, hand.anatomy, camera, segment=True)
     finder, proposal = None, PROPOSALS.find(config.filter.proposal)
     if proposal.looks_at_frames or config.init.method == "auto":
-        finder = Acquisition(config, hand, camera, scorer, segmenting, LocalFitter(config, hand, camera))
-    if config.filter.kind == "pso":
+        finder = Acquisition(config, hand, camera, scorer)
+    is_swarm = config.filter.kind == "pso"
+    # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are
+    segment = is_swarm or proposal.fits_frames or config.observation.cost != "paper"
+    observer = Observer(config, hand.anatomy, camera, segment=segment)
+    if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
-        return SwarmTracker(config, hand.anatomy, camera, objective, finder)
-    # the paper's cost takes all readings for the hand's; fits have to know which are
-    plain = config.observation.cost == "paper" and not proposal.fits_frames
-    observer = Observer(config, hand.anatomy, camera, segment=False) if plain else segmenting
-    return HandTracker(config, hand.anatomy, camera, scorer, observer, finder)
+        return SwarmTracker(config, hand.anatomy, objective, observer, finder)
+    return HandTracker(config, hand.anatomy, scorer, observer, finder)

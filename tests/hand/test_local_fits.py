@@ -137,7 +137,7 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
     noise_sd = (
         config.observation.mixture.near_sd_mm + config.observation.mixture.sd_mm_per_m2 * (z / 1e3) ** 2
     )
-    scale = guide.share(observation, z) * config.fit.sharpening * (4.0 / noise_sd) ** 2
+    scale = guide.read(observation).share * config.fit.sharpening * (4.0 / noise_sd) ** 2
     for k, pose in enumerate(modes.poses):
         data, own = fitter.assessed(fitter.tile(observation), pose).data, fitter.anatomy(pose)
         assert own.matrix.any()

@@ -47,9 +47,7 @@ class Believing(Observer):
 
 def tracker_with(objective: Distance, **tables: dict[str, object]) -> SwarmTracker:
     config = HandConfig.model_validate({"filter": {"kind": "pso"}, **tables})
-    tracker = SwarmTracker(config, ANATOMY, KINECT, objective)
-    tracker._observer = Believing(config, ANATOMY, KINECT, segment=True)
-    return tracker
+    return SwarmTracker(config, ANATOMY, objective, Believing(config, ANATOMY, KINECT, segment=True))
 
 
 def seen(index: int) -> Frame:

@@ -76,7 +76,7 @@ def observing(config: HandConfig) -> Observer:
 
 def tracker_with(scorer: Any, kind: str = "rbpf", **tables: Any) -> HandTracker:
     config = configured(kind, **tables)
-    return HandTracker(config, ANATOMY, KINECT, scorer, observing(config))
+    return HandTracker(config, ANATOMY, scorer, observing(config))
 
 
 def seen(index: int, stamp_ns: int | None = None) -> Frame:
@@ -345,7 +345,7 @@ def test_annealing_takes_the_anatomy_s_potential_and_counts_every_pose(kind: str
     finder: Any = SimpleNamespace(local_fitter=SimpleNamespace(fitter=fitter))
     config = configured(filter={"kind": kind, "particles": 64, "proposal": "annealed"})
     scorer = DistanceScorer(START[:3])
-    tracker = HandTracker(config, ANATOMY, KINECT, scorer, observing(config), finder)
+    tracker = HandTracker(config, ANATOMY, scorer, observing(config), finder)
     state, estimates = run(tracker, [seen(k) for k in range(4)])
     assert sum(scorer.asked) == sum(e.evaluations or 0 for e in estimates)
     assert scorer.asked[0] == 64 and len(scorer.asked) > 4 * (1 + 6)
@@ -376,7 +376,7 @@ def test_a_drawn_hand_is_followed_within_millimetres(device: RenderingDevice, ki
     )
     scorer = RenderedCosts(device, average_hand(), KINECT, config.observation, 512)
     frames, poses = translating_hand(device, 15)
-    _, estimates = run(HandTracker(config, ANATOMY, KINECT, scorer, observing(config)), frames)
+    _, estimates = run(HandTracker(config, ANATOMY, scorer, observing(config)), frames)
     truth = joint_positions(ANATOMY, poses)
     found = np.array([e.points for e in estimates])
     # where the hand is; single fingers wander more with so few particles

@@ -9,12 +9,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import Acquisition, DrawnCosts
+from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.recording.base import Frame
 
@@ -50,10 +48,8 @@ class SequenceFitter:
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config = config
-        self._observer = Observer(config, hand.anatomy, camera, segment=True)
-        self._local_fitter = LocalFitter(config, hand, camera)
-        costs = DrawnCosts(self._local_fitter.fitter)
-        self._finder = Acquisition(config, hand, camera, costs, self._observer, self._local_fitter)
+        self._finder = Acquisition(config, hand, camera)
+        self._observer, self._local_fitter = self._finder.observer, self._finder.local_fitter
 
     def fit(self, frames: Sequence[Frame], rng: np.random.Generator) -> SequenceFit:
         """Return the hand's poses; where it is lost it is looked for in the whole image."""
