@@ -13,8 +13,7 @@ from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.hand.swarm.objective import Objective
-from posetrack_cli.hand.swarm.tracker import SwarmState, SwarmTracker, search_box
+from posetrack_cli.hand.swarm import Objective, SwarmState, SwarmTracker, search_box
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
@@ -48,9 +47,7 @@ class Believing(Observer):
 
 def tracker_with(objective: Distance, **tables: dict[str, object]) -> SwarmTracker:
     config = HandConfig.model_validate({"filter": {"kind": "pso"}, **tables})
-    tracker = SwarmTracker(config, ANATOMY, KINECT, objective)
-    tracker._observer = Believing(config, ANATOMY, KINECT, segment=True)
-    return tracker
+    return SwarmTracker(config, ANATOMY, objective, Believing(config, ANATOMY, KINECT, segment=True))
 
 
 def seen(index: int) -> Frame:

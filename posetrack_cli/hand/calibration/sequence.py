@@ -1,4 +1,4 @@
-"""A hand followed through a recording by local fits alone: the poses that a calibration starts from."""
+"""A hand tracked through a recording by local fits alone: the poses that a calibration starts from."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import Acquisition, DrawnCosts
+from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.recording.base import Frame
 
@@ -27,7 +25,7 @@ _SPACE = HandSpace()
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class SequenceFit:
     """Poses of a hand in frames.
 
     Attributes:
@@ -39,8 +37,8 @@ class Followed:
     costs: FloatArray
 
 
-class Follower:
-    """Follows one hand model.
+class SequenceFitter:
+    """Fits one hand model to frame after frame.
 
     Args:
         config: of window, segmentation, detection and fits.
@@ -50,12 +48,10 @@ class Follower:
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config = config
-        self._observer = Observer(config, hand.anatomy, camera, segment=True)
-        self._guiding = Guiding(config, hand, camera)
-        costs = DrawnCosts(self._guiding.fitter)
-        self._finder = Acquisition(config, hand, camera, costs, self._observer, self._guiding)
+        self._finder = Acquisition(config, hand, camera)
+        self._observer, self._local_fitter = self._finder.observer, self._finder.local_fitter
 
-    def follow(self, frames: Sequence[Frame], rng: np.random.Generator) -> Followed:
+    def fit(self, frames: Sequence[Frame], rng: np.random.Generator) -> SequenceFit:
         """Return the hand's poses; where it is lost it is looked for in the whole image."""
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6] = 1.0
@@ -68,7 +64,7 @@ class Follower:
                 found = self._unless_elsewhere(frame, found)
             if found is not None:
                 poses[k], costs[k] = found
-        return Followed(poses, costs)
+        return SequenceFit(poses, costs)
 
     def _next(
         self, frame: Frame, last: FloatArray, before: FloatArray, rng: np.random.Generator
@@ -78,7 +74,7 @@ class Follower:
         observation = self._observer.observe(frame.depth, expected)
         if observation.target_pixels == 0:
             return None
-        fits = self._guiding.fit(observation, expected, last[None], 1.0 / 30.0, rng)
+        fits = self._local_fitter.fit(observation, expected, last[None], 1.0 / 30.0, rng)
         return inside_limits(fits.modes.poses[:1])[0], fits.cost
 
     def _unless_elsewhere(self, frame: Frame, here: tuple[FloatArray, float]) -> tuple[FloatArray, float]:

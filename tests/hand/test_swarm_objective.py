@@ -14,9 +14,9 @@ from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import union_cost
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.hand.swarm.objective import RenderedObjective, crossing, discrepancy
+from posetrack_cli.hand.swarm import RenderedObjective, crossing, discrepancy
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import sums_in_numpy
+from posetrack_cli.rendering.sums import Comparison, sums_in_numpy
 from support.hand import KINECT, REST, bent
 
 ROUNDING = 1e-9
@@ -50,7 +50,7 @@ def test_the_discrepancy_is_the_published_one(
     depth: np.ndarray, image: np.ndarray, clamp: float, match: float, overlap: float, unread: float
 ) -> None:
     own = PsoSettings(clamp_mm=clamp, match_mm=match, overlap_mm=overlap)
-    sums = sums_in_numpy(depth, image, clamp, match_mm=match)
+    sums = sums_in_numpy(depth, Comparison(image, clamp, match_mm=match))
     found = discrepancy(sums, own, unread)
     expected = [by_pixels(one, image, own, unread) for one in depth]
     np.testing.assert_allclose(np.stack(found, axis=1), expected, rtol=ROUNDING, atol=ROUNDING)
@@ -66,7 +66,7 @@ def test_a_discrepancy_by_hand() -> None:
     """
     depth = np.array([[[600, 600, 600, 0, 600, 0]]], np.float32)
     image = np.array([[604, 625, -900, 610, 0, -900]], np.float32)
-    found = discrepancy(sums_in_numpy(depth, image, 40.0, match_mm=10.0), PsoSettings(), 0.2)
+    found = discrepancy(sums_in_numpy(depth, Comparison(image, 40.0, match_mm=10.0)), PsoSettings(), 0.2)
     assert found.depth[0] == pytest.approx(117.0 / 4.2)
     assert found.total[0] == pytest.approx(117.0 / 4.2 + 20.0 * (1.0 - 2.0 / 5.2))
 

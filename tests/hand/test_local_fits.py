@@ -7,9 +7,9 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.config import FitSettings, HandConfig
-from posetrack_cli.hand.guiding import Guiding, LocalFits, motion_precision
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.local_fits import LocalFits, LocalFitter, motion_precision
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
@@ -27,15 +27,15 @@ def stage(device: RenderingDevice) -> Stage:
     return Stage(device, HAND)
 
 
-def guiding(**fit: object) -> Guiding:
-    return Guiding(HandConfig.model_validate({"fit": fit}), HAND, KINECT)
+def local_fitter(**fit: object) -> LocalFitter:
+    return LocalFitter(HandConfig.model_validate({"fit": fit}), HAND, KINECT)
 
 
 def observation_of(depth: np.ndarray, expected: FloatArray) -> Observation:
     return Observer(HandConfig(), HAND.anatomy, KINECT, segment=True).observe(depth, expected)
 
 
-def fitted(guide: Guiding, observation: Observation, expected: FloatArray, seed: int = 0) -> LocalFits:
+def fitted(guide: LocalFitter, observation: Observation, expected: FloatArray, seed: int = 0) -> LocalFits:
     return guide.fit(observation, expected, expected[None], FRAME_S, np.random.default_rng(seed))
 
 
@@ -49,7 +49,7 @@ def moved(pose: FloatArray, seed: int) -> FloatArray:
 def test_the_first_mode_is_the_hand_and_modes_are_sound(stage: Stage, seed: int) -> None:
     truth = relaxed()
     expected = moved(truth, seed)
-    found = fitted(guiding(), observation_of(stage.depth(truth), expected), expected, seed)
+    found = fitted(local_fitter(), observation_of(stage.depth(truth), expected), expected, seed)
     modes = found.modes
     assert stage.error(expected, truth) > 8.0
     assert stage.error(modes.poses[0], truth) < FOUND_MM
@@ -69,7 +69,7 @@ def test_the_same_seed_gives_the_same_modes(stage: Stage) -> None:
     truth = relaxed()
     expected = moved(truth, 1)
     observation = observation_of(stage.depth(truth), expected)
-    first, second = (fitted(guiding(), observation, expected, seed=7) for _ in range(2))
+    first, second = (fitted(local_fitter(), observation, expected, seed=7) for _ in range(2))
     for name in vars(first.modes):
         assert getattr(first.modes, name).tobytes() == getattr(second.modes, name).tobytes()
     assert (first.cost, first.renders) == (second.cost, second.renders)
@@ -82,7 +82,7 @@ def test_the_likelihood_falls_about_as_the_modes_say(stage: Stage, device: Rende
     """
     truth, config = relaxed(), HandConfig()
     observation = observation_of(stage.depth(truth), truth)
-    modes = fitted(guiding(), observation, truth).modes
+    modes = fitted(local_fitter(), observation, truth).modes
     scorer = RenderedCosts(device, HAND, KINECT, config.observation, 64)
     for k in range(3):
         step = np.eye(21)[k] / np.sqrt(modes.information[0, k, k])
@@ -98,16 +98,18 @@ def test_alternatives_are_fits_nearly_as_good_that_lie_elsewhere(stage: Stage) -
     truth = relaxed()
     expected = moved(truth, 2)
     observation = observation_of(stage.depth(truth), expected)
-    one = fitted(guiding(alternative_mm=0.0), observation, expected).modes
+    one = fitted(local_fitter(alternative_mm=0.0), observation, expected).modes
     assert len(one) == 1
-    many = fitted(guiding(alternative_mm=40.0, apart_mm=3.0, most_modes=5), observation, expected).modes
+    many = fitted(local_fitter(alternative_mm=40.0, apart_mm=3.0, most_modes=5), observation, expected).modes
     assert 2 <= len(many) <= 5
     np.testing.assert_array_equal(many.poses[0], one.poses[0])
     joints = joint_positions(HAND.anatomy, many.poses)
     for k in range(1, len(many)):
         assert np.linalg.norm(joints[k] - joints[:k], axis=2).max(axis=1).min() > 3.0
     assert (
-        len(fitted(guiding(alternative_mm=40.0, apart_mm=3.0, most_modes=2), observation, expected).modes)
+        len(
+            fitted(local_fitter(alternative_mm=40.0, apart_mm=3.0, most_modes=2), observation, expected).modes
+        )
         == 2
     )
 
@@ -117,7 +119,7 @@ def test_what_is_hidden_is_told_by_anatomy_alone(stage: Stage) -> None:
     truth = turned_about_its_length(relaxed(), np.pi)  # the back of the hand
     truth[7 + 3 * 2], truth[9 + 3 * 2] = 1.4, 1.6  # the middle finger is bent behind it
     observation = observation_of(stage.depth(truth), truth)
-    modes = fitted(guiding(), observation, truth).modes
+    modes = fitted(local_fitter(), observation, truth).modes
     hidden, seen = 6 + 3 * 2 + 2, 6 + 3 * 1 + 2  # PIP flexion of the middle and of the index finger
     information = np.diag(modes.information[0])
     assert information[hidden] < 0.1 * information[seen]
@@ -128,14 +130,14 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
     """A fit's residuals count as much as the likelihood's readings; anatomy counts once."""
     truth = relaxed()
     truth[7 + 3 * 1] = 1.7  # the index finger is bent beyond its limit
-    config, guide = HandConfig(), guiding()
+    config, guide = HandConfig(), local_fitter()
     observation = observation_of(stage.depth(truth), truth)
     modes, fitter = fitted(guide, observation, truth).modes, guide.fitter
     z = float(np.median(observation.image[observation.image > 0]))
     noise_sd = (
         config.observation.mixture.near_sd_mm + config.observation.mixture.sd_mm_per_m2 * (z / 1e3) ** 2
     )
-    scale = guide.share(observation, z) * config.fit.sharpening * (4.0 / noise_sd) ** 2
+    scale = guide.read(observation).share * config.fit.sharpening * (4.0 / noise_sd) ** 2
     for k, pose in enumerate(modes.poses):
         data, own = fitter.assessed(fitter.tile(observation), pose).data, fitter.anatomy(pose)
         assert own.matrix.any()
@@ -147,7 +149,7 @@ def test_every_pose_that_is_drawn_is_counted(stage: Stage) -> None:
     """Aligning, descending, swapping fingers, polishing, assessing the modes."""
     truth = relaxed()
     observation = observation_of(stage.depth(truth), truth)
-    found = fitted(guiding(starts=3, iterations=4, polish=2), observation, truth)
+    found = fitted(local_fitter(starts=3, iterations=4, polish=2), observation, truth)
     assert found.renders == 3 * 1 + 3 * 5 + 5 * 2 + 3 + len(found.modes)
 
 
@@ -167,7 +169,7 @@ def test_a_few_pixels_are_no_error(stage: Stage) -> None:
     observation = observation_of(stage.depth(truth), truth)
     image = np.zeros_like(observation.image)
     image[30, 30] = 650.0
-    found = fitted(guiding(), Observation(observation.window, image, 1), truth)
+    found = fitted(local_fitter(), Observation(observation.window, image, 1), truth)
     assert np.isfinite(found.modes.poses).all()
     assert np.isfinite(found.modes.information).all()
     assert np.isfinite(found.cost)
