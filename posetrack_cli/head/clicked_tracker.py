@@ -11,13 +11,13 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.following import Images
+from posetrack_cli.head.initialisation.clicked import head_from_clicked, read_clicked
+from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.stereo import StereoInitialisation, find_head
 from posetrack_cli.head.protocol import NoFaceError
-from posetrack_cli.head.start.clicked import read_clicked
-from posetrack_cli.head.start.from_clicked import start_from_clicked
-from posetrack_cli.head.start.start import NoStart, Start, find_start
 from posetrack_cli.head.stereo_state import StereoState
 from posetrack_cli.head.stereo_tracker import StereoTracker
+from posetrack_cli.head.tracker.frame_tracker import Images
 from posetrack_cli.recording.base import Frame
 
 
@@ -52,12 +52,12 @@ class ClickedTracker(StereoTracker):
         self._first = frame.images
         return super().start(frame, rng)
 
-    def _find(self, images: Images) -> Start | NoStart:
+    def _find(self, images: Images) -> StereoInitialisation | InitFailure:
         settings = self._config.start
         if images is not self._first:
-            return find_start(images, self._cameras, self._detector, settings)
-        found = start_from_clicked(images, self._cameras, self._clicked, settings)
-        if isinstance(found, Start):
+            return find_head(images, self._cameras, self._detector, settings)
+        found = head_from_clicked(images, self._cameras, self._clicked, settings)
+        if isinstance(found, StereoInitialisation):
             return found
         raise NoFaceError(
             "clicked points begin no head",

@@ -6,9 +6,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.face import MEAN_SHAPE
-from posetrack_cli.head.following import Followed, Following
-from posetrack_cli.head.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -18,8 +18,8 @@ UNKNOWN_SD = np.array([300.0] * 3 + [1.0] * 3)
 """(6,) mm and rad, of a head whose place is not known."""
 
 
-def followed_estimate(
-    frame: Frame, followed: Followed, status: Status, coefficients: FloatArray, numbers: FloatArray
+def tracked_estimate(
+    frame: Frame, followed: FrameFit, status: Status, coefficients: FloatArray, numbers: FloatArray
 ) -> Estimate:
     """Return the estimate of a frame in which the head was tracked.
 
@@ -57,9 +57,9 @@ def followed_estimate(
     )
 
 
-def searched_estimate(
+def lost_estimate(
     frame: Frame,
-    following: Following | None,
+    following: TrackState | None,
     coefficients: FloatArray,
     deviations: FloatArray,
     numbers: FloatArray,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.templates import WINDOW
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.templates import WINDOW
 from posetrack_cli.results.layouts import Layout, LayoutError, check_arrays, counts, floats, places, units
 
 

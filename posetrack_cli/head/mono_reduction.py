@@ -16,7 +16,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.mono_start.detected import eye_distance_px
+from posetrack_cli.head.initialisation.detected_face import eye_distance_px
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.mono_tracker import MonoTracker
 from posetrack_cli.head.person_arrays import unusable_people

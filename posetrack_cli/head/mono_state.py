@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.cuts import HEIGHT, WIDTH
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.following import Following
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.templates import TemplateSet
+from posetrack_cli.head.initialisation.detected_face import DetectedFace
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.learned_arrays import template_layouts
-from posetrack_cli.head.mono_config import AdjustmentSettings
-from posetrack_cli.head.mono_start.detected import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.person import KnownPerson
 from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_layouts, people_of, people_parts
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.state_arrays import (
     Arrays,
     Numbers,
@@ -33,7 +32,8 @@ from posetrack_cli.head.state_arrays import (
     template_parts,
     templates_of,
 )
-from posetrack_cli.head.templates import TemplateSet
+from posetrack_cli.head.tracker.frame_tracker import TrackState
+from posetrack_cli.head.tracker.person import KnownPerson
 from posetrack_cli.results.layouts import (
     COUNTS,
     FLAGS,
@@ -75,7 +75,7 @@ class MonoState:
 
     people: tuple[KnownPerson, ...] = ()
     current: int = 0
-    following: Following | None = None
+    following: TrackState | None = None
     lost: int = 0
     strange: int = 0
     detected: tuple[DetectedFace, ...] = ()
@@ -117,7 +117,7 @@ class MonoState:
             return self
         return replace(self, current=index, changes=(*self.changes, (frame_index, index)))
 
-    def with_new(self, person: KnownPerson, following: Following, frame_index: int) -> MonoState:
+    def choose_views(self, person: KnownPerson, following: TrackState, frame_index: int) -> MonoState:
         """Return the state that follows a head that was just found."""
         index = len(self.people)
         changes = self.changes if index == 0 else (*self.changes, (frame_index, index))

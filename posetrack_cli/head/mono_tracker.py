@@ -10,23 +10,22 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.adjustment.focal_length import focal_length_check
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.cuts import is_cut, thumbnail
-from posetrack_cli.head.focal_doubt import focal_doubt
-from posetrack_cli.head.following import Followed
-from posetrack_cli.head.learning import off_axis_deg
-from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.initialisation.detected_face import DetectedFace, clicked_face
+from posetrack_cli.head.initialisation.mono import MonoFinder, MonoInitialisation
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.mono_estimates import MonoEstimates
-from posetrack_cli.head.mono_finder import MonoFinder
-from posetrack_cli.head.mono_start.detected import DetectedFace, clicked_face
-from posetrack_cli.head.mono_start.start import MonoStart
 from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, state_of
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.person import KnownPerson, new_person
 from posetrack_cli.head.person_arrays import people_parts
-from posetrack_cli.head.person_following import PersonFollower
-from posetrack_cli.head.projection import project
 from posetrack_cli.head.protocol import NoFaceError
-from posetrack_cli.head.start.start import NoStart
+from posetrack_cli.head.tracker.face_learning import off_axis_deg
+from posetrack_cli.head.tracker.frame_tracker import FrameFit
+from posetrack_cli.head.tracker.person import KnownPerson, new_person
+from posetrack_cli.head.tracker.person_fitting import PersonFitter
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -76,7 +75,7 @@ class MonoTracker:
         self._config, self._camera, self._model = config, camera, model
         self._clicked, self._clicked_where, self._scale = clicked, clicked_where, scale
         self._finder = MonoFinder(config, camera, model, choice)
-        self._follower = PersonFollower(config, camera, model)
+        self._follower = PersonFitter(config, camera, model)
         self._estimates = MonoEstimates(model, scale)
         self._known = MonoState() if known is None else known_state(known, model, config.adjustment)
 
@@ -115,7 +114,7 @@ class MonoTracker:
         if not state.people:
             return ()
         settings = self._config.adjustment
-        doubt = focal_doubt(state.person, self._model, self._camera, self._scale, settings)
+        doubt = focal_length_check(state.person, self._model, self._camera, self._scale, settings)
         return (*people, *doubt)
 
     def state_parts(self, state: MonoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
@@ -131,8 +130,8 @@ class MonoTracker:
     # A head that is followed
 
     def _checked(
-        self, state: MonoState, followed: Followed, frame: Frame, rng: np.random.Generator
-    ) -> tuple[MonoState, Followed]:
+        self, state: MonoState, followed: FrameFit, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, FrameFit]:
         """Begin anew from a detection where the points look hardly like themselves, if they then do more.
 
         After a blink or a smile points may have slid to places that they do not come back from **[ours]**.
@@ -143,12 +142,12 @@ class MonoTracker:
             return state, followed
         state = replace(state, checked_ns=frame.stamp_ns)
         found = self._finder.detect(frame, self._last_seen(state, frame))
-        if isinstance(found, NoStart):
+        if isinstance(found, InitFailure):
             return state, followed
         again = self._follower.from_detection(state.person, found, state.following, frame, rng)
         return state, again if again.score > followed.score + CLEARLY_BETTER else followed
 
-    def _is_tracked(self, state: MonoState, person: KnownPerson, followed: Followed) -> bool:
+    def _is_tracked(self, state: MonoState, person: KnownPerson, followed: FrameFit) -> bool:
         """Whether a frame shows a person; after a cut it must look as the person usually does."""
         least = self._config.status.tracking_above
         if state.cut:
@@ -161,7 +160,7 @@ class MonoTracker:
         return Status.REINITIALISED if gone else Status.TRACKING
 
     def _tracked(
-        self, state: MonoState, frame: Frame, followed: Followed, status: Status
+        self, state: MonoState, frame: Frame, followed: FrameFit, status: Status
     ) -> tuple[MonoState, Estimate]:
         """Adjust the person by a frame in which the head was found."""
         person, followed = self._follower.learnt(state.person, state.following, frame, followed)
@@ -183,7 +182,7 @@ class MonoTracker:
     def _search(self, state: MonoState, frame: Frame, rng: np.random.Generator) -> tuple[MonoState, Estimate]:
         """Look for a face that is known already; it must then look as it did."""
         found = self._finder.detect(frame, self._last_seen(state, frame))
-        if isinstance(found, NoStart):
+        if isinstance(found, InitFailure):
             searched = state.search.failed(found) if state.following is None else state.search
             return self._lost(replace(state, search=searched), frame)
         for index, followed in self._tried(state, found, frame, rng):
@@ -194,7 +193,7 @@ class MonoTracker:
 
     def _tried(
         self, state: MonoState, found: DetectedFace, frame: Frame, rng: np.random.Generator
-    ) -> Iterator[tuple[int, Followed]]:
+    ) -> Iterator[tuple[int, FrameFit]]:
         """Follow a face for one frame as each of the known people, the last one first."""
         for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
             yield (
@@ -234,10 +233,10 @@ class MonoTracker:
             return self._begun_with(replace(state, clicked=None), (state.clicked,), frame, rng)
         state = state.not_before(frame.stamp_ns - round(self._config.start.span_s * 1e9))
         found = self._finder.detect(frame, state.detected[-1].pixels if state.detected else None)
-        alone = found if isinstance(found, NoStart) else self._finder.begin((found,))
-        if isinstance(alone, NoStart):
+        alone = found if isinstance(found, InitFailure) else self._finder.begin((found,))
+        if isinstance(alone, InitFailure):
             return self._not_found(state, alone, frame)
-        if isinstance(found, NoStart):
+        if isinstance(found, InitFailure):
             raise RuntimeError("no face was found, and yet one began")  # never: alone is found's failure
         seen = self._finder.templates(frame, found, alone)
         state = state.seen(found, seen)
@@ -247,11 +246,11 @@ class MonoTracker:
             unknown = MonoState(current=len(state.people))
             return state, self._estimates.tracked(frame, unknown, followed, status)
         start = self._finder.begin(state.detected)
-        if isinstance(start, NoStart):
+        if isinstance(start, InitFailure):
             return self._not_found(state.anew(), start, frame)
         return self._found(state, start, frame, rng)
 
-    def _not_found(self, state: MonoState, failure: NoStart, frame: Frame) -> tuple[MonoState, Estimate]:
+    def _not_found(self, state: MonoState, failure: InitFailure, frame: Frame) -> tuple[MonoState, Estimate]:
         state = replace(state, search=state.search.failed(failure), lost=state.lost + 1)
         return state, self._estimates.searched(frame, state)
 
@@ -260,7 +259,7 @@ class MonoTracker:
     ) -> tuple[MonoState, Estimate]:
         """Begin at once, from points that a person clicked."""
         start = self._finder.begin(detected)
-        if isinstance(start, NoStart):
+        if isinstance(start, InitFailure):
             raise NoFaceError(
                 "clicked points begin no head",
                 where=self._clicked_where,
@@ -271,7 +270,7 @@ class MonoTracker:
         return self._found(state, start, frame, rng)
 
     def _found(
-        self, state: MonoState, start: MonoStart, frame: Frame, rng: np.random.Generator
+        self, state: MonoState, start: MonoInitialisation, frame: Frame, rng: np.random.Generator
     ) -> tuple[MonoState, Estimate]:
         """Begin to follow a head; its reference is what the first of the frames showed."""
         reference = self._finder.reference(state.first_templates, start)
@@ -280,7 +279,7 @@ class MonoTracker:
         seen = self._finder.templates(frame, last, start)
         followed = self._follower.resting(frame, last, start, seen, rng)
         status = Status.REINITIALISED if state.people else Status.TRACKING
-        after = state.with_new(person, followed.following, frame.index)
+        after = state.choose_views(person, followed.following, frame.index)
         return after, self._estimates.tracked(frame, after, followed, status)
 
 

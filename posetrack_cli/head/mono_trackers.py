@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.initialisation.clicked import read_clicked
 from posetrack_cli.head.mono_reduction import ReducingTracker, reduced_pixels
 from posetrack_cli.head.mono_tracker import MonoTracker
-from posetrack_cli.head.multilinear.model_file import load_face_model
-from posetrack_cli.head.start.clicked import read_clicked
+from posetrack_cli.head.multilinear.face_model import load_face_model
 
 
 def make_mono_tracker(

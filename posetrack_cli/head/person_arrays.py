@@ -9,16 +9,14 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
-from posetrack_cli.head.adjustment.album import Album
-from posetrack_cli.head.adjustment.history import IdentityHistory
-from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.face import POINT_COUNT
+from posetrack_cli.head.adjustment.views import Album, Person, PointView
+from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.learned_arrays import template_layouts, unusable
-from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.person import KnownPerson, shape_of
-from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.state_arrays import Arrays, template_parts, templates_of
+from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, shape_of
 from posetrack_cli.results.layouts import (
     Layout,
     LayoutError,

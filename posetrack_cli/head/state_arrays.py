@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.following import Following
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.templates import TemplateSet
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.learned_arrays import template_layouts
-from posetrack_cli.head.particles import HeadParticles
-from posetrack_cli.head.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.shape_model import ShapeModel
-from posetrack_cli.head.start.search import Search
-from posetrack_cli.head.templates import TemplateSet
+from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.results.layouts import Layout, counts, floats, units
 
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -65,7 +65,7 @@ def templates_of(arrays: Mapping[str, np.ndarray[Any, Any]], prefix: str) -> tup
     return tuple(TemplateSet(*parts) for parts in zip(*stacked, strict=True))
 
 
-def following_parts(following: Following) -> Arrays:
+def following_parts(following: TrackState) -> Arrays:
     """Take a head that is followed apart, but for its stamp."""
     particles, model = following.particles, following.particles.model
     return {
@@ -112,7 +112,7 @@ def is_following(arrays: Mapping[str, np.ndarray[Any, Any]]) -> bool:
     return any(name.startswith(("following.", "particles.", "previous.")) for name in arrays)
 
 
-def following_of(arrays: Mapping[str, np.ndarray[Any, Any]], stamp_ns: int) -> Following:
+def following_of(arrays: Mapping[str, np.ndarray[Any, Any]], stamp_ns: int) -> TrackState:
     """Put a head together that is followed."""
     model = ShapeModel(arrays["particles.mean"], arrays["particles.basis"], arrays["particles.mu"])
     particles = HeadParticles(
@@ -125,4 +125,4 @@ def following_of(arrays: Mapping[str, np.ndarray[Any, Any]], stamp_ns: int) -> F
     pose = HeadPose(arrays["following.position"], arrays["following.quaternion"])
     previous = templates_of(arrays, "previous")[0] if "previous.facing" in arrays else None
     velocity, shape = arrays["following.velocity"], arrays["following.shape"]
-    return Following(stamp_ns, pose, velocity, particles, shape, previous)
+    return TrackState(stamp_ns, pose, velocity, particles, shape, previous)

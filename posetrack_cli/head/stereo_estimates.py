@@ -6,10 +6,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.estimates import followed_estimate, padded, searched_estimate
-from posetrack_cli.head.following import Followed, Following
-from posetrack_cli.head.learning import FaceLearning
-from posetrack_cli.head.subject import HeadNumbers
+from posetrack_cli.head.estimates import lost_estimate, padded, tracked_estimate
+from posetrack_cli.head.subject import StereoDiagnostics
+from posetrack_cli.head.tracker.face_learning import FaceLearning
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
@@ -20,29 +20,29 @@ def components_of(config: HeadStereoConfig) -> int:
 
 
 def tracked(
-    frame: Frame, followed: Followed, face: FaceLearning, status: Status, config: HeadStereoConfig
+    frame: Frame, followed: FrameFit, face: FaceLearning, status: Status, config: HeadStereoConfig
 ) -> Estimate:
     """Return the estimate of a frame in which the head was tracked."""
     count = components_of(config)
     numbers = _numbers(face, followed.score, followed.weights).array(count)
-    return followed_estimate(frame, followed, status, padded(followed.coefficients, count), numbers)
+    return tracked_estimate(frame, followed, status, padded(followed.coefficients, count), numbers)
 
 
 def searched(
-    frame: Frame, following: Following | None, face: FaceLearning | None, config: HeadStereoConfig
+    frame: Frame, following: TrackState | None, face: FaceLearning | None, config: HeadStereoConfig
 ) -> Estimate:
     """Return the estimate of a frame in which the head was not found."""
     count = components_of(config)
     mu = padded(np.zeros(0) if face is None else face.model.deviations, count)
-    return searched_estimate(frame, following, np.zeros(count), mu, _numbers(face, np.nan, None).array(count))
+    return lost_estimate(frame, following, np.zeros(count), mu, _numbers(face, np.nan, None).array(count))
 
 
-def _numbers(face: FaceLearning | None, score: float, weights: FloatArray | None) -> HeadNumbers:
+def _numbers(face: FaceLearning | None, score: float, weights: FloatArray | None) -> StereoDiagnostics:
     if face is None:
-        return HeadNumbers(np.zeros(0), score=score, weights=weights)
+        return StereoDiagnostics(np.zeros(0), score=score, weights=weights)
     statistics = face.statistics
     known = statistics.learnt > 0
-    return HeadNumbers(
+    return StereoDiagnostics(
         statistics.eigenvalues if known else np.zeros(0),
         float(statistics.contribution[-1]) if known else np.nan,
         statistics.learnt,

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.head.ccipca import Ccipca
 from posetrack_cli.head.config import ModelSettings
-from posetrack_cli.head.following import Following
+from posetrack_cli.head.face.templates import TemplateSet
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.learned_arrays import check_learned, face_layouts, template_layouts
-from posetrack_cli.head.learning import FaceLearning, known_face
-from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.state_arrays import (
     Arrays,
     Numbers,
@@ -27,7 +25,8 @@ from posetrack_cli.head.state_arrays import (
     template_parts,
     templates_of,
 )
-from posetrack_cli.head.templates import TemplateSet
+from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, known_face
+from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, Layout, check_arrays, check_numbers
 
 
@@ -45,7 +44,7 @@ class StereoState:
 
     face: FaceLearning | None = None
     sets: tuple[TemplateSet, ...] = ()
-    following: Following | None = None
+    following: TrackState | None = None
     lost: int = 0
     search: Search = field(default_factory=Search)
 

@@ -14,26 +14,25 @@ from posetrack_cli.geometry.rigid_alignment import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.following import Followed, Follower, Following, Images, begun
-from posetrack_cli.head.keyframes import is_new
-from posetrack_cli.head.learning import FaceLearning, new_face
-from posetrack_cli.head.motion import FRAME_S
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.templates import TemplateSet, is_new, take_templates
+from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.stereo import StereoInitialisation, find_head
+from posetrack_cli.head.particles.motion import FRAME_S
 from posetrack_cli.head.protocol import NoFaceError
-from posetrack_cli.head.refinement.refine import point_values
-from posetrack_cli.head.refinement.settling import settle
-from posetrack_cli.head.start.start import NoStart, Start, find_start
+from posetrack_cli.head.refinement.refine import point_values, refine_initial_depth
 from posetrack_cli.head.stereo_estimates import searched, tracked
 from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of, state_of
-from posetrack_cli.head.templates import TemplateSet, take_templates
+from posetrack_cli.head.tracker.face_learning import FaceLearning, new_face
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, FrameTracker, Images, TrackState, begun
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
 
-class FindStart(Protocol):
+class FindHead(Protocol):
     """How a face is found in one frame."""
 
-    def __call__(self, images: Images) -> Start | NoStart:
+    def __call__(self, images: Images) -> StereoInitialisation | InitFailure:
         """Return where the face is, or why none was found."""
 
 
@@ -54,11 +53,11 @@ class StereoTracker:
         self,
         config: HeadStereoConfig,
         cameras: Sequence[Camera],
-        find_start: FindStart,
+        find_head: FindHead,
         known: Mapping[str, np.ndarray[Any, Any]] | None = None,
     ) -> None:
-        self._config, self._cameras, self._find_start = config, tuple(cameras), find_start
-        self._follower = Follower(config.particles, config.refinement, self._cameras)
+        self._config, self._cameras, self._find_start = config, tuple(cameras), find_head
+        self._follower = FrameTracker(config.particles, config.refinement, self._cameras)
         self._steadiness = point_values(config.model.expression_mm) ** -2
         self._known = StereoState() if known is None else known_state(known, len(self._cameras), config.model)
 
@@ -105,8 +104,8 @@ class StereoTracker:
         return state_of(arrays, numbers, len(self._cameras), self._config.model)
 
     def _followed(
-        self, state: StereoState, following: Following, frame: Frame, rng: np.random.Generator
-    ) -> Followed:
+        self, state: StereoState, following: TrackState, frame: Frame, rng: np.random.Generator
+    ) -> FrameFit:
         face = _found(state.face)
         return self._follower.step(following, frame.stamp_ns, frame.images, state.sets, face.model, rng)
 
@@ -115,11 +114,11 @@ class StereoTracker:
         gone = state.lost >= self._config.status.lost_after_frames
         return Status.REINITIALISED if gone else Status.TRACKING
 
-    def _is_tracked(self, followed: Followed) -> bool:
+    def _is_tracked(self, followed: FrameFit) -> bool:
         return followed.score >= self._config.status.tracking_above
 
     def _tracked(
-        self, state: StereoState, frame: Frame, followed: Followed, status: Status
+        self, state: StereoState, frame: Frame, followed: FrameFit, status: Status
     ) -> tuple[StereoState, Estimate]:
         """Learn from a frame in which the head was found."""
         now, settings = followed.following, self._config
@@ -132,7 +131,7 @@ class StereoTracker:
         after = replace(state, face=face, sets=sets, following=now, lost=0)
         return after, tracked(frame, followed, face, status, settings)
 
-    def _is_keyframe(self, sets: Sequence[TemplateSet], followed: Followed) -> bool:
+    def _is_keyframe(self, sets: Sequence[TemplateSet], followed: FrameFit) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
         settings = self._config.refinement
         neutral = float(np.linalg.norm(followed.coefficients)) < settings.keyframe_neutral_mm
@@ -152,7 +151,7 @@ class StereoTracker:
     ) -> tuple[StereoState, Estimate]:
         """Look for a face that is known already; it must then look as it did."""
         found = self._find_start(frame.images)
-        if not isinstance(found, Start):
+        if not isinstance(found, StereoInitialisation):
             return self._lost(self._after_search(state, found), frame)
         face = _found(state.face)
         pose = self._laid_on(face.model.mean, found)
@@ -165,7 +164,7 @@ class StereoTracker:
         rested = replace(followed.following, velocity=np.zeros_like(following.velocity))
         return self._tracked(state, frame, replace(followed, following=rested), status)
 
-    def _after_search(self, state: StereoState, failure: NoStart) -> StereoState:
+    def _after_search(self, state: StereoState, failure: InitFailure) -> StereoState:
         """Count a search that failed; refuse images that belong to other cameras than they are said to."""
         if state.following is not None:
             return state
@@ -187,7 +186,7 @@ class StereoTracker:
             return round(FRAME_S * 1e9)
         return frame.stamp_ns - state.following.stamp_ns
 
-    def _laid_on(self, mean: FloatArray, found: Start) -> HeadPose:
+    def _laid_on(self, mean: FloatArray, found: StereoInitialisation) -> HeadPose:
         """The pose in which the known shape lies best on the points that were found."""
         R, t = rigid_alignment(mean, found.pose.points(found.shape), self._steadiness)
         return HeadPose(t, quaternions_from_matrices(R))
@@ -196,10 +195,12 @@ class StereoTracker:
         self, state: StereoState, frame: Frame, rng: np.random.Generator
     ) -> tuple[StereoState, Estimate]:
         found = self._find_start(frame.images)
-        if not isinstance(found, Start):
+        if not isinstance(found, StereoInitialisation):
             state = self._after_search(state, found)
             return state, searched(frame, None, None, self._config)
-        shape = settle(frame.images, self._cameras, found.pose, found.shape, self._config.refinement)
+        shape = refine_initial_depth(
+            frame.images, self._cameras, found.pose, found.shape, self._config.refinement
+        )
         face = new_face(shape, self._config.model)
         reference = take_templates(frame.images, self._cameras, found.pose, shape)
         following = self._follower.begin(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
@@ -225,8 +226,8 @@ def make_stereo_tracker(
     """
     detector = FaceDetector(config.start.detection)
 
-    def find(images: Images) -> Start | NoStart:
-        return find_start(images, cameras, detector, config.start)
+    def find(images: Images) -> StereoInitialisation | InitFailure:
+        return find_head(images, cameras, detector, config.start)
 
     return StereoTracker(config, cameras, find, known)
 

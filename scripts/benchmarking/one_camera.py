@@ -22,16 +22,15 @@ from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.views import Person, PointView
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.mono_start.detected import DetectedFace, detect_face
-from posetrack_cli.head.mono_start.start import begin
-from posetrack_cli.head.mono_subject import mono_subject
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.initialisation.detected_face import DetectedFace, detect_face
+from posetrack_cli.head.initialisation.mono import begin
 from posetrack_cli.head.mono_trackers import make_mono_tracker
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import load_face_model
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_images

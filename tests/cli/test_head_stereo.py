@@ -14,7 +14,7 @@ import pytest
 from posetrack_cli.cli.main import run
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.stereo_estimates import components_of
 from posetrack_cli.head.stereo_tracker import make_stereo_tracker

@@ -12,7 +12,7 @@ from posetrack_cli.geometry.projection import normalised_from_pixels
 from posetrack_cli.head.adjustment.preparation import make_problem, make_start, offset_deviations
 from posetrack_cli.head.adjustment.solver.problem import Part, Problem, Unknowns
 from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.refinement.refine import point_values
 

@@ -10,11 +10,10 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.config import PointSettings
-from posetrack_cli.head.face import MEAN_SHAPE, SHAPE_SD
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.config import AdjustmentSettings, PointSettings
+from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.pose import HeadPose
 
 CAMERA = Camera(640, 480, 700.0, 702.0, 321.0, 238.0)
 LENSES = {

@@ -8,17 +8,15 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.adjustment.album import Album
-from posetrack_cli.head.adjustment.history import IdentityHistory
-from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.following import Following
-from posetrack_cli.head.mono_start.detected import DetectedFace
+from posetrack_cli.head.adjustment.views import Album, Person, PointView
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.templates import WINDOW, TemplateSet
+from posetrack_cli.head.initialisation.detected_face import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.particles import HeadParticles
-from posetrack_cli.head.person import KnownPerson, shape_of
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.templates import WINDOW, TemplateSet
+from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.tracker.frame_tracker import TrackState
+from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, shape_of
 
 
 def assert_same(first: object, second: object, where: str = "it") -> None:
@@ -92,7 +90,7 @@ def random_detected(seed: int, stamp_ns: int) -> DetectedFace:
     return DetectedFace(stamp_ns, pixels, responses, score, distance, random_pose(rng), misfit)
 
 
-def random_following(seed: int, model: FaceModel, seen: bool = True) -> Following:
+def random_following(seed: int, model: FaceModel, seen: bool = True) -> TrackState:
     """A head that is followed."""
     rng, size = np.random.default_rng(seed), model.deformation_size
     weights = rng.random(20)
@@ -105,4 +103,4 @@ def random_following(seed: int, model: FaceModel, seen: bool = True) -> Followin
     )
     shape = rng.normal(size=(POINT_COUNT, 3))
     previous = random_templates(seed) if seen else None
-    return Following(10**18 + seed, random_pose(rng), rng.normal(size=6), particles, shape, previous)
+    return TrackState(10**18 + seed, random_pose(rng), rng.normal(size=6), particles, shape, previous)

@@ -7,19 +7,18 @@ from unittest.mock import patch
 
 import numpy as np
 
-from posetrack_cli.head import mono_finder
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import Detection
-from posetrack_cli.head.detection.guess import FaceGuess
+from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.initialisation import mono as mono_finder
 from posetrack_cli.head.mono_state import MonoState
-from posetrack_cli.head.mono_subject import mono_subject
 from posetrack_cli.head.mono_tracker import MonoTracker
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import load_face_model
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.projection import project
+from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
+from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Subject, check_estimate
 from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face

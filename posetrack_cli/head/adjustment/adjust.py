@@ -12,13 +12,12 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import canonical, exponential, multiply
 from posetrack_cli.head.adjustment.preparation import clipped, make_boxes, make_problem, make_start
 from posetrack_cli.head.adjustment.solver.cost import cost
-from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages
-from posetrack_cli.head.adjustment.solver.outcome import all_lengths, identity_variances
+from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
 from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
 from posetrack_cli.head.adjustment.views import Adjusted, Person, PointView
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.refinement.refine import point_values
 
 

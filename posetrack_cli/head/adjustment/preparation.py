@@ -14,8 +14,8 @@ from posetrack_cli.geometry.projection import largest_radius, normalised_from_pi
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Problem, Unknowns
 from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.face import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
-from posetrack_cli.head.mono_config import AdjustmentSettings, OffsetSettings
+from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings
+from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.refinement.refine import point_values
 

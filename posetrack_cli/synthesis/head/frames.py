@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.synthesis.head.drops import dropped_images
 from posetrack_cli.synthesis.head.expression_script import ExpressionScript, make_script
 from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed

@@ -10,7 +10,7 @@ from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.poses import in_camera
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.rendering.gl.textured import Lighting, Surface, TexturedRenderer
 from posetrack_cli.synthesis.head import surroundings
 from posetrack_cli.synthesis.head.identity import Looks

@@ -16,7 +16,7 @@ from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.preparation import clipped, make_boxes
 from posetrack_cli.head.adjustment.solver.cost import cost
 from posetrack_cli.head.adjustment.views import Person
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
 from support.bundles import FREE, LENSES, moved_away, noisy, random_bundle
 

@@ -6,8 +6,17 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, deformation_basis, place, residual, turn
+from posetrack_cli.head.adjustment.solver.problem import (
+    NEAREST_MM,
+    POSE,
+    Part,
+    Problem,
+    Unknowns,
+    deformation_basis,
+    point_in_camera,
+    residual,
+    write_rotation,
+)
 
 
 @kernel
@@ -55,9 +64,9 @@ def view_lengths(
     """Write (K,) how far each point of a view is off, in standard deviations; infinite behind the camera."""
     rotation, left, arm, error = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
-    turn(local[3:6], problem.rotations[view], rotation, left)
+    write_rotation(local[3:6], problem.rotations[view], rotation, left)
     for k in range(len(lengths)):
-        place(problem, k, local, unknowns.shared, basis, rotation, arm)
+        point_in_camera(problem, k, local, unknowns.shared, basis, rotation, arm)
         x, y, z = (
             arm[0] + position[0] + local[0],
             arm[1] + position[1] + local[1],

@@ -13,13 +13,16 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import (
+from posetrack_cli.head.adjustment.solver.problem import (
     NEAREST_MM,
+    POSE,
+    Part,
+    Problem,
+    Unknowns,
     identity_basis,
-    place,
+    point_in_camera,
     residual,
-    turn,
+    write_rotation,
 )
 
 
@@ -45,7 +48,7 @@ class Rows(NamedTuple):
     """Room for one view: its pose, bases and a point's rows.
 
     Attributes:
-        rotation, left: (3, 3) of ``turn``.
+        rotation, left: (3, 3) of ``write_rotation``.
         deformations: (K, 3, A) of ``deformation_basis``.
         identities: (K, 3, S) of ``identity_basis``.
         by_point: (2, 3) d r / d X; in_head: times R.
@@ -94,9 +97,9 @@ def make_rows(problem: Problem) -> Rows:
 @kernel
 def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equations: Equations) -> None:
     """Write the equations at the unknowns, whose deformation basis stands in the rows."""
-    begin(problem, unknowns, part, equations)
+    start_equations(problem, unknowns, part, equations)
     for view in range(part.first, part.last):
-        turn(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
+        write_rotation(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
         if part.shared > 0:
             identity_basis(problem, unknowns.local[view], rows.identities)
         for k in range(len(problem.mean)):
@@ -105,7 +108,7 @@ def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equa
 
 
 @kernel
-def begin(problem: Problem, unknowns: Unknowns, part: Part, equations: Equations) -> None:
+def start_equations(problem: Problem, unknowns: Unknowns, part: Part, equations: Equations) -> None:
     """Write the equations of the priors alone."""
     equations.local[:], equations.cross[:], equations.shared[:] = 0.0, 0.0, 0.0
     equations.local_gradient[:] = 0.0
@@ -126,7 +129,7 @@ def add_point(
     """Add what a point says, if it lies in front of the camera; beyond h it is weighed by h / e (Huber)."""
     arm, error = np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
-    place(problem, k, local, unknowns.shared, rows.deformations, rows.rotation, arm)
+    point_in_camera(problem, k, local, unknowns.shared, rows.deformations, rows.rotation, arm)
     x, y, z = (
         arm[0] + position[0] + local[0],
         arm[1] + position[1] + local[1],
