@@ -128,10 +128,10 @@ def _run(
     first_pass: Report,
 ) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.head.mono_trackers import make_mono_tracker
     from posetrack_cli.head.multilinear.face_model import load_face_model
     from posetrack_cli.head.run import HeadRun
     from posetrack_cli.head.subject import mono_subject
+    from posetrack_cli.head.tracker.mono import make_mono_tracker
 
     (camera,) = source.cameras
     file = None if config.model.file is None else Path(config.model.file)

@@ -119,3 +119,8 @@ def _bytes(path: Path) -> bytes:
     from posetrack_cli.results.reader import read_result
 
     return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else read_input(path, limits.MODEL_BYTES)
+
+
+def unusable(found: object, expected: str) -> ResultError:
+    """Return the error that says what of learned arrays is not as it must be."""
+    return ResultError("model is incomplete or damaged", found=found, expected=expected)

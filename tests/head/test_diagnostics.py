@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.head.estimates import lost_estimate
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
+from posetrack_cli.head.tracker.estimates import lost_estimate
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import check_estimate
 from support.bundles import random_model

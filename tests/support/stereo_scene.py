@@ -11,8 +11,8 @@ from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.projection import project
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation
-from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.head.tracker.stereo import StereoTracker, stereo_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, check_estimate
 from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
@@ -42,7 +42,7 @@ class Told:
     failure: InitFailure = field(default_factory=lambda: InitFailure(NO_FACE, 0.3))
     asked: int = 0
 
-    def __call__(self, images: object) -> StereoInitialisation | InitFailure:
+    def find(self, frame: object, *, is_first: bool) -> StereoInitialisation | InitFailure:
         self.asked += 1
         if not self.there:
             return self.failure
@@ -63,7 +63,7 @@ class Scene:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def __post_init__(self) -> None:
-        self.tracker = StereoTracker(self.config, CAMERAS, self.told)
+        self.tracker = stereo_tracker(self.config, CAMERAS, self.told)
 
     def frame(self, index: int, seen: tuple[bool, ...] = (True, True), blank: bool = False) -> Frame:
         images = self.face.render(CAMERAS, pose_at(index), SHAPE, noise=NOISE, seed=index)

@@ -20,7 +20,7 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.views import Adjusted, Person, PointView
+from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -65,7 +65,7 @@ class FocalCheck:
 
 def fit_focal_length(
     views: Sequence[PointView],
-    person: Person,
+    person: PersonParameters,
     model: FaceModel,
     camera: Camera,
     settings: AdjustmentSettings,

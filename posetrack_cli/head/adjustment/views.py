@@ -37,7 +37,7 @@ class PointView:
 
 
 @dataclass(frozen=True, eq=False)
-class Person:
+class PersonParameters:
     """What does not change from frame to frame.
 
     Attributes:
@@ -66,7 +66,7 @@ class Adjusted:
     """
 
     views: tuple[PointView, ...]
-    person: Person
+    person: PersonParameters
     cost: float
     residuals: FloatArray
     iterations: int

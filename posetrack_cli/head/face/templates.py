@@ -177,15 +177,15 @@ def _sample_all(
                 known[c, k] = normalise(grid, patches[c, k]) > 0.0
 
 
-def chosen(sets: Sequence[TemplateSet], facing: FloatArray) -> tuple[TemplateSet, ...]:
+def nearest_templates(templates: Sequence[TemplateSet], facing: FloatArray) -> tuple[TemplateSet, ...]:
     """Return the reference, and the keyframe whose direction is nearest to ``facing`` if it is nearer."""
-    nearest = min(sets, key=lambda one: angle_deg(one.facing, facing))
-    return (sets[0],) if nearest is sets[0] else (sets[0], nearest)
+    nearest = min(templates, key=lambda one: angle_deg(one.facing, facing))
+    return (templates[0],) if nearest is templates[0] else (templates[0], nearest)
 
 
-def is_new(sets: Sequence[TemplateSet], facing: FloatArray, apart_deg: float) -> bool:
+def is_new_direction(templates: Sequence[TemplateSet], facing: FloatArray, apart_deg: float) -> bool:
     """Whether a direction is farther than that from those of all templates."""
-    return all(angle_deg(one.facing, facing) > apart_deg for one in sets)
+    return all(angle_deg(one.facing, facing) > apart_deg for one in templates)
 
 
 def angle_deg(a: FloatArray, b: FloatArray) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,76 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.initialisation.search import InitFailure
-from posetrack_cli.head.initialisation.stereo import StereoInitialisation, head_from_pixels, match_everywhere
+from posetrack_cli.head.initialisation.stereo import (
+    StereoInitialisation,
+    StereoInitialiser,
+    head_from_pixels,
+    match_everywhere,
+)
 from posetrack_cli.head.initialisation.views import camera_images
+from posetrack_cli.head.protocol import NoFaceError
+from posetrack_cli.recording.base import Frame
 
 COLUMNS = ("camera", "point", "x", "y")
+
+
+@dataclass(frozen=True, eq=False)
+class ClickedPoints:
+    """Points that a person clicked in the first frame.
+
+    Attributes:
+        path: of the table.
+        pixels: (C, K, 2), NaN where none was clicked.
+    """
+
+    path: Path
+    pixels: FloatArray
+
+    @classmethod
+    def read(cls, path: Path, cameras: Sequence[Camera]) -> ClickedPoints:
+        """Read a table; see ``read_clicked``."""
+        return cls(path, read_clicked(path, cameras))
+
+
+class ClickedInitialiser(StereoInitialiser):
+    """Finds the face where its points were clicked in the first frame, and by itself in later ones.
+
+    Args:
+        settings: what is good enough.
+        cameras: C >= 2, calibrated.
+        path: table of points, see ``read_clicked``.
+
+    Raises:
+        UsageError: no such table, or a face detector without its model.
+        PosetrackError: points that cannot be used.
+    """
+
+    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], path: Path) -> None:
+        self._clicked = ClickedPoints.read(path, cameras)
+        super().__init__(settings, cameras)
+
+    def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
+        """Return where the face is in a frame, or why none was found.
+
+        Raises:
+            NoFaceError: the clicked points are not those of a face.
+        """
+        if not is_first:
+            return super().find(frame, is_first=False)
+        found = head_from_clicked(frame.images, self._cameras, self._clicked.pixels, self._settings)
+        if isinstance(found, InitFailure):
+            raise unusable_clicks(self._clicked.path, found)
+        return found
+
+
+def unusable_clicks(path: Path, failure: InitFailure) -> NoFaceError:
+    """Return the error that says why clicked points begin no head."""
+    return NoFaceError(
+        "clicked points begin no head",
+        where=path,
+        found=failure.reason,
+        hint="were they clicked in the first frame that is tracked? right is the subject's right",
+    )
 
 
 def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:

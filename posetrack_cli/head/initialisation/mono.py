@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.views import Adjusted, Person, PointView
+from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import POINT_COUNT
@@ -40,14 +40,14 @@ class MonoInitialisation:
     """
 
     views: tuple[PointView, ...]
-    person: Person
+    person: PersonParameters
     pixels: FloatArray
     residual: float
     score: float
     adjusted: Adjusted
 
 
-def begin(
+def initialise(
     detected: Sequence[DetectedFace], camera: Camera, model: FaceModel, settings: HeadMonoConfig
 ) -> MonoInitialisation | InitFailure:
     """Return the head whose points were found in one frame or more, or why they are no head's.
@@ -70,7 +70,7 @@ def begin(
         return InitFailure(_unlike(misfit), score)
     adjusted = adjust(
         [_view(face, model, settings.start.pixel_sd) for face in detected],
-        Person(model.identity_mean, np.zeros((POINT_COUNT, 3))),
+        PersonParameters(model.identity_mean, np.zeros((POINT_COUNT, 3))),
         model,
         camera,
         settings.adjustment,
@@ -116,22 +116,22 @@ def _unlike(distance: float) -> str:
     return f"points {distance:.2f} eye distances from a face's"
 
 
-class MonoFinder:
+class MonoInitialiser:
     """Finds a face in images of one camera.
 
     Args:
         config: parameters.
-        camera: of the recording.
+        camera: that takes the images.
         model: of faces.
+        detector: of faces.
         choice: which face, 0 the largest.
-
-    Raises:
-        UsageError: a face detector without its model.
     """
 
-    def __init__(self, config: HeadMonoConfig, camera: Camera, model: FaceModel, choice: int) -> None:
-        self._config, self._camera, self._model, self._choice = config, camera, model, choice
-        self._detector = FaceDetector(config.start.detection)
+    def __init__(
+        self, config: HeadMonoConfig, camera: Camera, model: FaceModel, detector: FaceDetector, choice: int
+    ) -> None:
+        self._config, self._camera, self._model = config, camera, model
+        self._detector, self._choice = detector, choice
 
     def detect(self, frame: Frame, near: FloatArray | None) -> DetectedFace | InitFailure:
         """Return the face in a frame, the one at pixels (K, 2) ``near`` where they are given."""
@@ -142,17 +142,17 @@ class MonoFinder:
             image, frame.stamp_ns, self._camera, self._detector, self._config.start, self._choice, near
         )
 
-    def begin(self, detected: Sequence[DetectedFace]) -> MonoInitialisation | InitFailure:
+    def initialise(self, detected: Sequence[DetectedFace]) -> MonoInitialisation | InitFailure:
         """Return the head that was detected in some frames."""
-        return begin(detected, self._camera, self._model, self._config)
+        return initialise(detected, self._camera, self._model, self._config)
 
     def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
-        """Return the templates of a frame with a face, the last of those begun with."""
+        """Return the templates of a frame with a face, the last of those that the head was found in."""
         shape = self._shape(start)
         return take_templates(frame.images, (self._camera,), start.views[-1].pose, shape, found.pixels[None])
 
     def reference(self, first: TemplateSet, start: MonoInitialisation) -> TemplateSet:
-        """Return the templates of the first frame, whose head lies otherwise than thought in that frame."""
+        """Return the templates of the first frame, at the pose that the adjustment came to."""
         pose = start.views[0].pose
         projection = project((self._camera,), pose.points(self._shape(start)))
         return replace(first, tangents=tangents(projection, pose), facing=pose.facing)

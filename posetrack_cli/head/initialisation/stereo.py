@@ -28,6 +28,7 @@ from posetrack_cli.head.initialisation.average_face import (
 from posetrack_cli.head.initialisation.matching import Matches, match_points
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.views import CameraImage, camera_images, is_reference, required
+from posetrack_cli.recording.base import Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,26 @@ class StereoInitialisation:
     pixels: FloatArray
     matched: BoolArray
     score: float
+
+
+class StereoInitialiser:
+    """Finds the face in the images of one frame.
+
+    Args:
+        settings: what is good enough.
+        cameras: C >= 2, calibrated.
+
+    Raises:
+        UsageError: a face detector without its model.
+    """
+
+    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera]) -> None:
+        self._settings, self._cameras = settings, tuple(cameras)
+        self._detector = FaceDetector(settings.detection)
+
+    def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
+        """Return where the face is in a frame, the first of the run or another, or why none was found."""
+        return find_head(frame.images, self._cameras, self._detector, self._settings)
 
 
 def find_head(

@@ -83,10 +83,12 @@ class FaceLearning:
 
 def new_face(shape: FloatArray, settings: ModelSettings) -> FaceLearning:
     """Return what is known of a face (K, 3), mm, that was just found: its shape, which does not deform."""
-    return known_face(begun(shape, settings.components, mean_count=settings.rigid_frames), 0, settings)
+    return face_of_statistics(
+        untrained_statistics(shape, settings.components, mean_count=settings.rigid_frames), 0, settings
+    )
 
 
-def known_face(statistics: Ccipca, frames: int, settings: ModelSettings) -> FaceLearning:
+def face_of_statistics(statistics: Ccipca, frames: int, settings: ModelSettings) -> FaceLearning:
     """Return what statistics say that were learnt over so many frames."""
     return FaceLearning(statistics, frames, _model(statistics, settings))
 
@@ -165,7 +167,7 @@ class Ccipca:
         return ShapeModel(self.mean, basis.reshape(*self.mean.shape, -1), np.sqrt(lengths[order]))
 
 
-def begun(mean: FloatArray, components: int, mean_count: int = 0) -> Ccipca:
+def untrained_statistics(mean: FloatArray, components: int, mean_count: int = 0) -> Ccipca:
     """Return the state before any deformation was seen.
 
     Args:

@@ -1,31 +1,33 @@
-"""Following a found head from frame to frame: filter, refinement, the points' own places."""
+"""A found head followed from frame to frame: filter, refinement, the points' own places."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import ParticleSettings, RefinementSettings
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.face.projection import project
 from posetrack_cli.head.face.shape_model import ShapeModel
 from posetrack_cli.head.face.templates import (
     TemplateSet,
-    chosen,
+    nearest_templates,
     take_templates,
     tangents,
     template_images,
     visibility,
     warped,
 )
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.particles.filter import HeadFilter, HeadParticles
 from posetrack_cli.head.particles.motion import FRAME_S, predicted_pose, velocity_between
 from posetrack_cli.head.particles.scores import PatchObservation
 from posetrack_cli.head.refinement.refine import recalculate, refine
+from posetrack_cli.recording.base import Frame
 
 Images = Sequence[ImageArray | None]
 
@@ -40,7 +42,7 @@ class TrackState:
         velocity: (6,) tangent vector per second.
         particles: about that pose.
         shape: (K, 3) M', the points' own places in the head's frame, mm.
-        previous: templates of this frame; None if the head was put here and not seen here.
+        templates: of this frame; None if the head was put here and not seen here.
     """
 
     stamp_ns: int
@@ -48,7 +50,11 @@ class TrackState:
     velocity: FloatArray
     particles: HeadParticles
     shape: FloatArray
-    previous: TemplateSet | None
+    templates: TemplateSet | None
+
+    def at_rest(self) -> TrackState:
+        """Return the head without its velocity, which does not tell where it is next."""
+        return replace(self, velocity=np.zeros_like(self.velocity))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +62,7 @@ class FrameFit:
     """What one frame says about a head.
 
     Attributes:
-        following: to go on with.
+        track: to go on with.
         coefficients: (B,) deformation, mm.
         coefficient_rate: (B,) its change since the frame before, mm/s.
         variance: (6 + B,) of pose (tangent vector) and coefficients.
@@ -68,7 +74,7 @@ class FrameFit:
         effective_sample_size: of the particles.
     """
 
-    following: TrackState
+    track: TrackState
     coefficients: FloatArray
     coefficient_rate: FloatArray
     variance: FloatArray
@@ -80,22 +86,53 @@ class FrameFit:
     effective_sample_size: float
 
 
+LONG_AGO_NS = -(2**62)
+
+
+@dataclass(frozen=True, eq=False)
+class HeadState:
+    """What a head tracker knows after a frame; what it knows of the face is added by subclasses.
+
+    Attributes:
+        track: the head when it was last tracked; None before.
+        lost: frames in a row, up to the last one, in which it was not.
+        search: what looking for a head came to before one was first found.
+        first_ns: stamp of the first frame, the one that points were clicked in.
+    """
+
+    track: TrackState | None = None
+    lost: int = 0
+    search: Search = field(default_factory=Search)
+    first_ns: int = LONG_AGO_NS
+
+    @property
+    def is_found(self) -> bool:
+        """Whether a head was found in any frame so far."""
+        return self.track is not None
+
+    def last_seen_ns(self, frame: Frame) -> int:
+        """Return when the head was last tracked; if it was not, as long ago as between two frames."""
+        return frame.stamp_ns - round(FRAME_S * 1e9) if self.track is None else self.track.stamp_ns
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether the head may still be about where it was last tracked."""
+        return True
+
+
 class FrameTracker:
     """One step of the method of chapters 3 and 4, for a head that was found.
 
     Args:
-        particles: of the filter.
-        refinement: what follows it.
+        config: of the filter, and of the refinement that follows it.
         cameras: of the recording, one or more.
     """
 
-    def __init__(
-        self, particles: ParticleSettings, refinement: RefinementSettings, cameras: Sequence[Camera]
-    ) -> None:
-        self._settings, self._motion, self._cameras = refinement, particles, cameras
-        self._filter = HeadFilter(particles, cameras)
+    def __init__(self, config: HeadStereoConfig | HeadMonoConfig, cameras: Sequence[Camera]) -> None:
+        self._settings, self._motion, self._cameras = config.refinement, config.particles, cameras
+        self._filter = HeadFilter(config.particles, cameras)
 
-    def begin(
+    def start(
         self,
         stamp_ns: int,
         pose: HeadPose,
@@ -111,9 +148,8 @@ class FrameTracker:
     def step(
         self,
         before: TrackState,
-        stamp_ns: int,
-        images: Images,
-        sets: Sequence[TemplateSet],
+        frame: Frame,
+        templates: Sequence[TemplateSet],
         model: ShapeModel,
         rng: np.random.Generator,
     ) -> FrameFit:
@@ -121,24 +157,21 @@ class FrameTracker:
 
         Args:
             before: the head after the frame before.
-            stamp_ns: of this frame.
-            images: grey, uint8, one a camera; None where a camera gave none.
-            sets: templates, reference first.
+            frame: one grey image a camera; None where a camera gave none.
+            templates: reference first.
             model: of the face.
             rng: source of randomness.
         """
-        dt = (stamp_ns - before.stamp_ns) * 1e-9
+        dt = (frame.stamp_ns - before.stamp_ns) * 1e-9
         predicted = predicted_pose(before.pose, before.velocity, dt, self._motion)
         coefficients = before.particles.with_model(model).coefficients
-        shape = model.shapes(coefficients)
-        expected = self._expected(images, sets, predicted, shape)
+        expected = self._expected(frame.images, templates, predicted, model.shapes(coefficients))
         filtered = self._filter.step(before.particles, predicted, before.velocity, dt, expected, model, rng)
-        stored = chosen(sets, filtered.pose.facing)
         refined = refine(
-            images,
+            frame.images,
             self._cameras,
-            stored,
-            before.previous,
+            nearest_templates(templates, filtered.pose.facing),
+            before.templates,
             model,
             filtered.pose,
             filtered.coefficients,
@@ -146,21 +179,21 @@ class FrameTracker:
         )
         places = model.shapes(refined.coefficients)
         own = recalculate(refined.scene, refined.pose, places, before.shape, self._settings)
-        following = TrackState(
-            stamp_ns,
+        track = TrackState(
+            frame.stamp_ns,
             refined.pose,
             velocity_between(before.pose, refined.pose, dt),
             filtered.particles.moved_to(refined.pose, refined.coefficients),
             own.shape,
-            take_templates(images, self._cameras, refined.pose, own.shape, own.pixels),
+            take_templates(frame.images, self._cameras, refined.pose, own.shape, own.pixels),
         )
         correlations, score = agreement(refined.correlations, refined.visibility)
         at_own_places, _ = agreement(own.correlations, refined.visibility)
         return FrameFit(
-            following,
+            track,
             refined.coefficients,
             (refined.coefficients - coefficients) / dt,
-            following.particles.variance(),
+            track.particles.variance(),
             dt,
             at_own_places,
             refined.visibility.max(axis=0) * np.clip(np.nan_to_num(correlations), 0.0, 1.0),
@@ -170,32 +203,32 @@ class FrameTracker:
         )
 
     def _expected(
-        self, images: Images, sets: Sequence[TemplateSet], pose: HeadPose, shape: FloatArray
+        self, images: Images, templates: Sequence[TemplateSet], pose: HeadPose, shape: FloatArray
     ) -> PatchObservation:
         """What the points should look like at a predicted pose, and how far they are visible."""
         projection = project(self._cameras, pose.points(shape))
-        patches, known = warped(chosen(sets, pose.facing)[-1], tangents(projection, pose))
+        patches, known = warped(nearest_templates(templates, pose.facing)[-1], tangents(projection, pose))
         return PatchObservation(images, template_images(patches), visibility(projection, pose) * known)
 
 
-def begun(following: TrackState, size: int, score: float, pixels: FloatArray) -> FrameFit:
-    """What the frame says in which a head was first found.
+def initial_fit(track: TrackState, score: float, pixels: FloatArray) -> FrameFit:
+    """Return what the frame says in which a head was first found.
 
     Args:
-        following: the head, at rest.
-        size: B, of a face that is not known to deform yet.
+        track: the head, at rest.
         score: of the start.
         pixels: (C, K, 2) where its points were found.
     """
-    nothing, particles = np.zeros(size), following.particles
+    particles = track.particles
+    nothing = np.zeros(particles.model.size)  # of a face that is not known to deform yet
     return FrameFit(
-        following,
+        track,
         coefficients=nothing,
         coefficient_rate=nothing,
         variance=particles.variance(),
         dt=FRAME_S,
-        correlations=np.full(len(following.shape), score),
-        weights=np.full(len(following.shape), score),
+        correlations=np.full(len(track.shape), score),
+        weights=np.full(len(track.shape), score),
         score=score,
         pixels=pixels,
         effective_sample_size=float(len(particles.weights)),

@@ -9,7 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.views import Album, Person, PointView, choose_views
+from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView, choose_views
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.shape_model import ShapeModel
 from posetrack_cli.head.face.templates import TemplateSet
@@ -35,17 +35,17 @@ class KnownPerson:
         usual_score: running mean of the scores of tracked frames; NaN before the first.
     """
 
-    person: Person
+    person: PersonParameters
     history: IdentityHistory
     views: tuple[PointView, ...]
     album: Album
     shape: ShapeModel
-    sets: tuple[TemplateSet, ...]
+    templates: tuple[TemplateSet, ...]
     adjusted_frames: int = 0
     rms_px: float = np.nan
     usual_score: float = np.nan
 
-    def scored(self, score: float) -> KnownPerson:
+    def with_score(self, score: float) -> KnownPerson:
         """Return what is known after a frame with a score."""
         before = score if np.isnan(self.usual_score) else self.usual_score
         return replace(self, usual_score=before + USUAL_RATE * (score - before))
@@ -63,22 +63,22 @@ class KnownPerson:
             settings: of the adjustment.
         """
         views = choose_views(self.views, view, settings.views)
-        start = Person(self.history.mean, self.person.offsets)
+        start = PersonParameters(self.history.mean, self.person.offsets)
         adjusted = adjust(
             views, start, model, camera, settings, iterations=settings.iterations, deviations=False
         )
         return replace(
             self,
             person=adjusted.person,
-            history=self.history.added(adjusted.person.identity),
+            history=self.history.with_identity(adjusted.person.identity),
             views=adjusted.views,
             album=self.album.added(adjusted.views[-1], score),
-            shape=shape_of(model, adjusted.person),
+            shape=person_shape(model, adjusted.person),
             adjusted_frames=self.adjusted_frames + 1,
             rms_px=rms(adjusted.residuals),
         )
 
-    def over_all(self, model: FaceModel, camera: Camera, settings: AdjustmentSettings) -> KnownPerson:
+    def over_album(self, model: FaceModel, camera: Camera, settings: AdjustmentSettings) -> KnownPerson:
         """Return the person adjusted from the whole album, for a second pass **[ours]**."""
         views = self.album.views
         if settings.when != "always" or len(views) < 2:
@@ -89,23 +89,23 @@ class KnownPerson:
         return replace(
             self,
             person=adjusted.person,
-            history=IdentityHistory.of(adjusted.person.identity, settings.average),
+            history=IdentityHistory.starting_with(adjusted.person.identity, settings.average),
             views=(),
             album=Album(),
-            shape=shape_of(model, adjusted.person),
+            shape=person_shape(model, adjusted.person),
             rms_px=rms(adjusted.residuals),
         )
 
 
 def new_person(
-    person: Person, reference: TemplateSet, model: FaceModel, settings: AdjustmentSettings
+    person: PersonParameters, reference: TemplateSet, model: FaceModel, settings: AdjustmentSettings
 ) -> KnownPerson:
     """Return what is known of a person who was just found, or whom another tracker has learned."""
-    history = IdentityHistory.of(person.identity, settings.average)
-    return KnownPerson(person, history, (), Album(), shape_of(model, person), (reference,))
+    history = IdentityHistory.starting_with(person.identity, settings.average)
+    return KnownPerson(person, history, (), Album(), person_shape(model, person), (reference,))
 
 
-def shape_of(model: FaceModel, person: Person) -> ShapeModel:
+def person_shape(model: FaceModel, person: PersonParameters) -> ShapeModel:
     """Return how a person's face deforms."""
     return model.of_person(person.identity, person.offsets)
 
@@ -129,11 +129,11 @@ class IdentityHistory:
     size: int
 
     @classmethod
-    def of(cls, identity: FloatArray, size: int) -> IdentityHistory:
+    def starting_with(cls, identity: FloatArray, size: int) -> IdentityHistory:
         """Return a history that begins with one identity (S,) and keeps ``size`` of them."""
         return cls(np.array(identity, dtype=np.float64)[None], size)
 
-    def added(self, identity: FloatArray) -> IdentityHistory:
+    def with_identity(self, identity: FloatArray) -> IdentityHistory:
         """Return the history after another adjustment; the oldest goes where there are too many."""
         return replace(self, identities=np.vstack([self.identities, identity])[-self.size :])
 

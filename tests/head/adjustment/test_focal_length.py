@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.focal_length import ENDS, STEP, FocalCheck, fit_focal_length
-from posetrack_cli.head.adjustment.views import Person
+from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.pose import HeadPose
 from support.bundles import CAMERA, moved_away, noisy, random_bundle
@@ -26,7 +26,7 @@ def checked(seed, true_factor, count=30, noise=0.7, offset_mm=0.6):
         replace(view, pose=HeadPose(view.pose.position * [1.0, 1.0, 1.0 / true_factor], view.pose.quaternion))
         for view in views
     ]
-    mean = Person(bundle.model.identity_mean, np.zeros((10, 3)))
+    mean = PersonParameters(bundle.model.identity_mean, np.zeros((10, 3)))
     return fit_focal_length(nearer, mean, bundle.model, CAMERA, SETTINGS)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.adjustment.focal_length import VIEWS, focal_length_check
-from posetrack_cli.head.adjustment.views import Album, Person
+from posetrack_cli.head.adjustment.views import Album, PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -31,7 +31,7 @@ def seen(seed: int, factor: float, pages: int = VIEWS) -> tuple[KnownPerson, Fac
         replace(view, pose=HeadPose(view.pose.position * nearer, view.pose.quaternion))
         for view in bundle.views
     ]
-    mean = Person(bundle.model.identity_mean, np.zeros((10, 3)))
+    mean = PersonParameters(bundle.model.identity_mean, np.zeros((10, 3)))
     known = new_person(mean, random_templates(seed), bundle.model, SETTINGS)
     album = Album({(index, 0): ((1.0, view),) for index, view in enumerate(views)})
     return replace(known, album=album), bundle.model

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.head.face.templates import TemplateSet, angle_deg, chosen, is_new
+from posetrack_cli.head.face.templates import TemplateSet, angle_deg, is_new_direction, nearest_templates
 
 ROOM = np.zeros((1, 1, 1, 1))
 
@@ -21,14 +21,14 @@ def kept(*yaws_deg: float) -> tuple[TemplateSet, ...]:
 
 def test_the_reference_is_always_compared_with_and_the_nearest_keyframe_beside_it() -> None:
     sets = kept(0.0, 15.0, 30.0)
-    assert chosen(sets, facing(5.0)) == (sets[0],)
-    assert chosen(sets, facing(20.0)) == (sets[0], sets[1])
-    assert chosen(sets, facing(40.0)) == (sets[0], sets[2])
+    assert nearest_templates(sets, facing(5.0)) == (sets[0],)
+    assert nearest_templates(sets, facing(20.0)) == (sets[0], sets[1])
+    assert nearest_templates(sets, facing(40.0)) == (sets[0], sets[2])
 
 
 @pytest.mark.parametrize(("yaw_deg", "new"), [(0.0, False), (9.0, False), (11.0, True), (26.0, False)])
 def test_a_direction_is_new_where_none_near_it_is_kept(yaw_deg: float, new: bool) -> None:
-    assert is_new(kept(0.0, 25.0), facing(yaw_deg), 10.0) is new
+    assert is_new_direction(kept(0.0, 25.0), facing(yaw_deg), 10.0) is new
 
 
 def test_angles_of_rounded_unit_vectors_are_numbers() -> None:

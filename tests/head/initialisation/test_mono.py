@@ -10,7 +10,7 @@ import pytest
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.initialisation.clicked import read_clicked
 from posetrack_cli.head.initialisation.detected_face import clicked_face
-from posetrack_cli.head.initialisation.mono import MonoInitialisation, begin
+from posetrack_cli.head.initialisation.mono import MonoInitialisation, initialise
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from support.mono_start_scenes import BENT, PLAIN, head, pixels_of
@@ -41,7 +41,7 @@ def errors(start, heads=HEADS):
 @pytest.mark.parametrize("count", [1, 5])
 def test_the_mean_person_is_found_where_it_is(camera, config, count):
     """Nothing is to be adjusted: every prior is at its mean, so the poses are exact."""
-    start = begin(detected(camera=camera, heads=HEADS[:count]), camera, MODEL, config)
+    start = initialise(detected(camera=camera, heads=HEADS[:count]), camera, MODEL, config)
     assert isinstance(start, MonoInitialisation)
     np.testing.assert_allclose(errors(start, HEADS[:count]), 0.0, atol=0.02)
     np.testing.assert_allclose(start.person.identity, MODEL.identity_mean, atol=1e-3)
@@ -58,7 +58,7 @@ def test_another_person_is_found_better_than_the_mean_one_would_be():
         )
         shape = MODEL.of_person(identity).mean
         adjusted, mean = (
-            begin(detected(shape, noise=0.5), PLAIN, MODEL, one) for one in (CONFIG, MEAN_PERSON)
+            initialise(detected(shape, noise=0.5), PLAIN, MODEL, one) for one in (CONFIG, MEAN_PERSON)
         )
         assert isinstance(adjusted, MonoInitialisation)
         assert isinstance(mean, MonoInitialisation)
@@ -70,24 +70,24 @@ def test_another_person_is_found_better_than_the_mean_one_would_be():
 
 def test_first_pixels_and_score_are_those_detected():
     faces = detected(noise=0.5)
-    start = begin(faces, PLAIN, MODEL, CONFIG)
+    start = initialise(faces, PLAIN, MODEL, CONFIG)
     assert isinstance(start, MonoInitialisation)
     np.testing.assert_array_equal(start.pixels, faces[0].pixels)
     assert start.score == 1.0
 
 
 def test_detected_points_count_less_than_tracked_ones():
-    start = begin(detected(), PLAIN, MODEL, CONFIG)
+    start = initialise(detected(), PLAIN, MODEL, CONFIG)
     assert isinstance(start, MonoInitialisation)
     np.testing.assert_allclose(start.views[0].weights, CONFIG.start.pixel_sd**-2)
 
 
 def test_without_frames_there_is_no_face():
-    assert begin([], PLAIN, MODEL, CONFIG) == InitFailure(NO_FACE)
+    assert initialise([], PLAIN, MODEL, CONFIG) == InitFailure(NO_FACE)
 
 
 def reason(faces, config=CONFIG):
-    failure = begin(faces, PLAIN, MODEL, config)
+    failure = initialise(faces, PLAIN, MODEL, config)
     assert isinstance(failure, InitFailure)
     assert failure.score == 1.0
     return failure.reason
@@ -135,6 +135,6 @@ def test_one_clicked_frame_begins_a_head(tmp_path: Path):
     file = tmp_path / "clicked.csv"
     file.write_text("\n".join(["camera,point,x,y", *rows]))
     (pixels,) = read_clicked(file, [PLAIN])
-    start = begin([clicked_face(pixels, 0, PLAIN)], PLAIN, MODEL, CONFIG)
+    start = initialise([clicked_face(pixels, 0, PLAIN)], PLAIN, MODEL, CONFIG)
     assert isinstance(start, MonoInitialisation)
     np.testing.assert_allclose(errors(start, [truth]), 0.0, atol=0.02)

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import subspace_angles
 
 from posetrack_cli.head.face.points import MEAN_SHAPE
-from posetrack_cli.head.tracker.face_learning import begun
+from posetrack_cli.head.tracker.face_learning import untrained_statistics
 
 SIZE = MEAN_SHAPE.size
 DEVIATIONS = np.array([12.0, 7.0, 4.0])
@@ -27,7 +27,7 @@ def shapes(count, seed):
 
 
 def learnt(samples, components=3, mean_count=0):
-    state = begun(MEAN_SHAPE, components, mean_count)
+    state = untrained_statistics(MEAN_SHAPE, components, mean_count)
     for sample in samples:
         state = state.updated(sample)
     return state
@@ -42,7 +42,7 @@ def test_the_angle_falls_as_the_square_root_of_time():
     """Root mean square over 12 recordings; the sample covariance's own angle falls like this too."""
     times, squares = (250, 1000, 4000), np.zeros(3)
     for seed in range(12):
-        samples, state, done = shapes(times[-1], seed), begun(MEAN_SHAPE, 3), 0
+        samples, state, done = shapes(times[-1], seed), untrained_statistics(MEAN_SHAPE, 3), 0
         for i, time in enumerate(times):
             for sample in samples[done:time]:
                 state = state.updated(sample)
@@ -69,7 +69,7 @@ def test_agrees_with_the_exact_decomposition_of_the_same_shapes():
 def test_one_update_by_hand():
     """A mean that counts for one shape and two numbers that move: (3.20), then (3.24) and (3.25)."""
     mean = np.zeros((1, 3))
-    state = begun(mean, 2, mean_count=1).updated(np.array([[6.0, 0.0, 0.0]]))
+    state = untrained_statistics(mean, 2, mean_count=1).updated(np.array([[6.0, 0.0, 0.0]]))
     assert state.mean.ravel().tolist() == [3.0, 0.0, 0.0]  # (0 + 6) / 2
     assert state.components.tolist() == [
         [9.0, 0.0, 0.0],
@@ -94,7 +94,7 @@ def test_as_printed_the_first_shape_is_the_mean():
 
 
 def test_the_model_is_orthonormal_and_descending_at_any_time():
-    state = begun(MEAN_SHAPE, 5, mean_count=120)
+    state = untrained_statistics(MEAN_SHAPE, 5, mean_count=120)
     for sample in shapes(40, 5):
         state = state.updated(sample)
         flat = state.model.basis.reshape(SIZE, -1)

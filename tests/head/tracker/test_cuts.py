@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.head.cuts import is_cut, thumbnail
+from posetrack_cli.head.tracker.mono_state import is_cut, thumbnail
 
 ROUNDING = 0.02
 """Of a correlation: grey levels in 8 bits, of contrasts down to some 20."""

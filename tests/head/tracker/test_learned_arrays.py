@@ -13,19 +13,26 @@ from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
-from posetrack_cli.head.learned_arrays import check_learned
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of
-from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.tracker.face_learning import new_face
+from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState, stereo_tracker
+from posetrack_cli.recording.base import Frame
 from support.head_run import CAMERAS, Memory
 
 NEEDED = (
     *(f"face.{name}" for name in ("mean", "components", "variance", "counts")),
     *(f"sets.{name}" for name in ("windows", "centres", "tangents", "seen", "facing")),
 )
+CODECS = StereoCodecs(2, ModelSettings())
+
+
+class Nobody:
+    """Finds no face."""
+
+    def find(self, frame: Frame, *, is_first: bool) -> InitFailure:
+        return InitFailure(NO_FACE)
 
 
 def learned(cameras: int = 2) -> dict[str, np.ndarray[Any, Any]]:
@@ -38,14 +45,16 @@ def learned(cameras: int = 2) -> dict[str, np.ndarray[Any, Any]]:
         np.zeros(seen, bool),
         np.array([0.0, 0.0, -1.0]),
     )
-    return parts_of(StereoState(new_face(MEAN_SHAPE, ModelSettings()), (templates, templates)))[0]
+    return CODECS.to_model(
+        StereoState(face=new_face(MEAN_SHAPE, ModelSettings()), templates=(templates, templates))
+    )
 
 
 def test_what_a_tracker_has_learned_is_taken_but_for_its_search() -> None:
-    state = known_state(learned(), 2, ModelSettings())
+    state = CODECS.from_model(learned())
     assert state.face is not None
     np.testing.assert_array_equal(state.face.model.mean, MEAN_SHAPE)
-    assert (len(state.sets), state.following, state.search.frames) == (2, None, 0)
+    assert (len(state.templates), state.track, state.search.frames) == (2, None, 0)
 
 
 @pytest.mark.parametrize("name", NEEDED)
@@ -53,22 +62,22 @@ def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     arrays = learned()
     del arrays[name]
     with pytest.raises(ResultError, match=f"incomplete or damaged, found no array '{name}'"):
-        check_learned(arrays, 2)
+        CODECS.from_model(arrays)
     for wrong in (np.array(["text"]), learned()[name][None], np.zeros(0, learned()[name].dtype)):
         with pytest.raises(ResultError, match=f"found '{name}' as "):
-            check_learned(learned() | {name: wrong}, 2)
+            CODECS.from_model(learned() | {name: wrong})
 
 
 def test_templates_of_other_cameras_and_of_different_lengths() -> None:
     with pytest.raises(ResultError, match=r"found 'sets.windows' as uint8 \(2, 3, 10, 48, 48\)"):
-        check_learned(learned(cameras=3), 2)
+        CODECS.from_model(learned(cameras=3))
     with pytest.raises(ResultError, match=r"'sets.facing' as float64 \(1, 3\), not float64 \(2, 3\)"):
-        check_learned(learned() | {"sets.facing": np.zeros((1, 3))}, 2)
+        CODECS.from_model(learned() | {"sets.facing": np.zeros((1, 3))})
 
 
 def test_a_face_that_is_not_finite() -> None:
     with pytest.raises(ResultError, match=r"'face.mean' with values that are not finite"):
-        check_learned(learned() | {"face.mean": np.full((POINT_COUNT, 3), np.inf)}, 2)
+        CODECS.from_model(learned() | {"face.mean": np.full((POINT_COUNT, 3), np.inf)})
 
 
 @pytest.mark.parametrize("left_out", [(), ("sets.facing",), NEEDED], ids=["none", "one", "all"])
@@ -85,11 +94,13 @@ def test_a_run_tells_the_file(tmp_path: Path, left_out: tuple[str, ...]) -> None
             name="head-stereo",
             subject=head_subject("left", 5),
             flush_frames=30,
-            make_tracker=lambda known: StereoTracker(config, CAMERAS, lambda _: InitFailure(NO_FACE), known),
+            make_tracker=lambda known: stereo_tracker(config, CAMERAS, Nobody(), known),
         )
 
     if not left_out:
-        assert run().tracker.learned(run().tracker.start(None, None)).keys() >= set(NEEDED)
+        assert run().tracker.learned(run().tracker.start(Frame(0, 0, (None, None)), None)).keys() >= set(
+            NEEDED
+        )
         return
     with pytest.raises(ResultError) as told:
         run()

@@ -11,14 +11,15 @@ import pytest
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.estimates import UNSEEN
 from posetrack_cli.head.face.projection import project
 from posetrack_cli.head.face.templates import take_templates, tangents
-from posetrack_cli.head.initialisation import mono as mono_finder
-from posetrack_cli.head.mono_state import MonoState
+from posetrack_cli.head.initialisation import mono
 from posetrack_cli.head.protocol import NoFaceError
+from posetrack_cli.head.tracker.estimates import UNSEEN
+from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from support.codecs import assert_lawful
 from support.mono_cases import assert_same
 from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
 from support.textured_face import SHAPE, textured_face
@@ -99,14 +100,14 @@ def test_a_frame_goes_on_from_what_it_was_adjusted_to() -> None:
     scene = Scene()
     for index in range(STARTING + 6):
         estimate = scene.step(index)
-    person, following = scene.state.person, scene.state.following
+    person, track = scene.state.person, scene.state.track
     view, a = person.views[-1], person.views[-1].deformation - MODEL.deformation_mean
     assert view.stamp_ns == estimate.stamp_ns
     np.testing.assert_array_equal(estimate.position, view.pose.position)
     np.testing.assert_array_equal(estimate.quaternion, view.pose.quaternion)
     np.testing.assert_allclose(estimate.shape, view.deformation, atol=ROUNDING)
-    assert following.pose is following.particles.pose is view.pose
-    np.testing.assert_array_equal(following.particles.coefficients, a)
+    assert track.pose is track.particles.pose is view.pose
+    np.testing.assert_array_equal(track.particles.coefficients, a)
     depths = view.pose.points(person.shape.shapes(a))[:, 2]
     np.testing.assert_allclose(estimate.points[:, 2], depths, atol=ROUNDING)
     seen = project((CAMERA,), estimate.points).pixels[0]
@@ -117,17 +118,17 @@ def test_the_reference_is_the_first_frame_as_the_start_adjusted_it() -> None:
     """Its images are of the first frame; how they are warped from then on is told by the adjusted pose."""
     begun = []
 
-    begin_with = mono_finder.begin
+    initialise = mono.initialise
 
-    def begin(*arguments: object) -> object:
-        begun.append(begin_with(*arguments))
+    def recorded(*arguments: object) -> object:
+        begun.append(initialise(*arguments))
         return begun[-1]
 
     scene = Scene()
-    with patch.object(mono_finder, "begin", begin):
+    with patch.object(mono, "initialise", recorded):
         for index in range(STARTING):
             scene.step(index)
-    views, reference = begun[-1].views, scene.state.person.sets[0]
+    views, reference = begun[-1].views, scene.state.person.templates[0]
     assert [view.stamp_ns for view in views] == [index * FRAME_NS for index in range(STARTING)]
     np.testing.assert_array_equal(reference.facing, views[0].pose.facing)
     person = begun[-1].person
@@ -143,10 +144,10 @@ def test_a_step_leaves_the_state_as_it_is() -> None:
     scene = Scene()
     for index in range(STARTING + 5):
         before = scene.state
-        saved = None if before is None else deepcopy(scene.tracker.state_parts(before))
+        saved = None if before is None else deepcopy(scene.tracker.codec.to_arrays(before))
         scene.step(index)
         if before is not None:
-            assert_same(scene.tracker.state_parts(before), saved)
+            assert_same(scene.tracker.codec.to_arrays(before), saved)
 
 
 @pytest.mark.parametrize("at", [2, STARTING, STARTING + 4], ids=["collecting", "found", "following"])
@@ -154,8 +155,7 @@ def test_a_saved_state_goes_on_alike(at: int) -> None:
     scene, other = Scene(), Scene()
     for index in range(at):
         scene.step(index)
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    other.state = other.tracker.state_from_parts(arrays, numbers)
+    other.state = other.tracker.codec.from_arrays(scene.tracker.codec.to_arrays(scene.state))
     other.rng.bit_generator.state = scene.rng.bit_generator.state
     for index in range(at, at + 5):
         assert_same_estimates(scene.step(index), other.step(index))
@@ -210,10 +210,10 @@ def test_a_face_that_goes_is_lost_and_found_again() -> None:
 
 def displaced(state: MonoState) -> MonoState:
     """The head where it is not, so that hardly a point looks like itself."""
-    following = state.following
-    pose = following.pose.moved(np.array([40.0, 25.0, 0.0, 0.0, 0.0, 0.0]))
-    particles = following.particles.moved_to(pose, following.particles.coefficients)
-    return replace(state, following=replace(following, pose=pose, particles=particles, previous=None))
+    track = state.track
+    pose = track.pose.moved(np.array([40.0, 25.0, 0.0, 0.0, 0.0, 0.0]))
+    particles = track.particles.moved_to(pose, track.particles.coefficients)
+    return replace(state, track=replace(track, pose=pose, particles=particles, templates=None))
 
 
 def test_a_track_that_looks_hardly_like_the_face_is_compared_with_a_detection() -> None:
@@ -272,8 +272,7 @@ def test_before_it_is_found_a_head_is_lost() -> None:
     assert {e.status for e in estimates} == {Status.LOST}
     np.testing.assert_array_equal(estimates[-1].position, UNSEEN.position)
     said = "3 frames searched, best score 0.30, mostly: no face"
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    again = scene.tracker.state_from_parts(arrays, numbers)
+    again = assert_lawful(scene.tracker.codec, scene.state)
     assert scene.tracker.not_found(scene.state) == scene.tracker.not_found(again) == said
     assert scene.tracker.learned(scene.state) == {}
     scene.told.there = True

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.views import Person, PointView
+from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, new_person, rms
 from support.bundles import CAMERA, UNIT_SD, Bundle, random_bundle, random_model
@@ -32,7 +32,7 @@ def at_rest(seed: int, count: int = 20) -> Bundle:
 
 
 def found(bundle: Bundle, settings: AdjustmentSettings) -> KnownPerson:
-    person = Person(bundle.model.identity_mean, np.zeros((10, 3)))
+    person = PersonParameters(bundle.model.identity_mean, np.zeros((10, 3)))
     return new_person(person, random_templates(0), bundle.model, settings)
 
 
@@ -115,7 +115,7 @@ def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
     bundle = at_rest(2)
     before, same = after(bundle, USUAL, 3)[-1], after(bundle, USUAL, 3)[-1]
     before.after(as_tracked(bundle, 3), 0.9, bundle.model, CAMERA, USUAL)
-    before.over_all(bundle.model, CAMERA, USUAL)
+    before.over_album(bundle.model, CAMERA, USUAL)
     assert_same(before, same)
 
 
@@ -123,8 +123,8 @@ def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
 def test_over_all_frames_the_person_comes_nearer_still(seed: int) -> None:
     bundle = at_rest(seed)
     known = after(bundle, USUAL, 20)[-1]
-    over_all = known.over_all(bundle.model, CAMERA, USUAL)
-    assert unlike(over_all, bundle) < unlike(known, bundle)
+    over_album = known.over_album(bundle.model, CAMERA, USUAL)
+    assert unlike(over_album, bundle) < unlike(known, bundle)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -132,25 +132,25 @@ def test_over_all_frames_no_cost_grows(seed: int) -> None:
     """F of the album with the person held, of a face that deforms, before and after."""
     bundle = random_bundle(seed, 20)
     known = after(bundle, USUAL, 20)[-1]
-    over_all = known.over_all(bundle.model, CAMERA, USUAL)
+    over_album = known.over_album(bundle.model, CAMERA, USUAL)
 
-    def cost(person: Person) -> float:
+    def cost(person: PersonParameters) -> float:
         held = {"iterations": 50, "hold_person": True, "wide": True}
         return adjust(known.album.views, person, bundle.model, CAMERA, USUAL, **held).cost
 
-    assert cost(over_all.person) <= cost(known.person)
+    assert cost(over_album.person) <= cost(known.person)
 
 
 def test_over_all_frames_begins_a_second_pass() -> None:
     """Nothing is kept of frames that the second pass sees again."""
     bundle = at_rest(3)
     known = after(bundle, USUAL, 12)[-1]
-    over_all = known.over_all(bundle.model, CAMERA, USUAL)
-    assert over_all.views == () and over_all.album.views == ()
-    assert_same(over_all.history, IdentityHistory.of(over_all.person.identity, USUAL.average))
-    assert over_all.sets is known.sets and over_all.adjusted_frames == 12
+    over_album = known.over_album(bundle.model, CAMERA, USUAL)
+    assert over_album.views == () and over_album.album.views == ()
+    assert_same(over_album.history, IdentityHistory.starting_with(over_album.person.identity, USUAL.average))
+    assert over_album.sets is known.sets and over_album.adjusted_frames == 12
     np.testing.assert_array_equal(
-        over_all.shape.mean, bundle.model.of_person(over_all.person.identity, over_all.person.offsets).mean
+        over_album.shape.mean, bundle.model.of_person(over_album.person.identity, over_album.person.offsets).mean
     )
 
 
@@ -158,13 +158,13 @@ def test_over_all_frames_begins_a_second_pass() -> None:
 def test_a_person_who_is_not_adjusted_stays(when: str) -> None:
     bundle = at_rest(4)
     known = after(bundle, USUAL, 5)[-1]
-    assert known.over_all(bundle.model, CAMERA, USUAL.model_copy(update={"when": when})) is known
+    assert known.over_album(bundle.model, CAMERA, USUAL.model_copy(update={"when": when})) is known
 
 
-def test_one_frame_is_not_adjusted_over_all() -> None:
+def test_one_frame_is_not_adjusted_over_album() -> None:
     bundle = at_rest(5)
     known = after(bundle, USUAL, 1)[-1]
-    assert known.over_all(bundle.model, CAMERA, USUAL) is known
+    assert known.over_album(bundle.model, CAMERA, USUAL) is known
 
 
 def test_rms_is_of_the_known_distances() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
@@ -13,71 +15,62 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 
 UNSEEN = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-"""Where a head is said to be that was never found: before the camera, looking at it; its status is lost."""
+"""Pose reported before the first detection: before the camera, looking at it; its status is lost."""
 UNKNOWN_SD = np.array([300.0] * 3 + [1.0] * 3)
 """(6,) mm and rad, of a head whose place is not known."""
 
 
-def tracked_estimate(
-    frame: Frame, followed: FrameFit, status: Status, coefficients: FloatArray, numbers: FloatArray
-) -> Estimate:
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A face as the result of a frame states it.
+
+    Attributes:
+        coefficients: (B,) deformation; where a fit has fewer, the rest of its variances and rates is 0.
+        deviations: (B,) standard deviations of the coefficients while the face is not seen.
+        diagnostics: (M,) what ``head.subject`` names.
+    """
+
+    coefficients: FloatArray
+    deviations: FloatArray
+    diagnostics: FloatArray
+
+
+def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Description) -> Estimate:
     """Return the estimate of a frame in which the head was tracked.
 
     Velocities are differences of two frames' estimates, whose errors are taken for independent.
-
-    Args:
-        frame: that was tracked.
-        followed: what it says.
-        status: of the track.
-        coefficients: (B,) deformation that the result states; where ``followed`` has fewer, the rest of the
-            variances and rates is 0.
-        numbers: (M,) further numbers.
     """
-    count, now = len(coefficients), followed.following
+    count, now = len(face.coefficients), fit.track
     rotation = now.pose.rotation
-    variance = _in_body_axes(padded(followed.variance, POSE_SIZE + count), rotation)
-    rate = padded(followed.coefficient_rate, count)
+    variance = _in_body_axes(padded(fit.variance, POSE_SIZE + count), rotation)
+    rate = padded(fit.coefficient_rate, count)
     twist = np.concatenate([now.velocity[:3], rotation.T @ now.velocity[3:], rate])
     return Estimate(
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
         status=status,
-        confidence=float(np.clip(followed.score, 0.0, 1.0)),
+        confidence=float(np.clip(fit.score, 0.0, 1.0)),
         position=now.pose.position,
         quaternion=now.pose.quaternion,
-        shape=coefficients,
+        shape=face.coefficients,
         pose_rate=np.concatenate([twist[:3], quaternion_rate(now.pose.quaternion, twist[3:6]), rate]),
         twist=twist,
         pose_variance=variance,
-        twist_variance=2.0 * variance / followed.dt**2,
+        twist_variance=2.0 * variance / fit.dt**2,
         points=now.pose.points(now.shape),
-        effective_sample_size=followed.effective_sample_size,
+        effective_sample_size=fit.effective_sample_size,
         resampled=True,
-        numbers=numbers,
+        numbers=face.diagnostics,
     )
 
 
-def lost_estimate(
-    frame: Frame,
-    following: TrackState | None,
-    coefficients: FloatArray,
-    deviations: FloatArray,
-    numbers: FloatArray,
-) -> Estimate:
-    """Return the estimate of a frame in which the head was not found: where it was last, status lost.
-
-    Args:
-        frame: that was searched.
-        following: the head when it was last tracked; None before.
-        coefficients: (B,) of the face at rest.
-        deviations: (B,) their standard deviations.
-        numbers: (M,) further numbers.
-    """
-    pose = UNSEEN if following is None else following.pose
-    shape = MEAN_SHAPE if following is None else following.shape
-    count = len(coefficients)
+def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> Estimate:
+    """Return the estimate of a frame in which the head was not found: where it was last, status lost."""
+    pose = UNSEEN if track is None else track.pose
+    shape = MEAN_SHAPE if track is None else track.shape
+    count = len(face.coefficients)
     nothing = np.zeros(POSE_SIZE + count)
-    variance = np.concatenate([np.square(UNKNOWN_SD), np.square(deviations)])
+    variance = np.concatenate([np.square(UNKNOWN_SD), np.square(face.deviations)])
     return Estimate(
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
@@ -85,7 +78,7 @@ def lost_estimate(
         confidence=0.0,
         position=pose.position,
         quaternion=pose.quaternion,
-        shape=coefficients,
+        shape=face.coefficients,
         pose_rate=np.zeros(POSE_SIZE + 1 + count),
         twist=nothing,
         pose_variance=variance,
@@ -93,7 +86,7 @@ def lost_estimate(
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=numbers,
+        numbers=face.diagnostics,
     )
 
 
