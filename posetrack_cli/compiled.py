@@ -23,6 +23,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
     "compiled.py",
+    "geometry/kernels.py",
     "hand/anatomy.py",
     "hand/fitting/*.py",
     "head/particle_kernels.py",

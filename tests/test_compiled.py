@@ -20,7 +20,7 @@ SOURCES = sorted(path for pattern in KERNEL_SOURCES for path in PACKAGE.glob(pat
 WHERE = "from posetrack_cli.compiled import cache_folder; print(cache_folder())"
 CALL = """
 import numpy as np
-from posetrack_cli.hand.fitting.skeleton import rotation_matrix
+from posetrack_cli.geometry.kernels import rotation_matrix
 out = np.zeros((3, 3))
 rotation_matrix(np.array([0.0, 0.0, 0.0, 1.0]), out)
 print(np.array_equal(out, np.eye(3)), rotation_matrix.stats.cache_path)
@@ -111,7 +111,7 @@ def test_without_any_folder_to_write_to_nothing_is_kept(monkeypatch: pytest.Monk
 
 def test_numbas_settings_are_left_as_they_were() -> None:
     code = (
-        "import numba.core.config as c; before = c.CACHE_DIR; import posetrack_cli.hand.fitting.skeleton; "
+        "import numba.core.config as c; before = c.CACHE_DIR; import posetrack_cli.geometry.kernels; "
         "print(c.CACHE_DIR == before)"
     )
     assert answer(code) == "True"
@@ -120,11 +120,11 @@ def test_numbas_settings_are_left_as_they_were() -> None:
 SAID = """
 import numpy as np
 from posetrack_cli.compiled import announced
-from posetrack_cli.hand.fitting.skeleton import _product, rotation_matrix
+from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
 out = np.zeros((3, 3))
 with announced(print):
     rotation_matrix(np.array([0.0, 0.0, 0.0, 1.0]), out)
-    _product(out, out, out.copy())
+    matrix_product(out, out, out.copy())
 print("done")
 """
 

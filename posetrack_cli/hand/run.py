@@ -28,7 +28,7 @@ from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output
 from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.rendering.gl.context import describe
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
@@ -60,35 +60,37 @@ class HandRun(Run):
         recording: depth frames.
         config: parameters.
         options: the rest.
-        context: GL context.
+        device: draws the poses.
 
     Raises:
         UsageError: the output may not be written, no frame to track, or no start pose in ``options.init``.
-        RenderingError: a window that this GL cannot draw.
+        RenderingError: a window that the device cannot draw.
     """
 
     tracker: HandTrackerProtocol[Any]
     _options: RunOptions
 
-    def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
+    def __init__(
+        self, recording: Recording, config: HandConfig, options: RunOptions, device: RenderingDevice
+    ) -> None:
         self._config = config = with_method(config, options)
         check_run(recording, config, options)
         super().__init__(recording, options, config.output.flush_frames)
         self._hand = hand = hand_model(config.hand)
         self._anatomy = hand.anatomy
         self._camera = recording.cameras[0]
-        self.tracker = make_tracker(config, hand, self._camera, context)
+        self.tracker = make_tracker(config, hand, self._camera, device)
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
         self._start_pose = _given_pose(options)
-        renderer = str(describe(context))
-        self._record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
+        renderer = str(device.info)
+        self.cameras = (self._camera,)
+        triangles = None if self._mesh is None else self._mesh.triangles
+        self.subject = Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
+        self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
 
-    def _subject(self) -> Subject:
-        triangles = None if self._mesh is None else self._mesh.triangles
-        return Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
-
-    def _started(self, frame: Frame, rng: np.random.Generator) -> Any:
+    def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
+        """Return the state at the pose that is given, or as the configuration says."""
         if self._start_pose is not None:
             return self.tracker.start(self._start_pose, frame.stamp_ns, rng)
         init = self._config.init
@@ -97,7 +99,8 @@ class HandRun(Run):
             return self.tracker.start_unknown(pose, frame, rng)
         return self.tracker.start(pose, frame.stamp_ns, rng)
 
-    def _vertices(self, estimate: Estimate) -> FloatArray | None:
+    def vertices(self, estimate: Estimate) -> FloatArray | None:
+        """Return the skin of an estimate; None if none is written."""
         if self._mesh is None:
             return None
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
@@ -106,7 +109,8 @@ class HandRun(Run):
         return vertices
 
     @contextmanager
-    def _memory(self, writer: ResultWriter) -> Iterator[_Smoothing | None]:
+    def open_memory(self, writer: ResultWriter) -> Iterator[_Smoothing | None]:
+        """Open what will be smoothed; None if nothing is."""
         if not self._options.smooth:
             yield None
             return
@@ -121,11 +125,13 @@ class HandRun(Run):
         with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
             yield _Smoothing(self, track, fits)
 
-    def _noted(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame) -> None:
+        """Remember frames without any reading."""
         if not frame.depth.any():
             self._blank.append(frame.index)
 
-    def _losses(self) -> tuple[Loss, ...]:
+    def losses(self) -> tuple[Loss, ...]:
+        """Return what could not be read, and frames without any reading."""
         blank = self._blank
         where = f"frame {blank[0]}" if blank else ""
         return self._recording.losses + (
@@ -148,7 +154,7 @@ class _Smoothing:
 
     def finish(self, writer: ResultWriter) -> None:
         for estimate in self._track.backward():
-            writer.write_smoothed(estimate, self._run._vertices(estimate))
+            writer.write_smoothed(estimate, self._run.vertices(estimate))
         self._track.delete()
 
 

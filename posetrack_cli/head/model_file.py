@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.opening import is_mcap
-
-Learned: TypeAlias = dict[str, np.ndarray[Any, Any]]
+from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
 ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"

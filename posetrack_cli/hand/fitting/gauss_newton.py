@@ -8,6 +8,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import kernel
+from posetrack_cli.geometry.kernels import quaternion_product
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, copy, empty_equations, gather
@@ -81,11 +82,7 @@ def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
     """Write mean (-) pose (21,), in the pose's body frame."""
     for i in range(3):
         out[i] = mean[i] - pose[i]
-    ax, ay, az, aw = -pose[3], -pose[4], -pose[5], pose[6]
-    bx, by, bz, bw = mean[3], mean[4], mean[5], mean[6]
-    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, 0.0
-    z = aw * bz + ax * by - ay * bx + az * bw
-    w = aw * bw - ax * bx - ay * by - az * bz
+    x, y, z, w = quaternion_product(-pose[3], -pose[4], -pose[5], pose[6], mean[3], mean[4], mean[5], mean[6])
     if w < 0.0:
         x, y, z, w = -x, -y, -z, -w
     sine = np.sqrt(x * x + y * y + z * z)
@@ -106,10 +103,7 @@ def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
     half = 0.5 * min(angle, most.rotation_rad)
     factor = 0.5 if angle < 1e-12 else np.sin(half) / angle
     bx, by, bz, bw = factor * delta[3], factor * delta[4], factor * delta[5], np.cos(half)
-    ax, ay, az, aw = pose[3], pose[4], pose[5], pose[6]
-    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, 0.0
-    z = aw * bz + ax * by - ay * bx + az * bw
-    w = aw * bw - ax * bx - ay * by - az * bz
+    x, y, z, w = quaternion_product(pose[3], pose[4], pose[5], pose[6], bx, by, bz, bw)
     scale = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
     if w < 0.0:
         scale = -scale

@@ -11,6 +11,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
 
 HALF = 0.5  # joint 1 bends half as far as joint 2
@@ -69,22 +70,6 @@ def empty_posed() -> Posed:
 
 
 @kernel
-def rotation_matrix(q: FloatArray, out: FloatArray) -> None:
-    """Write the matrix (3, 3) of a unit quaternion x y z w."""
-    x, y, z, w = q[0], q[1], q[2], q[3]
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-
-
-@kernel
-def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@kernel
 def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
     """Rx(s) Rz(a) Rx(t)."""
     cs, ss, ca, sa, ct, st = np.cos(s), np.sin(s), np.cos(a), np.sin(a), np.cos(t), np.sin(t)
@@ -136,13 +121,13 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
             posed.bones[0, i, j] = palm[i, j]
     for f in range(5):
         origin, at = skeleton.base_positions[f], posed.tips[f]
-        _product(palm, skeleton.base_rotations[f], frame)
+        matrix_product(palm, skeleton.base_rotations[f], frame)
         _finger_turns(pose, f, skeleton.sign, turns)
         _finger_axes(pose, f, skeleton.sign, frame, posed.axes[f])
         for i in range(3):
             at[i] = pose[i] + palm[i, 0] * origin[0] + palm[i, 1] * origin[1] + palm[i, 2] * origin[2]
         for k in range(3):
-            _product(frame, turns[k], turned)
+            matrix_product(frame, turns[k], turned)
             _place_bone(skeleton, f, k, turned, at, posed)
 
 

@@ -25,8 +25,8 @@ from posetrack_cli.head.initialisation.stereo import (
     match_everywhere,
 )
 from posetrack_cli.head.initialisation.views import camera_images
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 COLUMNS = ("camera", "point", "x", "y")
 
@@ -70,7 +70,7 @@ class ClickedInitialiser(StereoInitialiser):
         """Return where the face is in a frame, or why none was found.
 
         Raises:
-            NoFaceError: the clicked points are not those of a face.
+            NothingFoundError: the clicked points are not those of a face.
         """
         if not is_first:
             return super().find(frame, is_first=False)
@@ -80,9 +80,9 @@ class ClickedInitialiser(StereoInitialiser):
         return found
 
 
-def unusable_clicks(path: Path, failure: InitFailure) -> NoFaceError:
+def unusable_clicks(path: Path, failure: InitFailure) -> NothingFoundError:
     """Return the error that says why clicked points begin no head."""
-    return NoFaceError(
+    return NothingFoundError(
         "clicked points begin no head",
         where=path,
         found=failure.reason,

@@ -11,11 +11,14 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import (
+    quaternion_from_vector,
+    quaternion_product,
+    vector_from_quaternion,
+)
 
 BEHIND = 1e6
 """Pixel, or normalised coordinate, of a point behind a camera: on no image."""
-SMALL_SQUARE = 1e-3
-"""Of an angle or its sine: below, four terms of a series leave a relative error of 4e-14."""
 _TERMS = (
     11  # of the series of sin(a)/a and (1 - cos a)/a^2: they are left with an error of 1e-9 at half a turn
 )
@@ -33,37 +36,13 @@ def recentre(deviations: FloatArray, mean: FloatArray) -> None:
         deviations: (N, >= 6), changed in place.
         mean: (>= 6,).
     """
-    mx, my, mz, mw = _quaternion(-mean[3], -mean[4], -mean[5])
+    mx, my, mz, mw = quaternion_from_vector(-mean[3], -mean[4], -mean[5])
     for n in range(deviations.shape[0]):
         for i in range(3):
             deviations[n, i] -= mean[i]
-        x, y, z, w = _quaternion(deviations[n, 3], deviations[n, 4], deviations[n, 5])
-        qx, qy = w * mx + x * mw + y * mz - z * my, w * my - x * mz + y * mw + z * mx
-        qz, qw = w * mz + x * my - y * mx + z * mw, w * mw - x * mx - y * my - z * mz
-        factor = math.copysign(2.0 * _arc_over_sine(qx * qx + qy * qy + qz * qz, abs(qw)), qw)
-        deviations[n, 3], deviations[n, 4], deviations[n, 5] = factor * qx, factor * qy, factor * qz
-
-
-@inlined
-def _quaternion(x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return the quaternion of a rotation vector."""
-    square = 0.25 * (x * x + y * y + z * z)
-    if square < SMALL_SQUARE:
-        factor = 0.5 * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)))
-        cosine = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)))
-    else:
-        half = math.sqrt(square)
-        factor, cosine = 0.5 * math.sin(half) / half, math.cos(half)
-    return factor * x, factor * y, factor * z, cosine
-
-
-@inlined
-def _arc_over_sine(square: float, cosine: float) -> float:
-    """Return a / sin a of an angle up to a right one, from the square of its sine and its cosine >= 0."""
-    if square < SMALL_SQUARE:
-        return 1.0 + square / 6.0 * (1.0 + square * 9.0 / 20.0 * (1.0 + square * 25.0 / 42.0))
-    sine = math.sqrt(square)
-    return math.atan2(sine, cosine) / sine
+        x, y, z, w = quaternion_from_vector(deviations[n, 3], deviations[n, 4], deviations[n, 5])
+        qx, qy, qz, qw = quaternion_product(x, y, z, w, mx, my, mz, mw)
+        deviations[n, 3], deviations[n, 4], deviations[n, 5] = vector_from_quaternion(qx, qy, qz, qw)
 
 
 @kernel

@@ -17,6 +17,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import rotate_in_place
 from posetrack_cli.head.refinement.evidence import Evidence, gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.scene import Scene
 
@@ -278,19 +279,4 @@ def apply_step(state: FaceUnknowns, step: FloatArray) -> None:
         state.position[i] += step[i]
     for b in range(len(state.coefficients)):
         state.coefficients[b] += step[POSE + b]
-    w = step[3:6]
-    angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
-    if angle > 0.0:
-        rotate_in_place(state.rotation, w / angle, np.sin(angle), np.cos(angle))
-
-
-@kernel
-def rotate_in_place(R: FloatArray, axis: FloatArray, sine: float, cosine: float) -> None:
-    """Turn the columns of R about an axis (Rodrigues): v cos + (axis x v) sin + axis (axis . v) (1 - cos)."""
-    x, y, z = axis[0], axis[1], axis[2]
-    for j in range(3):
-        a, b, c = R[0, j], R[1, j], R[2, j]
-        along = (x * a + y * b + z * c) * (1.0 - cosine)
-        R[0, j] = a * cosine + (y * c - z * b) * sine + x * along
-        R[1, j] = b * cosine + (z * a - x * c) * sine + y * along
-        R[2, j] = c * cosine + (x * b - y * a) * sine + z * along
+    rotate_in_place(state.rotation, step[3:6])

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.initialisation.search import InitFailure
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate, tracked_estimate
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, HeadState, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import Learned, NothingFoundError
 
 State = TypeVar("State", bound=HeadState)
 Found = TypeVar("Found")
@@ -72,7 +72,7 @@ class Faces(Protocol[State, Found]):
     def describe(self, state: State, fit: FrameFit | None) -> Description:
         """Return the face as the result of a frame states it; without a fit, of one without a head."""
 
-    def export_model(self, state: State) -> dict[str, np.ndarray[Any, Any]]:
+    def export_model(self, state: State) -> Learned:
         """Return what was learned of a known face, as arrays by name."""
 
     def remarks(self, state: State) -> tuple[str, ...]:
@@ -114,7 +114,7 @@ class HeadTracker(Generic[State, Found]):
             return self._coast(state, frame)
         return self._reacquire(state, frame, rng)
 
-    def learned(self, state: State) -> dict[str, np.ndarray[Any, Any]]:
+    def learned(self, state: State) -> Learned:
         """Return what was learned of the face as arrays by name; empty before it is known."""
         return self._faces.export_model(state) if self._faces.is_known(state) else {}
 
@@ -177,13 +177,13 @@ class HeadTracker(Generic[State, Found]):
         """Count a search that failed before a head was found.
 
         Raises:
-            NoFaceError: the images belong to other cameras than they are said to.
+            NothingFoundError: the images belong to other cameras than they are said to.
         """
         if state.track is not None:
             return state
         search = state.search.failed(failure)
         if search.images_exchanged:
-            raise NoFaceError(
+            raise NothingFoundError(
                 "the cameras' images seem to be exchanged",
                 found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
                 + ", ".join(self._cameras[c] for c in search.order),

@@ -19,7 +19,6 @@ from posetrack_cli.head.initialisation.clicked import ClickedPoints, unusable_cl
 from posetrack_cli.head.initialisation.detected_face import DetectedFace, clicked_face, eye_distance_px
 from posetrack_cli.head.initialisation.mono import MonoInitialisation, MonoInitialiser
 from posetrack_cli.head.initialisation.search import InitFailure
-from posetrack_cli.head.model_file import Learned
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import known_people, people_codec, unusable_people
@@ -34,6 +33,7 @@ from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera,
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
 from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import Learned
 
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""

@@ -20,7 +20,7 @@ from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, tak
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
-from posetrack_cli.head.model_file import Learned, unusable
+from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.refinement.refine import point_values, refine_initial_depth
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import search_codec, template_codec, track_codec
@@ -47,6 +47,7 @@ from posetrack_cli.tracking.state_codec import (
     stamp,
     whole,
 )
+from posetrack_cli.tracking.two_pass import Learned
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.face.projection import project
 from posetrack_cli.head.face.templates import take_templates, tangents
 from posetrack_cli.head.initialisation import mono
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.tracker.estimates import UNSEEN
 from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same
 from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
@@ -291,7 +291,7 @@ def test_clicked_points_begin_at_once() -> None:
 def test_clicked_points_that_are_no_face_are_refused() -> None:
     pixels = project((CAMERA,), pose_at(0).points(SHAPE)).pixels[0]
     scene = Scene(clicked=pixels[[8, 5, 4, 1, 0, 3, 9, 2, 6, 7]])
-    with pytest.raises(NoFaceError, match="clicked points begin no head"):
+    with pytest.raises(NothingFoundError, match="clicked points begin no head"):
         scene.step(0)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import rotate_with_jacobian
 from posetrack_cli.head.adjustment.solver.problem import (
     NEAREST_MM,
     POSE,
@@ -15,7 +16,6 @@ from posetrack_cli.head.adjustment.solver.problem import (
     deformation_basis,
     point_in_camera,
     residual,
-    write_rotation,
 )
 
 
@@ -64,7 +64,7 @@ def view_lengths(
     """Write (K,) how far each point of a view is off, in standard deviations; infinite behind the camera."""
     rotation, left, arm, error = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
-    write_rotation(local[3:6], problem.rotations[view], rotation, left)
+    rotate_with_jacobian(local[3:6], problem.rotations[view], rotation, left)
     for k in range(len(lengths)):
         point_in_camera(problem, k, local, unknowns.shared, basis, rotation, arm)
         x, y, z = (

@@ -13,6 +13,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import rotate_with_jacobian
 from posetrack_cli.head.adjustment.solver.problem import (
     NEAREST_MM,
     POSE,
@@ -22,7 +23,6 @@ from posetrack_cli.head.adjustment.solver.problem import (
     identity_basis,
     point_in_camera,
     residual,
-    write_rotation,
 )
 
 
@@ -48,7 +48,7 @@ class Rows(NamedTuple):
     """Room for one view: its pose, bases and a point's rows.
 
     Attributes:
-        rotation, left: (3, 3) of ``write_rotation``.
+        rotation, left: (3, 3) of ``rotate_with_jacobian``.
         deformations: (K, 3, A) of ``deformation_basis``.
         identities: (K, 3, S) of ``identity_basis``.
         by_point: (2, 3) d r / d X; in_head: times R.
@@ -99,7 +99,7 @@ def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equa
     """Write the equations at the unknowns, whose deformation basis stands in the rows."""
     start_equations(problem, unknowns, part, equations)
     for view in range(part.first, part.last):
-        write_rotation(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
+        rotate_with_jacobian(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
         if part.shared > 0:
             identity_basis(problem, unknowns.local[view], rows.identities)
         for k in range(len(problem.mean)):

@@ -89,35 +89,6 @@ class Part(NamedTuple):
 
 NEAREST_MM = 1.0
 """A point nearer than this, or behind the camera, cannot have been seen."""
-SMALL_SQUARED = 1e-6
-"""Squared angle below which three terms of the series are exact to rounding."""
-
-
-@kernel
-def write_rotation(w: FloatArray, start: FloatArray, rotation: FloatArray, left: FloatArray) -> None:
-    """Write exp(w) R, and the left Jacobian J of d exp(w) = [J dw]_x exp(w)."""
-    squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    if squared < SMALL_SQUARED:
-        a = 1.0 - squared / 6.0 + squared * squared / 120.0
-        b = 0.5 - squared / 24.0 + squared * squared / 720.0
-        c = 1.0 / 6.0 - squared / 120.0 + squared * squared / 5040.0
-    else:
-        angle = np.sqrt(squared)
-        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / squared
-        c = (1.0 - a) / squared
-    for j in range(3):
-        _polynomial(w, a, b, start[0, j], start[1, j], start[2, j], rotation[:, j])
-        x, y, z = 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
-        _polynomial(w, b, c, x, y, z, left[:, j])
-
-
-@inlined
-def _polynomial(w: FloatArray, a: float, b: float, x: float, y: float, z: float, out: FloatArray) -> None:
-    """Write v + a w x v + b w x (w x v)."""
-    p, q, r = w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
-    out[0] = x + a * p + b * (w[1] * r - w[2] * q)
-    out[1] = y + a * q + b * (w[2] * p - w[0] * r)
-    out[2] = z + a * r + b * (w[0] * q - w[1] * p)
 
 
 @kernel
