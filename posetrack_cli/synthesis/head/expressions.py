@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import EYES, MEAN_SHAPE
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE
 from posetrack_cli.synthesis.head.eyelids import along_and_above, lower_edge, upper_edge
 from posetrack_cli.synthesis.head.form import AXIS_Z, MOUTH_X, MOUTH_Y
 from posetrack_cli.synthesis.head.identity import Looks

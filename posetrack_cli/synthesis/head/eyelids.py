@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import MEAN_SHAPE
+from posetrack_cli.head.face.points import MEAN_SHAPE
 
 INNER, OUTER = MEAN_SHAPE[2, :2], MEAN_SHAPE[3, :2]
 """Corners of the left eye."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.rendering.devices import device_or_default
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.drops import dropped_images

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.head.face import MEAN_SHAPE
+from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.canvas import Box, Canvas, inside
 from posetrack_cli.synthesis.head.eyelids import LENGTH, along_and_above, lower_edge, upper_edge
 from posetrack_cli.synthesis.head.identity import Looks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import MEAN_SHAPE
+from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.canvas import Box, Canvas, blob, inside
 from posetrack_cli.synthesis.head.form import MOUTH_X, MOUTH_Y
 from posetrack_cli.synthesis.head.identity import Looks

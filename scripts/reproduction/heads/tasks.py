@@ -20,7 +20,7 @@ import click
 
 import posetrack_cli
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.head.face import MEAN_SHAPE, SHAPE_SD
+from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.identity import files_digest
 from reproduction.accuracy.tasks import code_digest, command
