@@ -1,9 +1,9 @@
 """A subject of one's own, from beginning to end: a rigid box in depth images.
 
 Everything that a box needs and no other subject has: what it is (``SUBJECT``, ``SKIN``), how its poses are
-counted (``RigidSpace``), how an image scores them and a frame changes what is known (``BoxTracker``), where a run
-begins (``BoxRun``), and what is measured of a result (``BOX``). Loop, checkpoints, result, truth, figures and
-pictures are those of hands and heads.
+counted (``RigidSpace``), how an image scores them and a frame changes what is known (``BoxTracker``), where a
+run begins (``BoxRun``), and what is measured of a result (``BOX``). Loop, checkpoints, result, truth, figures
+and pictures are those of hands and heads.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.image_files import encode_png
+from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.results.messages import JointStates
 from posetrack_cli.synthesis.recording import TruthChannels, write_file, write_message
-from posetrack_cli.recording.mcap_calibration import calibration_message
-from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.tracking.options import RunOptions
 from posetrack_cli.tracking.record import common_record
 from posetrack_cli.tracking.run import Run
@@ -47,7 +47,9 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, stamp
 
 CAMERA = Camera(80, 60, 90.0, 90.0, 39.5, 29.5, name="box_camera")
 SIDES_MM = np.array([160.0, 110.0, 70.0])
-CORNERS: FloatArray = 0.5 * SIDES_MM * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+CORNERS: FloatArray = (
+    0.5 * SIDES_MM * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+)
 _QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 SKIN = SkinnedMesh(
     CORNERS,
@@ -67,7 +69,7 @@ FIRST_NS = 1_700_000_000_000_000_000
 
 
 class RigidSpace:
-    """Poses (N, 7), position and quaternion, with tangent vectors (N, 6); rotations move in the body frame."""
+    """Poses (N, 7), position and quaternion, with tangent vectors (N, 6); rotations are the body's."""
 
     def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
         """Return x (+) delta."""
@@ -120,7 +122,9 @@ class BoxTracker:
         self._renderer = device.depth_renderer(SKIN, tile, settings.particles)
         noise = np.repeat([20.0, 0.15], 3) ** 2
         velocity_noise = np.repeat([300.0, 2.0], 3) ** 2
-        self._model = FilterModel(Dynamics(noise, velocity_noise), RigidSpace(), Resampling("systematic", 0.5))
+        self._model = FilterModel(
+            Dynamics(noise, velocity_noise), RigidSpace(), Resampling("systematic", 0.5)
+        )
 
     @property
     def codec(self) -> Codec[BoxState]:
@@ -223,7 +227,9 @@ def posed(pose: FloatArray) -> FloatArray:
 def true_pose(index: int) -> FloatArray:
     """Return where the box is in a frame: it sways and turns, (7,)."""
     t = index / 30.0
-    turned = rotations.exponential(np.array([[0.5 + 0.6 * np.sin(t), 0.8 * np.sin(1.3 * t), 0.3 * np.cos(t)]]))
+    turned = rotations.exponential(
+        np.array([[0.5 + 0.6 * np.sin(t), 0.8 * np.sin(1.3 * t), 0.3 * np.cos(t)]])
+    )
     position = np.array([40.0 * np.sin(1.7 * t), 25.0 * np.cos(1.1 * t), 600.0 + 60.0 * np.sin(t)])
     return np.concatenate([position, rotations.canonical(turned)[0]])
 
@@ -266,7 +272,7 @@ class BoxFrame:
 
 
 def write_boxes(path: Path, count: int, device: RenderingDevice) -> None:
-    """Write a recording of a moving box with its truth; the box is all there is, and readings have no noise."""
+    """Write a recording of a moving box with its truth; there is nothing else, and no noise."""
     renderer = device.depth_renderer(SKIN, (CAMERA.width, CAMERA.height), 1)
 
     def frames() -> Iterator[BoxFrame]:

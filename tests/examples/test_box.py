@@ -41,9 +41,13 @@ def result(recording: Path, device: RenderingDevice) -> Path:
     return path
 
 
-def track(recording: Path, output: Path, device: RenderingDevice, stop_after: int = FRAMES, **options: bool) -> None:
+def track(
+    recording: Path, output: Path, device: RenderingDevice, stop_after: int = FRAMES, **options: bool
+) -> None:
     seen: list[int] = []
-    made = BoxRun(open_recording(recording), BoxSettings(), RunOptions(output, **options), device, true_pose(0))
+    made = BoxRun(
+        open_recording(recording), BoxSettings(), RunOptions(output, **options), device, true_pose(0)
+    )
     made.track(lambda estimate: seen.append(estimate.frame_index), lambda: len(seen) >= stop_after)
 
 
@@ -77,7 +81,10 @@ def test_it_is_measured_by_the_command_line(
 
 def test_it_is_drawn_by_the_command_line(recording: Path, result: Path, tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
-    assert run(["view", str(result), "--recording", str(recording), "--frames", "spread:3", "-o", str(sheet)]) == 0
+    assert (
+        run(["view", str(result), "--recording", str(recording), "--frames", "spread:3", "-o", str(sheet)])
+        == 0
+    )
     assert sheet.stat().st_size > 1000
 
 
