@@ -35,6 +35,7 @@ from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.sums import Comparison
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import Layout, floats
@@ -180,7 +181,8 @@ class BoxTracker:
     def _costs(self, poses: FloatArray, observed: Any) -> FloatArray:
         """Pixels (N,) that differ, those of both by the share of ``clamp_mm`` that their depths do."""
         clamp = self._settings.clamp_mm
-        sums = self._renderer.sums(transforms(poses), self._camera, self._window, observed, clamp)
+        comparison = Comparison(observed, clamp)
+        sums = self._renderer.sums(transforms(poses), self._camera, self._window, comparison)
         return sums.error / clamp + sums.unread + sums.observed - sums.both
 
 
@@ -214,13 +216,13 @@ class BoxRun(Run):
 
 def transforms(poses: FloatArray) -> Any:
     """Return the bone transforms (N, 1, 3, 4) of poses (N, 7)."""
-    matrices = rotations.matrices(poses[:, 3:])
+    matrices = rotations.matrices_from_quaternions(poses[:, 3:])
     return np.concatenate([matrices, poses[:, :3, None]], axis=2)[:, None].astype(np.float32)
 
 
 def posed(pose: FloatArray) -> FloatArray:
     """Return the corners (8, 3) of a box at a pose (7,), mm."""
-    corners: FloatArray = CORNERS @ rotations.matrices(pose[None, 3:])[0].T + pose[:3]
+    corners: FloatArray = CORNERS @ rotations.matrices_from_quaternions(pose[None, 3:])[0].T + pose[:3]
     return corners
 
 

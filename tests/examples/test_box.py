@@ -42,7 +42,7 @@ def result(recording: Path, device: RenderingDevice) -> Path:
 
 
 def track(
-    recording: Path, output: Path, device: RenderingDevice, stop_after: int = FRAMES, **options: bool
+    recording: Path, output: Path, device: RenderingDevice, stop_after: int = FRAMES + 1, **options: bool
 ) -> None:
     seen: list[int] = []
     made = BoxRun(
