@@ -55,7 +55,7 @@ def test_a_box_is_tracked_and_its_result_explains_itself(result: Path) -> None:
     read = read_result(result)
     estimates = list(read.estimates())
     assert read.subject.name == "box" and len(estimates) == FRAMES
-    assert read.camera.width == CAMERA.width
+    assert read.camera().width == CAMERA.width
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(
@@ -75,7 +75,7 @@ def test_it_is_measured_by_the_command_line(
     report = tmp_path / "report.json"
     assert run(["eval", str(result), "--json", str(report), "--html", str(tmp_path / "report.html")]) == 0
     (figures,) = [one["metrics"] for one in json.loads(report.read_text())["results"]]
-    assert figures["coverage"] == 1.0
+    assert figures["coverage"]["value"] == 1.0
     assert figures["corner_error_mm"]["mean"] < CORNER_MM
 
 
