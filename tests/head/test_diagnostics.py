@@ -14,7 +14,7 @@ from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.estimate import check_estimate
+from posetrack_cli.results.fields import check_estimate
 from support.bundles import random_model
 
 
