@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
-from posetrack_cli.head.tracker.estimates import lost_estimate
+from posetrack_cli.head.tracker.estimates import Description, lost_estimate
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.fields import check_estimate
 from support.bundles import random_model
@@ -48,7 +48,8 @@ def test_a_subject_fits_what_the_tracker_says(identities: int, deformations: int
     model = random_model(0, identities, deformations)
     subject = mono_subject("left", model)
     mean, deviations = model.deformation_mean, model.deformation_deviations
-    estimate = lost_estimate(Frame(0, 0, (None,)), None, mean, deviations, numbers(identities).array())
+    face = Description(mean, deviations, numbers(identities).array())
+    estimate = lost_estimate(Frame(0, 0, (None,)), None, face)
     check_estimate(estimate, subject)
     assert subject.camera_frame == "left" and len(subject.shape_names) == deformations
     more = replace(estimate, numbers=numbers(identities + 1).array())

@@ -28,14 +28,14 @@ from reproduction.heads_data import camera_file_text, frame_rate
 
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
 DRAWING = (
-    "head/synthesis/*.py",
-    "head/pose.py",
+    "synthesis/head/*.py",
+    "head/face/pose.py",
     "geometry/camera.py",
     "geometry/distortion.py",
     "geometry/poses.py",
     "geometry/rotations.py",
-    "rendering/textured.py",
-    "rendering/shaders/textured.*",
+    "rendering/gl/textured.py",
+    "rendering/gl/shaders/textured.*",
 )
 """What a synthetic recording's images and truth come from, beside the average face."""
 ENTRANTS: dict[str, tuple[str, ...]] = {

@@ -148,7 +148,7 @@ def test_over_all_frames_begins_a_second_pass() -> None:
     over_album = known.over_album(bundle.model, CAMERA, USUAL)
     assert over_album.views == () and over_album.album.views == ()
     assert_same(over_album.history, IdentityHistory.starting_with(over_album.person.identity, USUAL.average))
-    assert over_album.sets is known.sets and over_album.adjusted_frames == 12
+    assert over_album.templates is known.templates and over_album.adjusted_frames == 12
     np.testing.assert_array_equal(
         over_album.shape.mean,
         bundle.model.of_person(over_album.person.identity, over_album.person.offsets).mean,
