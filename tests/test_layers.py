@@ -28,6 +28,7 @@ LAYERS = (
 )
 """Packages, each above those that it may import from; single modules lie below all of them."""
 FOR_FILTERS = {
+    "abc",
     "arrays",
     "errors",
     "numpy",
