@@ -77,8 +77,9 @@ def search_recording(
     """
     if given is None:
         return _found_beside(result, opening)
-    pixels = kind_of(result.subject.name).pixels
-    return Search(_opened(given, pixels, opening) if any_recording else _same(given, result, opening))
+    return Search(
+        _opened(given, pixels_of(result), opening) if any_recording else _same(given, result, opening)
+    )
 
 
 def _found_beside(result: Result, opening: Mapping[str, Any]) -> Search:
@@ -109,6 +110,15 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
     return search.recording
 
 
+def pixels_of(result: Result) -> Pixels:
+    """Return what images a result was made from: as its run record states, else as usual for its subject."""
+    if "input.cameras" in result.run:
+        return "grey"
+    if {"input.topic", "input.depth_unit_mm"} & result.run.keys():
+        return "depth"
+    return kind_of(result.subject.name).pixels
+
+
 def folders_of(result: Result) -> Iterator[Path]:
     """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
@@ -133,7 +143,7 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
         options.pop("camera_topic", None)
     with _camera_file(path, result, given) as camera:
         try:
-            recording = _opened(path, kind_of(result.subject.name).pixels, options | camera | given)
+            recording = _opened(path, pixels_of(result), options | camera | given)
         except RecordingError:
             check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise
@@ -192,7 +202,7 @@ def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterat
     stored = [camera.mirrored() if mirrored else camera for camera in cameras]
     with TemporaryDirectory() as folder:
         file = Path(folder) / CAMERA_FILE_NAME
-        write = _depth_camera_text if kind_of(result.subject.name).pixels == "depth" else camera_file_text
+        write = _depth_camera_text if pixels_of(result) == "depth" else camera_file_text
         file.write_text(write(stored), encoding="utf-8", errors="backslashreplace")
         yield {"camera_file": file}
 

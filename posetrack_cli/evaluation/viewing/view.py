@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
-from posetrack_cli.evaluation.recording_of import cameras_of
+from posetrack_cli.evaluation.recording_of import cameras_of, pixels_of
 from posetrack_cli.evaluation.viewing.colours import TRUTH
 from posetrack_cli.evaluation.viewing.depth_panels import depth_layout, depth_panels
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
@@ -31,7 +31,7 @@ from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import Result
-from posetrack_cli.results.subject_kind import Pixels, kind_of
+from posetrack_cli.results.subject_kind import Pixels
 
 OpenDevice: TypeAlias = Callable[[], RenderingDevice]
 DrawerOf: TypeAlias = Callable[[Result, OpenDevice], Drawer]
@@ -142,7 +142,7 @@ def style_of(results: Sequence[Result]) -> _Style:
     Raises:
         UsageError: they were made from different ones.
     """
-    pixels = {kind_of(result.subject.name).pixels for result in results}
+    pixels = {pixels_of(result) for result in results}
     if len(pixels) > 1:
         found = ", ".join(f"a {result.subject.name} in {result.path}" for result in results)
         raise UsageError("results are of different subjects", found=found)
