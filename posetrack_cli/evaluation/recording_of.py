@@ -77,9 +77,9 @@ def search_recording(
     """
     if given is None:
         return _found_beside(result, opening)
-    return Search(
-        _opened(given, pixels_of(result), opening) if any_recording else _same(given, result, opening)
-    )
+    if any_recording:
+        return Search(_opened(given, pixels_of(result), opening))
+    return Search(_same(given, result, opening))
 
 
 def _found_beside(result: Result, opening: Mapping[str, Any]) -> Search:
