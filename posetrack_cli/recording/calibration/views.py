@@ -9,7 +9,7 @@ from pathlib import Path
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
-from posetrack_cli.recording.grey import StoredKind, check_size, decode_as_stored, grey_of, kind_of_image
+from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.image_files import read_image
 from posetrack_cli.recording.image_folders import find_folders, instants
 from posetrack_cli.recording.stored import UnreadableImageError
@@ -78,7 +78,7 @@ class _Camera:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._kind: StoredKind | None = None
+        self._pixels: Grey | None = None
         self._boards: list[FoundBoard | None] = []
         self._images = 0
 
@@ -89,12 +89,12 @@ class _Camera:
 
     def views(self, path: Path) -> CameraViews:
         """Return what was seen."""
-        if self._kind is None:
+        if self._pixels is None:
             raise RecordingError(
                 "no image can be decoded", where=path / self.name, found=f"{self._images} files"
             )
         return CameraViews(
-            self.name or "camera", self._kind.width, self._kind.height, self._images, tuple(self._boards)
+            self.name or "camera", self._pixels.width, self._pixels.height, self._images, tuple(self._boards)
         )
 
     def _found(self, finder: BoardFinder, image: Path, losses: LossLog) -> FoundBoard | None:
@@ -103,10 +103,9 @@ class _Camera:
         except UnreadableImageError as error:
             losses.add(f"image skipped, {error}", str(image))
             return None
-        if self._kind is None:
-            self._kind = kind_of_image(stored, image)
-        check_size(stored, self._kind, image)
-        return finder.find(grey_of(stored, self._kind.bits))
+        if self._pixels is None:
+            self._pixels = grey_like(stored, image)
+        return finder.find(self._pixels.from_stored(stored, image))
 
 
 def _chosen(path: Path, folders: dict[str, list[Path]], names: Sequence[str] | None) -> dict[str, list[Path]]:
