@@ -23,29 +23,30 @@ from benchmarking.machine import describe_machine
 from benchmarking.rendering import against_particles, scoring
 from benchmarking.results import evaluation
 from benchmarking.rows import Row
-from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand.frames import synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
 
 Part = Callable[[Any, Lengths], Iterator[Row]]
 
 
-def _depths(context: Any, frames: int) -> list[Any]:
+def _depths(device: RenderingDevice, frames: int) -> list[Any]:
     options = SynthOptions(frames=frames)
-    return [frame.depth.astype(np.float32) for frame in synthesise(options, context=context)]
+    return [frame.depth.astype(np.float32) for frame in synthesise(options, device=device)]
 
 
-def _rendering(context: Any, lengths: Lengths) -> Iterator[Row]:
-    yield from scoring(context, lengths.repeats)
-    yield from against_particles(context, _depths(context, 1)[0], lengths.repeats)
+def _rendering(device: RenderingDevice, lengths: Lengths) -> Iterator[Row]:
+    yield from scoring(device, lengths.repeats)
+    yield from against_particles(device, _depths(device, 1)[0], lengths.repeats)
 
 
 PARTS: Mapping[str, Part] = {
-    "commands": lambda context, lengths: start_up(),
+    "commands": lambda device, lengths: start_up(),
     "rendering": _rendering,
-    "hand": lambda context, lengths: hands(context, _depths(context, lengths.hand_frames), lengths),
-    "head": lambda context, lengths: heads(lengths),
-    "eval": lambda context, lengths: evaluation(lengths.eval_frames),
+    "hand": lambda device, lengths: hands(device, _depths(device, lengths.hand_frames), lengths),
+    "head": lambda device, lengths: heads(lengths),
+    "eval": lambda device, lengths: evaluation(lengths.eval_frames),
 }
 
 
@@ -58,11 +59,11 @@ PARTS: Mapping[str, Part] = {
 @click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Only this; repeatable.")
 def main(json_path: Path, device: int | None, quick: bool, parts: Sequence[str]) -> None:
     """Measure posetrack on this machine."""
-    context, lengths = open_context(device), QUICK if quick else FULL
-    machine = describe_machine(context) | {"length": "quick" if quick else "full"}
+    drawing, lengths = open_device(device), QUICK if quick else FULL
+    machine = describe_machine(drawing) | {"length": "quick" if quick else "full"}
     for key, value in machine.items():
         print(f"{key}: {value}")
-    rows = list(_printed(PARTS[part](context, lengths) for part in PARTS if part in (parts or PARTS)))
+    rows = list(_printed(PARTS[part](drawing, lengths) for part in PARTS if part in (parts or PARTS)))
     json_path.parent.mkdir(parents=True, exist_ok=True)
     table = [asdict(row) | {"verdict": row.verdict} for row in rows]
     json_path.write_text(json.dumps({"machine": machine, "rows": table}, indent=1) + "\n")

@@ -13,6 +13,7 @@ from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.start import centre_pose
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand.sensor import CAMERA
 
 Name = TypeVar("Name")
@@ -30,14 +31,14 @@ class Walker:
     """A hand tracker that is timed step by step.
 
     Args:
-        context: GL context.
+        device: draws the poses.
         config: of the tracker.
         first: depth image that it starts in the middle of.
     """
 
-    def __init__(self, context: Any, config: HandConfig, first: Any) -> None:
+    def __init__(self, device: RenderingDevice, config: HandConfig, first: Any) -> None:
         hand = average_hand()
-        self.tracker = make_tracker(config, hand, CAMERA, context)
+        self.tracker = make_tracker(config, hand, CAMERA, device)
         self.rng = np.random.default_rng(0)
         pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
         self.state: Any = self.tracker.start(pose, 0, self.rng)

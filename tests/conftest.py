@@ -3,13 +3,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import settings
 
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.rendering.gl.device import GlDevice
+from posetrack_cli.rendering.port import RenderingDevice
+from support.numpy_renderer import NumpyDevice
 
 pytest_plugins = ["support.recordings"]
 
@@ -30,13 +31,25 @@ def measured_data() -> Path:
 
 
 @pytest.fixture(scope="module")
-def context() -> Iterator[Any]:
-    """A context of this module's own: no other module can have made another one current meanwhile."""
+def gl_device() -> Iterator[GlDevice]:
+    """A device of this module's own: no other module can have made another context current meanwhile."""
     try:
-        opened = open_context()
+        opened = GlDevice()
     except RenderingError as error:
         if os.environ.get("CI"):
             raise
         pytest.skip(f"nothing can be drawn here: {error}")
     yield opened
-    opened.release()
+    opened.close()
+
+
+@pytest.fixture(scope="module")
+def device(gl_device: GlDevice) -> RenderingDevice:
+    """What draws."""
+    return gl_device
+
+
+@pytest.fixture(scope="module", params=["OpenGL", "numpy"])
+def any_device(request: pytest.FixtureRequest) -> RenderingDevice:
+    """Every implementation of the renderers' port in turn."""
+    return NumpyDevice() if request.param == "numpy" else request.getfixturevalue("gl_device")

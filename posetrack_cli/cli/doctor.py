@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
-from typing import Any
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING
 
 import click
 
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError
+
+if TYPE_CHECKING:
+    from posetrack_cli.rendering.port import RenderingDevice
 
 PARTICLES = 512
 REPEATS = 11
@@ -64,25 +67,23 @@ def _print_versions() -> None:
 
 def _working_devices() -> list[int]:
     """Numbers of the EGL devices that open; one that does not may lie between others that do."""
-    from posetrack_cli.rendering.gl.context import open_context
+    from posetrack_cli.rendering.devices import open_device
 
     numbers = []
     for number in range(MOST_DEVICES):
         with suppress(PosetrackError):
-            open_context(number).release()
+            open_device(number).close()
             numbers.append(number)
     return numbers
 
 
 def _check(label: str, device: int | None, particles: int) -> bool:
     """Print what a device draws with and how fast; say what is missing if it does not."""
-    from posetrack_cli.rendering.gl.context import describe, open_context
+    from posetrack_cli.rendering.devices import open_device
 
     try:
-        with ExitStack() as stack:
-            context = open_context(device)
-            stack.callback(context.release)
-            name, times = describe(context), _scoring_times(context, particles)
+        with closing(open_device(device)) as drawing:
+            name, times = drawing.info, _scoring_times(drawing, particles)
     except PosetrackError as error:
         print_line(f"OpenGL {label}: does not work")
         print_note(f"posetrack: {error}")
@@ -93,7 +94,7 @@ def _check(label: str, device: int | None, particles: int) -> bool:
     return True
 
 
-def _scoring_times(context: Any, particles: int) -> dict[int, float]:
+def _scoring_times(device: RenderingDevice, particles: int) -> dict[int, float]:
     """Median milliseconds by tile size for open hands around one pose."""
     import numpy as np
 
@@ -101,12 +102,11 @@ def _scoring_times(context: Any, particles: int) -> dict[int, float]:
     from posetrack_cli.hand.kinematics import skinning_transforms
     from posetrack_cli.hand.mesh import hand_mesh
     from posetrack_cli.hand.start import scattered_poses
-    from posetrack_cli.rendering.gl.benchmark import scoring_milliseconds
+    from posetrack_cli.rendering.benchmark import scoring_milliseconds
 
     anatomy = make_anatomy()
     transforms = skinning_transforms(anatomy, scattered_poses(anatomy, particles, np.random.default_rng(0)))
     mesh = hand_mesh(anatomy)
     return {
-        tile: scoring_milliseconds(context, mesh, transforms, tile, 128 // tile, REPEATS)
-        for tile in (64, 128)
+        tile: scoring_milliseconds(device, mesh, transforms, tile, 128 // tile, REPEATS) for tile in (64, 128)
     }

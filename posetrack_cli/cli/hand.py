@@ -119,16 +119,16 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.recording.opening import open_recording
-    from posetrack_cli.rendering.gl.context import open_context
+    from posetrack_cli.rendering.devices import open_device
     from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)
     source = open_recording(recording, **opening_arguments(options))
     run_options = RunOptions(**{name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")})
-    context = open_context(options["device"])
+    device = open_device(options["device"])
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], options["seed"], _say)
-    run = HandRun(source, found.config, run_options, context)
+    run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found.line
 
 

@@ -117,7 +117,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.layering import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import View
-    from posetrack_cli.rendering.gl.context import open_context
+    from posetrack_cli.rendering.devices import open_device
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[name] for name in DRAWN}
@@ -127,7 +127,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     if _of_images(results):
         return HeadView(results, required_images(results[0], options["recording"], **chosen), view_options)
     recording = required_recording(results[0], options["recording"], **chosen)
-    return View(results, recording, view_options, open_context(options["device"]))
+    return View(results, recording, view_options, open_device(options["device"]))
 
 
 def _of_images(results: Sequence[Result]) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.viewing.panels import Panels
     from posetrack_cli.recording.stored import StoredRecording
+    from posetrack_cli.rendering.port import RenderingDevice
 
 ERRORS = {
     "joint_error_mm": "joint error",
@@ -61,17 +63,14 @@ def worst_frame_pictures(
         ResultError, UsageError: the result cannot be drawn on these images.
     """
     from posetrack_cli.evaluation.viewing.frame_choice import worst_rows
-    from posetrack_cli.rendering.gl.context import open_context
+    from posetrack_cli.rendering.devices import open_device
 
     errors, name = errors_of(evaluation)
     rows = worst_rows(evaluation.track, errors, count)
     if not rows.size:
         return []
-    context = open_context(device)
-    try:
-        drawn = _drawn(evaluation, recording, rows, context)
-    finally:
-        context.release()
+    with closing(open_device(device)) as drawing:
+        drawn = _drawn(evaluation, recording, rows, drawing)
     return [
         Picture(*drawn[int(row)], said_of(evaluation, int(row), errors, name))
         for row in rows
@@ -90,7 +89,7 @@ def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
 
 
 def _drawn(
-    evaluation: Evaluation, recording: StoredRecording, rows: IntArray, context: Any
+    evaluation: Evaluation, recording: StoredRecording, rows: IntArray, device: RenderingDevice
 ) -> dict[int, tuple[bytes, int, int]]:
     """PNG, frame number and stamp of each row that the recording has a frame of."""
     from posetrack_cli.evaluation.matched_frames import matched_frames
@@ -98,7 +97,7 @@ def _drawn(
     from posetrack_cli.evaluation.viewing.viewport import Viewport, largest_viewport, moved_to
     from posetrack_cli.losses import LossLog
 
-    track, panels = evaluation.track, _panels(evaluation, recording, context)
+    track, panels = evaluation.track, _panels(evaluation, recording, device)
     points = track.points
     whole = Viewport.enlarged(panels.camera)
     common = whole if points is None else largest_viewport(points[rows], panels.camera, None)
@@ -112,7 +111,7 @@ def _drawn(
     return drawn
 
 
-def _panels(evaluation: Evaluation, recording: StoredRecording, context: Any) -> Panels:
+def _panels(evaluation: Evaluation, recording: StoredRecording, device: RenderingDevice) -> Panels:
     from posetrack_cli.evaluation.recording_of import check_same_size
     from posetrack_cli.evaluation.viewing.colours import TRUTH
     from posetrack_cli.evaluation.viewing.layers import Layer
@@ -122,7 +121,7 @@ def _panels(evaluation: Evaluation, recording: StoredRecording, context: Any) ->
     from posetrack_cli.results.reader import read_result
 
     result, track, truth = read_result(evaluation.path), evaluation.track, evaluation.truth
-    camera, drawer = result.camera(), drawer_of(result, context)
+    camera, drawer = result.camera(), drawer_of(result, device)
     check_same_size(camera, recording)
     return Panels(
         camera=camera,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.pixel_model import PixelMixture
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import TileSums
 
 Cost = Callable[[TileSums, ObservationSettings], FloatArray]
@@ -132,7 +132,7 @@ class RenderedCosts:
     """Costs and likelihoods of hand poses by rendering them.
 
     Args:
-        context: GL context.
+        device: draws the poses.
         hand: its bones, and its lean skin, which is drawn.
         camera: pinhole intrinsics of the depth images.
         settings: cost and window.
@@ -141,7 +141,7 @@ class RenderedCosts:
 
     def __init__(
         self,
-        context: Any,
+        device: RenderingDevice,
         hand: HandModel,
         camera: Camera,
         settings: ObservationSettings,
@@ -153,8 +153,8 @@ class RenderedCosts:
         self._model = (
             pixel_mixture(settings.mixture, settings.unread_weight) if settings.cost == "mixture" else None
         )
-        self._many = TiledDepthRenderer(context, hand.lean, tile, particles)
-        self._one = TiledDepthRenderer(context, hand.lean, tile, 1)
+        self._many = device.depth_renderer(hand.lean, tile, particles)
+        self._one = device.depth_renderer(hand.lean, tile, 1)
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """Costs D (N,), mm, of poses (N, 22)."""

@@ -28,7 +28,7 @@ from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output
 from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.rendering.gl.context import describe
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
@@ -60,27 +60,29 @@ class HandRun(Run):
         recording: depth frames.
         config: parameters.
         options: the rest.
-        context: GL context.
+        device: draws the poses.
 
     Raises:
         UsageError: the output may not be written, no frame to track, or no start pose in ``options.init``.
-        RenderingError: a window that this GL cannot draw.
+        RenderingError: a window that the device cannot draw.
     """
 
     tracker: HandTrackerProtocol[Any]
     _options: RunOptions
 
-    def __init__(self, recording: Recording, config: HandConfig, options: RunOptions, context: Any) -> None:
+    def __init__(
+        self, recording: Recording, config: HandConfig, options: RunOptions, device: RenderingDevice
+    ) -> None:
         self._config = config = with_method(config, options)
         check_run(recording, config, options)
         super().__init__(recording, options, config.output.flush_frames)
         self._hand = hand = hand_model(config.hand)
         self._anatomy = hand.anatomy
         self._camera = recording.cameras[0]
-        self.tracker = make_tracker(config, hand, self._camera, context)
+        self.tracker = make_tracker(config, hand, self._camera, device)
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
         self._start_pose = _given_pose(options)
-        renderer = str(describe(context))
+        renderer = str(device.info)
         self._record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
 

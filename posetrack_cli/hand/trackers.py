@@ -18,6 +18,7 @@ from posetrack_cli.hand.swarm.objective import RenderedObjective
 from posetrack_cli.hand.swarm.tracker import SwarmTracker
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.tracking.protocol import Tracker
 
 State = TypeVar("State")
@@ -34,7 +35,7 @@ class HandTrackerProtocol(Tracker[State], Protocol[State]):
 
 
 def make_tracker(
-    config: HandConfig, hand: HandModel, camera: Camera, context: Any
+    config: HandConfig, hand: HandModel, camera: Camera, device: RenderingDevice
 ) -> HandTrackerProtocol[Any]:
     """Return the tracker of ``filter.kind``.
 
@@ -42,19 +43,19 @@ def make_tracker(
         config: parameters.
         hand: whose motion is tracked.
         camera: of the depth images.
-        context: GL context.
+        device: draws the poses.
 
     Raises:
-        RenderingError: a window that this GL cannot draw.
+        RenderingError: a window that the device cannot draw.
         FilterError: a swarm that would not converge.
     """
-    scorer = RenderedCosts(context, hand, camera, config.observation, config.filter.particles)
+    scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
     segmenting = Observer(config, hand.anatomy, camera, segment=True)
     finder = None
     if config.filter.proposal in ("guided", "annealed") or config.init.method == "auto":
         finder = Acquisition(config, hand, camera, scorer, segmenting, Guiding(config, hand, camera))
     if config.filter.kind == "pso":
-        objective = RenderedObjective(context, hand, camera, config)
+        objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, camera, objective, finder)
     # the paper's cost takes all readings for the hand's; fits have to know which are
     plain = config.observation.cost == "paper" and config.filter.proposal != "guided"

@@ -1,1 +1,1 @@
-"""The GL context and the tiled depth renderer. Knows meshes and cameras, not hands."""
+"""What draws (`port`, implemented in `gl`), and the meshes that it draws. Knows no hands and no heads."""

@@ -22,6 +22,7 @@ from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.swarm.objective import RenderedObjective
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.rendering.port import RenderingDevice
 from stepping import Walker, in_turn
 
 TARGETS_MS = {"hand": 50.0, "hand-fast": 25.0, "hand-pso": None}
@@ -42,14 +43,14 @@ class WatchedWalker(Walker):
     """A walker that also tells how long the parts of each step took.
 
     Args:
-        context: GL context.
+        device: draws the poses.
         config: of the tracker.
         first: depth image that it starts in the middle of.
         clocks: of the parts.
     """
 
-    def __init__(self, context: Any, config: HandConfig, first: Any, clocks: Clocks) -> None:
-        super().__init__(context, config, first)
+    def __init__(self, device: RenderingDevice, config: HandConfig, first: Any, clocks: Clocks) -> None:
+        super().__init__(device, config, first)
         self._clocks = clocks
         self.parts: list[dict[str, float]] = []
 
@@ -61,12 +62,12 @@ class WatchedWalker(Walker):
         return taken
 
 
-def hands(context: Any, depths: Sequence[Any], lengths: Lengths) -> Iterator[Row]:
+def hands(device: RenderingDevice, depths: Sequence[Any], lengths: Lengths) -> Iterator[Row]:
     """Rows of every configuration, of velocity, and of a long run."""
     configs = {name: load_settings(HandConfig, find_configuration(name), {}) for name in TARGETS_MS}
-    yield from tracking_alone(context, configs, depths)
-    yield from file_to_file(context, configs, depths)
-    yield from velocity_ratio(context, depths)
+    yield from tracking_alone(device, configs, depths)
+    yield from file_to_file(device, configs, depths)
+    yield from velocity_ratio(device, depths)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "long.mcap")
         write_hand_recording(path, depths, lengths.hand_memory)
@@ -74,12 +75,12 @@ def hands(context: Any, depths: Sequence[Any], lengths: Lengths) -> Iterator[Row
         yield from peak_memory("hand run", command, lengths.hand_memory, Path(folder), 400.0)
 
 
-def tracking_alone(context: Any, configs: Mapping[str, HandConfig], depths: Sequence[Any]) -> Iterator[Row]:
+def tracking_alone(
+    device: RenderingDevice, configs: Mapping[str, HandConfig], depths: Sequence[Any]
+) -> Iterator[Row]:
     """The same frames through the trackers of all configurations in turn, and where the time goes."""
     with clocked(PARTS) as clocks:
-        walkers = {
-            name: WatchedWalker(context, config, depths[0], clocks) for name, config in configs.items()
-        }
+        walkers = {name: WatchedWalker(device, config, depths[0], clocks) for name, config in configs.items()}
         times = in_turn(walkers, depths, WARM_UP)
     for name, walker in walkers.items():
         yield Row(f"{name}, tracking alone", median_ms(times[name]), "ms")
@@ -91,7 +92,9 @@ def tracking_alone(context: Any, configs: Mapping[str, HandConfig], depths: Sequ
         yield Row(f"{name} / hand frame time, median of pairs", ratio, "")
 
 
-def file_to_file(context: Any, configs: Mapping[str, HandConfig], depths: Sequence[Any]) -> Iterator[Row]:
+def file_to_file(
+    device: RenderingDevice, configs: Mapping[str, HandConfig], depths: Sequence[Any]
+) -> Iterator[Row]:
     """Whole runs from PNGs in an MCAP file to a result, the search for the hand included."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "in.mcap")
@@ -99,7 +102,7 @@ def file_to_file(context: Any, configs: Mapping[str, HandConfig], depths: Sequen
         for name, config in configs.items():
             with clocked(PARTS) as clocks:
                 options = RunOptions(Path(folder, f"{name}.mcap"))
-                outcome = HandRun(open_recording(path), config, options, context).track(lambda estimate: None)
+                outcome = HandRun(open_recording(path), config, options, device).track(lambda estimate: None)
             total = 1e3 * outcome.seconds / outcome.tracked
             yield Row(f"{name}, file to file", total, "ms", TARGETS_MS[name])
             parts = {part: 1e3 * seconds / outcome.tracked for part, seconds in clocks.seconds.items()}
@@ -108,9 +111,9 @@ def file_to_file(context: Any, configs: Mapping[str, HandConfig], depths: Sequen
             yield Row("  of it everything else", total - sum(parts.values()), "ms", 8.0)
 
 
-def velocity_ratio(context: Any, depths: Sequence[Any]) -> Iterator[Row]:
+def velocity_ratio(device: RenderingDevice, depths: Sequence[Any]) -> Iterator[Row]:
     """Frame time of the RBPF over that of the plain filter, which step through the same frames in turn."""
     configs = {kind: load_settings(HandConfig, None, {"filter.kind": kind}) for kind in ("rbpf", "pf")}
-    walkers = {kind: Walker(context, config, depths[0]) for kind, config in configs.items()}
+    walkers = {kind: Walker(device, config, depths[0]) for kind, config in configs.items()}
     times = in_turn(walkers, depths, WARM_UP)
     yield Row("RBPF / PF frame time, median of pairs", median_of_pairs(times["rbpf"], times["pf"]), "", 1.03)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import platform
 from pathlib import Path
-from typing import Any
 
 from posetrack_cli import __version__
-from posetrack_cli.rendering.gl.context import describe
+from posetrack_cli.rendering.port import RenderingDevice
 
 
-def describe_machine(context: Any) -> dict[str, str]:
+def describe_machine(device: RenderingDevice) -> dict[str, str]:
     """Processor, cores, load, Python, renderer."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -22,5 +21,5 @@ def describe_machine(context: Any) -> dict[str, str]:
         "load": f"{os.getloadavg()[0]:.2f}",
         "system": platform.platform(),
         "python": platform.python_version(),
-        "renderer": str(describe(context)),
+        "renderer": str(device.info),
     }

@@ -15,27 +15,28 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
-from posetrack_cli.rendering.gl.benchmark import scoring_milliseconds
+from posetrack_cli.rendering.benchmark import scoring_milliseconds
+from posetrack_cli.rendering.port import RenderingDevice
 from stepping import Walker
 
 PARTICLES = 512
 SWEEP = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
 
 
-def scoring(context: Any, repeats: int) -> Iterator[Row]:
+def scoring(device: RenderingDevice, repeats: int) -> Iterator[Row]:
     """Draw and reduce N poses: the paper's 128 x 128 window, and the same window sampled at 64 x 64."""
     anatomy = make_anatomy()
     poses = scattered_poses(anatomy, PARTICLES, np.random.default_rng(0))
     transforms, mesh = skinning_transforms(anatomy, poses), hand_mesh(anatomy)
     for tile, target in ((128, 80.0), (64, 33.0)):
-        value = scoring_milliseconds(context, mesh, transforms, tile, 128 // tile, repeats)
+        value = scoring_milliseconds(device, mesh, transforms, tile, 128 // tile, repeats)
         yield Row(f"draw and reduce, N = {PARTICLES}, {tile} x {tile} tiles", value, "ms", target)
 
 
-def against_particles(context: Any, depth: Any, repeats: int) -> Iterator[Row]:
+def against_particles(device: RenderingDevice, depth: Any, repeats: int) -> Iterator[Row]:
     """Time of a step against N, and how far it is from a straight line (the paper's figure 10)."""
     configs = [load_settings(HandConfig, None, {"filter.particles": n}) for n in SWEEP]
-    walkers = [Walker(context, config, depth) for config in configs]
+    walkers = [Walker(device, config, depth) for config in configs]
     taken: list[list[float]] = [[] for _ in SWEEP]
     for repeat in range(max(3, repeats // 3) + 1):
         for walker, times in zip(walkers, taken, strict=True):

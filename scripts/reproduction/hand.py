@@ -18,7 +18,8 @@ from posetrack_cli import __version__
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.cli.recording_options import recording_options
 from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.rendering.gl.context import describe, open_context
+from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.port import RenderingDevice
 from reproduction import analysis, figures, report, study, timing
 from reproduction.unit import ENTRANTS, Unit, is_current, run_unit
 
@@ -63,14 +64,14 @@ def main(
     options about recordings are those of posetrack hand run and belong to --kinect.
     """
     output.mkdir(parents=True, exist_ok=True)
-    context = open_context()
+    device = open_device()
     failures: list[str] = []
     parts = (
-        _head(str(describe(context)), seeds, frames),
+        _head(str(device.info), seeds, frames),
         _artificial(output, "A", (figures.WRIST_Y, figures.MIDDLE_BEND), "6", frames),
         _artificial(output, "B", (figures.WRIST_Y, figures.WRIST_X), "7", frames),
         _real(output, kinect, kinect_frames, options),
-        _time(output, context),
+        _time(output, device),
         _study(output, seeds, frames, jobs, failures),
     )
     text = "\n".join(chain.from_iterable(parts)) + "\n"
@@ -171,10 +172,10 @@ def _command(*arguments: str) -> None:
         sys.exit(code)
 
 
-def _time(output: Path, context: Any) -> Iterator[str]:
+def _time(output: Path, device: RenderingDevice) -> Iterator[str]:
     """Figure 10."""
     click.echo("figure 10: time per frame", err=True)
-    milliseconds = timing.frame_times(context)
+    milliseconds = timing.frame_times(device)
     figures.times(output / "figure10.png", timing.PARTICLES, milliseconds)
     yield "## Time per frame (figure 10)"
     yield ""

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from posetrack_cli import __version__
-from posetrack_cli.rendering.gl.context import describe, open_context
+from posetrack_cli.rendering.devices import open_device
 from reproduction.accuracy.filters import Filters
 from reproduction.accuracy.measuring import Measured
 from reproduction.accuracy.options import FIRST_SEED, Options, Part, Targets
@@ -126,9 +126,9 @@ def _report(parts: Sequence[Part], options: Options, failures: Sequence[str]) ->
 
 
 def _head(options: Options) -> Iterable[str]:
-    context = open_context()
-    renderer = str(describe(context))
-    context.release()
+    device = open_device()
+    renderer = str(device.info)
+    device.close()
     yield "# What the hand tracker reaches"
     yield ""
     kept = ", none of them used for tuning" if options.first_seed >= FIRST_SEED else ""

@@ -23,7 +23,8 @@ from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import read_result
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
 from posetrack_cli.synthesis.hand.writing import write_synthetic
@@ -92,9 +93,9 @@ def run_unit(unit: Unit, entrants: list[str], out: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / f"{unit.name}.mcap"
         write_synthetic(unit.options(), recording)
-        context = open_context()
+        device = open_device()
         for entrant in missing:
-            track(recording, unit, entrant, unit.result(out, entrant), context)
+            track(recording, unit, entrant, unit.result(out, entrant), device)
 
 
 def configuration(entrant: str) -> HandConfig:
@@ -113,7 +114,7 @@ def is_current(result: Path, entrant: str) -> bool:
     return (run["version"], run["configuration"]) == (__version__, stated)
 
 
-def track(recording: Path, unit: Unit, entrant: str, result: Path, context: Any) -> None:
+def track(recording: Path, unit: Unit, entrant: str, result: Path, device: RenderingDevice) -> None:
     """Track a recording; C starts as ``--init center``, A and B from the true pose, which is anywhere.
 
     The tracker's seed is the unit's: entrants over the same recording are pairs.
@@ -121,7 +122,7 @@ def track(recording: Path, unit: Unit, entrant: str, result: Path, context: Any)
     config = configuration(entrant)
     init = "center" if unit.motion == "C" else str(recording)
     options = RunOptions(result, seed=unit.seed, init=init, overwrite=True)
-    HandRun(open_recording(recording), config, options, context).track(lambda estimate: None)
+    HandRun(open_recording(recording), config, options, device).track(lambda estimate: None)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import cv2
 from benchmarking.commands import POSETRACK
 from benchmarking.recordings import link_recording
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.synthesis.hand.frames import synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.sensor import CAMERA
@@ -98,13 +98,13 @@ class Recordings:
 
 def write_hand_folder(path: Path, frames: int) -> None:
     """A folder of depth images of a synthetic hand, with its camera file."""
-    context = open_context()
+    device = open_device()
     try:
         path.mkdir()
-        for frame in synthesise(SynthOptions(frames=frames), context=context):
+        for frame in synthesise(SynthOptions(frames=frames), device=device):
             cv2.imwrite(str(path / f"{frame.index:06d}.png"), frame.depth)
     finally:
-        context.release()
+        device.close()
     _write_camera(path / CAMERA_FILE_NAME, {key: getattr(CAMERA, key) for key in ("fx", "fy", "cx", "cy")})
 
 

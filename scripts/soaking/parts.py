@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarking.machine import describe_machine
 from benchmarking.rows import Row
-from posetrack_cli.rendering.gl.context import open_context
+from posetrack_cli.rendering.devices import open_device
 from soaking.amounts import Amounts
 from soaking.cases import Case, Recordings
 from soaking.cold import soak_cold
@@ -26,11 +26,11 @@ References = Mapping[str, tuple[Case, Reference]]
 
 def describe(amounts: Amounts, seed: int) -> dict[str, str]:
     """What figures were measured on, and how."""
-    context = open_context()
+    device = open_device()
     try:
-        return describe_machine(context) | {"amounts": str(amounts), "seed": str(seed)}
+        return describe_machine(device) | {"amounts": str(amounts), "seed": str(seed)}
     finally:
-        context.release()
+        device.close()
 
 
 @contextmanager

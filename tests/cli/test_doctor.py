@@ -12,35 +12,36 @@ import pytest
 from posetrack_cli.cli.doctor import LIBRARIES
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.rendering.gl import context as contexts
+from posetrack_cli.rendering import devices
+from posetrack_cli.rendering.port import RendererInfo
 
 SMALL = ["doctor", "--particles", "16"]
 
 
-class FakeContext:
+class FakeDevice:
     """Knows its name; counts how many are open."""
 
     opened = 0
 
-    def __init__(self, device: int | None) -> None:
-        name = "default" if device is None else f"card {device}"
-        self.info = {"GL_RENDERER": name, "GL_VENDOR": "nobody", "GL_VERSION": "4.5"}
-        FakeContext.opened += 1
+    def __init__(self, index: int | None) -> None:
+        name = "default" if index is None else f"card {index}"
+        self.info = RendererInfo(name, "nobody", "OpenGL 4.5")
+        FakeDevice.opened += 1
 
-    def release(self) -> None:
-        FakeContext.opened -= 1
+    def close(self) -> None:
+        FakeDevice.opened -= 1
 
 
 def with_devices(monkeypatch: pytest.MonkeyPatch, numbers: set[int], default: bool = True) -> None:
     """Let EGL have these devices, and a default one or not."""
 
-    def open_fake(device: int | None = None) -> Any:
-        if device in numbers or (device is None and default):
-            return FakeContext(device)
-        raise RenderingError("no headless context", where=f"OpenGL device {device}")
+    def open_fake(index: int | None = None) -> Any:
+        if index in numbers or (index is None and default):
+            return FakeDevice(index)
+        raise RenderingError("no headless context", where=f"OpenGL device {index}")
 
-    monkeypatch.setattr(contexts, "open_context", open_fake)
-    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", lambda context, particles: {64: 1.0})
+    monkeypatch.setattr(devices, "open_device", open_fake)
+    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", lambda device, particles: {64: 1.0})
 
 
 def drawn_with(capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -65,7 +66,7 @@ def test_a_single_device_is_told_once(
     with_devices(monkeypatch, {0})
     assert run(SMALL) == 0
     assert drawn_with(capsys) == ["default: default, OpenGL 4.5"]
-    assert FakeContext.opened == 0
+    assert FakeDevice.opened == 0
 
 
 def test_several_devices_are_all_told_also_beyond_one_that_fails(
@@ -96,14 +97,14 @@ def test_a_device_that_works_is_told_when_the_default_does_not(
     assert drawn_with(capsys) == ["default: does not work", "device 1: card 1, OpenGL 4.5"]
 
 
-def test_a_context_is_released_when_measuring_fails(
+def test_a_device_is_closed_when_measuring_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(context: Any, particles: int) -> dict[int, float]:
+    def fail(device: Any, particles: int) -> dict[int, float]:
         raise RenderingError("tile is too large for this GL")
 
     with_devices(monkeypatch, {0})
     monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", fail)
     assert run([*SMALL, "--device", "0"]) == 1
-    assert FakeContext.opened == 0
+    assert FakeDevice.opened == 0
     assert drawn_with(capsys) == ["device 0: does not work"]

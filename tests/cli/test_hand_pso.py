@@ -7,7 +7,6 @@ import io
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import load_arrays, read_result
 
 FRAMES = 10
@@ -82,7 +82,7 @@ def test_the_shipped_configuration_is_the_default_swarm(recording: Path, tmp_pat
 
 
 def test_an_interrupted_run_resumes_to_the_same_bytes(
-    recording: Path, result: Path, tmp_path: Path, context: Any
+    recording: Path, result: Path, tmp_path: Path, device: RenderingDevice
 ) -> None:
     output, seen = tmp_path / "r.mcap", list[int]()
     flushing = {"flush_frames": 2}
@@ -93,7 +93,7 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     assert track(recording, whole, "--set", "output.flush_frames=2") == 0
     config = config.model_copy(update={"output": config.output.model_copy(update=flushing)})
     options = RunOptions(output, init=str(recording))
-    stopped = HandRun(open_recording(recording), config, options, context).track(
+    stopped = HandRun(open_recording(recording), config, options, device).track(
         lambda estimate: seen.append(estimate.frame_index), lambda: len(seen) == 5
     )
     assert stopped.stopped and stopped.frames == 5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from posetrack_cli.hand.anatomy import ANGLES
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observer import Observer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand import CAMERA, SynthOptions, synthesise
 from support.hand import KINECT, random_poses
 from support.hand_scene import HANDS, WALL_MM, Stage, acquisition, relaxed, turned_about_its_length
@@ -22,13 +22,13 @@ FOUND_MM = 5.0
 
 
 @pytest.fixture(scope="module")
-def stage(context: Any) -> Stage:
-    return Stage(context, HANDS["right"])
+def stage(device: RenderingDevice) -> Stage:
+    return Stage(device, HANDS["right"])
 
 
 @pytest.fixture(scope="module")
-def finder(context: Any) -> Acquisition:
-    return acquisition(context, HANDS["right"])
+def finder(device: RenderingDevice) -> Acquisition:
+    return acquisition(device, HANDS["right"])
 
 
 @pytest.mark.parametrize(
@@ -49,10 +49,10 @@ def test_a_drawn_hand_is_found_anywhere(finder: Acquisition, stage: Stage, pose:
     assert found.cost < 3.0
 
 
-def test_a_left_hand_is_found_with_a_left_model(context: Any) -> None:
-    left = Stage(context, HANDS["left"])
+def test_a_left_hand_is_found_with_a_left_model(device: RenderingDevice) -> None:
+    left = Stage(device, HANDS["left"])
     pose = relaxed(-40.0, 30.0, 700.0)
-    found = acquisition(context, HANDS["left"]).search(left.depth(pose))
+    found = acquisition(device, HANDS["left"]).search(left.depth(pose))
     assert found is not None
     assert left.error(found.pose, pose) < FOUND_MM
 
@@ -77,26 +77,26 @@ def test_where_there_is_no_hand_none_is_found(finder: Acquisition) -> None:
     assert finder.search(disc) is None
 
 
-def test_what_fits_badly_is_no_find(context: Any, stage: Stage) -> None:
+def test_what_fits_badly_is_no_find(device: RenderingDevice, stage: Stage) -> None:
     """Noise of 2 mm leaves errors of 1.6 mm on average, however well the hand is placed."""
     noise = np.random.default_rng(0).normal(scale=2.0, size=(KINECT.height, KINECT.width))
     noisy = (stage.depth(relaxed()) + noise).astype(np.float32)
     for accept_mm, found in ((0.5, False), (5.0, True)):
         config = HandConfig.model_validate({"acquisition": {"accept_mm": accept_mm}})
-        assert (acquisition(context, HANDS["right"], config).search(noisy) is not None) == found
+        assert (acquisition(device, HANDS["right"], config).search(noisy) is not None) == found
 
 
-def test_natural_hands_are_found_in_single_frames(context: Any) -> None:
+def test_natural_hands_are_found_in_single_frames(device: RenderingDevice) -> None:
     """With forearm, body, noise and missing readings, at twice the usual speed.
 
     Of these 18 frames 15 were found to 3 mm, one to 11 mm; in the others another hand looks alike.
     """
     hand, errors = HANDS["right"], []
-    finder = acquisition(context, hand)
+    finder = acquisition(device, hand)
     assert CAMERA == KINECT
     for seed in range(1, 8):
         options = SynthOptions(frames=25, seed=seed, speed=2.0)
-        for frame in list(synthesise(options, context=context))[::12]:
+        for frame in list(synthesise(options, device=device))[::12]:
             found = finder.search(frame.depth)
             joints = np.inf if found is None else joint_positions(hand.anatomy, found.pose[None])[0]
             errors.append(np.linalg.norm(joints - frame.joints, axis=1).mean())

@@ -6,7 +6,6 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ from posetrack_cli.hand.shape import POPULATION_SD, SHAPE_NAMES, SHAPE_SIZE, Han
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.shapes import SHAPES
@@ -62,9 +61,9 @@ def poses_of(hand: HandModel, count: int) -> FloatArray:
 class Views:
     """Tiles of a hand in poses, as a perfect sensor sees it before an empty wall."""
 
-    def __init__(self, context: Any, hand: HandModel, poses: FloatArray) -> None:
+    def __init__(self, device: RenderingDevice, hand: HandModel, poses: FloatArray) -> None:
         self.window = Window.around(np.array([KINECT.cx, KINECT.cy]), TILE, 2)
-        renderer = TiledDepthRenderer(context, hand.smooth, (TILE, TILE), 1)
+        renderer = device.depth_renderer(hand.smooth, (TILE, TILE), 1)
         view = View(*self.window.tile_projection(KINECT))
         self.tiles = []
         for pose in poses:
@@ -99,10 +98,10 @@ def test_moves_are_those_of_the_vertices() -> None:
     assert np.abs(posed[1] - posed[0]).max() > 10 * second_order_mm
 
 
-def test_surface_rows_predict_how_residuals_change(context: Any) -> None:
+def test_surface_rows_predict_how_residuals_change(device: RenderingDevice) -> None:
     hand = average_hand("right", OTHER)
     pose = poses_of(hand, 1)[0]
-    tile = Views(context, hand, pose[None]).tiles[0]
+    tile = Views(device, hand, pose[None]).tiles[0]
     rows, moves = FrameRows(Terms(), TILE), next(vertex_moves(pose[None], hand, varied(OTHER, 0.01), 0.01))
     at = rows.rows(tile, pose, hand, moves)
     # at the truth: no residual but for what a rasteriser decides at edges
@@ -144,10 +143,10 @@ def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
         )
 
 
-def test_a_shape_is_found_again_from_perfect_images(context: Any) -> None:
+def test_a_shape_is_found_again_from_perfect_images(device: RenderingDevice) -> None:
     hand = average_hand("right", OTHER)
     poses = poses_of(hand, 9)
-    views = Views(context, hand, poses)
+    views = Views(device, hand, poses)
     noise = np.random.default_rng(1).standard_normal((len(poses), 21)) * np.repeat(
         [4.0, 0.04, 0.08], [3, 3, 15]
     )

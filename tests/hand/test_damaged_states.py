@@ -15,6 +15,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, smoothing_path
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import part_path, state_path
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.layouts import LayoutError
 from support.damage import OTHER_VALUES, changed_json, damaged_arrays, sealed, wild_numbers
 from support.flat_recording import CONFIG, Memory, after
@@ -33,9 +34,9 @@ def config_of(kind: str, smoother: str = "gaussian") -> HandConfig:
 
 
 @pytest.fixture
-def run(context: Any, tmp_path: Path) -> Callable[..., HandRun]:
+def run(device: RenderingDevice, tmp_path: Path) -> Callable[..., HandRun]:
     def make(kind: str, name: str = "r.mcap", smoother: str = "gaussian", **options: Any) -> HandRun:
-        return HandRun(Memory(), config_of(kind, smoother), RunOptions(tmp_path / name, **options), context)
+        return HandRun(Memory(), config_of(kind, smoother), RunOptions(tmp_path / name, **options), device)
 
     return make
 

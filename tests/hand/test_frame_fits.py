@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.spool import RecordSpool
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed
@@ -25,8 +25,8 @@ SD = np.concatenate([[4.0] * 3, [0.06] * 3, np.tile([0.15, 0.05, 0.15], 5)])
 
 
 @pytest.fixture(scope="module")
-def stage(context: Any) -> Stage:
-    return Stage(context, HAND)
+def stage(device: RenderingDevice) -> Stage:
+    return Stage(device, HAND)
 
 
 def fits(**smoothing: object) -> HandFits:

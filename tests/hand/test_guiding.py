@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,6 +13,7 @@ from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed, turned_about_its_length
 
@@ -24,8 +23,8 @@ FOUND_MM = 2.0
 
 
 @pytest.fixture(scope="module")
-def stage(context: Any) -> Stage:
-    return Stage(context, HAND)
+def stage(device: RenderingDevice) -> Stage:
+    return Stage(device, HAND)
 
 
 def guiding(**fit: object) -> Guiding:
@@ -76,7 +75,7 @@ def test_the_same_seed_gives_the_same_modes(stage: Stage) -> None:
     assert (first.cost, first.renders) == (second.cost, second.renders)
 
 
-def test_the_likelihood_falls_about_as_the_modes_say(stage: Stage, context: Any) -> None:
+def test_the_likelihood_falls_about_as_the_modes_say(stage: Stage, device: RenderingDevice) -> None:
     """Steps of one stated standard deviation along each translation lose 1/2, to a factor of 4.
 
     The mixture's likelihood is no parabola, and residuals of a fit know nothing of its outline.
@@ -84,7 +83,7 @@ def test_the_likelihood_falls_about_as_the_modes_say(stage: Stage, context: Any)
     truth, config = relaxed(), HandConfig()
     observation = observation_of(stage.depth(truth), truth)
     modes = fitted(guiding(), observation, truth).modes
-    scorer = RenderedCosts(context, HAND, KINECT, config.observation, 64)
+    scorer = RenderedCosts(device, HAND, KINECT, config.observation, 64)
     for k in range(3):
         step = np.eye(21)[k] / np.sqrt(modes.information[0, k, k])
         poses = SPACE.retract(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +14,7 @@ from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, paper_cost, union_cost
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import sums_in_numpy
 from support.hand import KINECT, REST, bent
 
@@ -79,19 +77,25 @@ def test_gibbs_ratios(sigma: float) -> None:
 ANATOMY = make_anatomy()
 
 
+@pytest.fixture(scope="module")
+def device(any_device: RenderingDevice) -> RenderingDevice:
+    """All that follows holds for every implementation."""
+    return any_device
+
+
 class Table:
     """A flat hand in front of nothing, and costs of other poses against it."""
 
-    def __init__(self, context: Any, cost: str) -> None:
+    def __init__(self, device: RenderingDevice, cost: str) -> None:
         self.settings = ObservationSettings(cost=cost)
         self.truth = REST.copy()
         self.truth[:3] = [0.0, 60.0, 650.0]
         window = window_around(joint_positions(ANATOMY, self.truth[None])[0], KINECT, self.settings)
-        drawing = TiledDepthRenderer(context, average_hand().lean, (64, 64), 1)
+        drawing = device.depth_renderer(average_hand().lean, (64, 64), 1)
         image = drawing.depth(skinning_transforms(ANATOMY, self.truth[None]), KINECT, window)[0]
         background = np.where(image > 0, image, -1500.0 if cost == "union" else 0.0)
         self.observation = Observation(window, background.astype(np.float32), int((image > 0).sum()))
-        self.scorer = RenderedCosts(context, average_hand(), KINECT, self.settings, 8)
+        self.scorer = RenderedCosts(device, average_hand(), KINECT, self.settings, 8)
 
     def moved(self, pose: np.ndarray, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
         out = pose.copy()
@@ -103,8 +107,8 @@ class Table:
 
 
 @pytest.mark.parametrize("cost", ["union", "paper"])
-def test_the_true_pose_costs_nothing_and_a_shifted_one_its_depth(context: Any, cost: str) -> None:
-    table = Table(context, cost)
+def test_the_true_pose_costs_nothing_and_a_shifted_one_its_depth(device: RenderingDevice, cost: str) -> None:
+    table = Table(device, cost)
     true, nearer, outside, behind = table.costs(
         table.truth,
         table.moved(table.truth, 0.0, 0.0, -4.0),
@@ -118,12 +122,12 @@ def test_the_true_pose_costs_nothing_and_a_shifted_one_its_depth(context: Any, c
     assert table.costs(table.truth)[0] < 1e-3  # another renderer draws single poses
 
 
-def test_a_folded_finger_costs_the_union_but_not_the_paper(context: Any) -> None:
+def test_a_folded_finger_costs_the_union_but_not_the_paper(device: RenderingDevice) -> None:
     # the paper's own diagnosis (7.3, 8): (4) does not see that an observed finger is not explained
     folded = bent(index_mcp_flexion=np.pi / 2, index_pip_flexion=1.8)
     edge_on = REST.copy()
     edge_on[3:7] = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
-    union, paper = Table(context, "union"), Table(context, "paper")
+    union, paper = Table(device, "union"), Table(device, "paper")
     share = {}
     for name, table in (("union", union), ("paper", paper)):
         share[name] = table.costs(table.moved(folded), table.moved(edge_on)) / table.settings.clamp_mm
@@ -140,7 +144,7 @@ def test_the_union_sees_what_is_missing_where_the_paper_sees_a_perfect_fit() -> 
     assert union_cost(sums, ObservationSettings()) == pytest.approx(0.6 * 40.0)
 
 
-def test_the_paper_clamps_at_100_mm_what_it_does_not_find(context: Any) -> None:
-    table = Table(context, "paper")
+def test_the_paper_clamps_at_100_mm_what_it_does_not_find(device: RenderingDevice) -> None:
+    table = Table(device, "paper")
     deep = table.moved(table.truth, 0.0, 0.0, 300.0)
     assert table.costs(deep)[0] == pytest.approx(table.settings.clamp_mm, abs=1e-3)

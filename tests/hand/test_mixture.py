@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, reading_share
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT, REST, bent
 
 HAND = average_hand()
@@ -55,16 +53,16 @@ SHARP = {
 class Scene:
     """A flat hand before a room, sampled by so many pixels."""
 
-    def __init__(self, context: Any, tile: int = 64, **mixture: float) -> None:
+    def __init__(self, device: RenderingDevice, tile: int = 64, **mixture: float) -> None:
         self.settings = ObservationSettings(
             cost="mixture", tile_px=tile, window_px=128, mixture=MixtureSettings(**(SHARP | mixture))
         )
         self.window = window_around(joint_positions(HAND.anatomy, TRUTH[None])[0], KINECT, self.settings)
-        drawing = TiledDepthRenderer(context, HAND.lean, (tile, tile), 1)
+        drawing = device.depth_renderer(HAND.lean, (tile, tile), 1)
         transforms = skinning_transforms(HAND.anatomy, TRUTH[None])
         drawn = drawing.depth(transforms, KINECT, self.window)[0]
         self.image: Float32Array = np.where(drawn > 0, drawn, -ROOM_MM).astype(np.float32)
-        self.scorer = RenderedCosts(context, HAND, KINECT, self.settings, len(POSES))
+        self.scorer = RenderedCosts(device, HAND, KINECT, self.settings, len(POSES))
 
     def log_likelihood(self, image: Float32Array, poses: FloatArray = POSES) -> FloatArray:
         seen = Observation(self.window, image.astype(np.float32), int((image > 0).sum()))
@@ -81,8 +79,8 @@ class Scene:
         return np.broadcast_to(half, self.image.shape)
 
 
-def test_the_true_pose_is_perfect_and_the_farther_a_pose_the_worse(context: Any) -> None:
-    scene = Scene(context)
+def test_the_true_pose_is_perfect_and_the_farther_a_pose_the_worse(device: RenderingDevice) -> None:
+    scene = Scene(device)
     found = scene.log_likelihood(scene.image)
     # the outline's pixels see two surfaces at float32: nothing else differs
     assert found[0] == pytest.approx(0.0, abs=0.01)
@@ -94,8 +92,8 @@ def test_the_true_pose_is_perfect_and_the_farther_a_pose_the_worse(context: Any)
     assert found[11] == found.min()  # beside the hand
 
 
-def test_what_is_in_front_leaves_the_ranking_and_a_hole_does_not(context: Any) -> None:
-    scene = Scene(context)
+def test_what_is_in_front_leaves_the_ranking_and_a_hole_does_not(device: RenderingDevice) -> None:
+    scene = Scene(device)
     half = scene.beside_the_thumb()
     # depth alone, so that all poses are hidden alike
     poses = np.array([moved(TRUTH, z=z) for z in (-9.0, -4.0, -1.0, 0.0, 2.0, 6.0, 14.0)])
@@ -109,8 +107,8 @@ def test_what_is_in_front_leaves_the_ranking_and_a_hole_does_not(context: Any) -
     assert through[0] < hidden[3] - 10.0
 
 
-def test_a_finger_behind_an_object_may_be_anywhere_behind_it(context: Any) -> None:
-    scene = Scene(context)
+def test_a_finger_behind_an_object_may_be_anywhere_behind_it(device: RenderingDevice) -> None:
+    scene = Scene(device)
     drawn = scene.image > 0
     bent_finger = moved(bent(index_mcp_flexion=0.35))
     straight, folded = scene.log_likelihood(scene.image, np.array([TRUTH, bent_finger]))
@@ -121,16 +119,16 @@ def test_a_finger_behind_an_object_may_be_anywhere_behind_it(context: Any) -> No
     assert drawn.any()
 
 
-def test_unread_pixels_cost_less_than_a_hole(context: Any) -> None:
-    scene = Scene(context)
+def test_unread_pixels_cost_less_than_a_hole(device: RenderingDevice) -> None:
+    scene = Scene(device)
     half = scene.beside_the_thumb()
     unread = scene.log_likelihood(np.where(half, np.float32(0.0), scene.image), TRUTH[None])[0]
     hole = scene.log_likelihood(np.where(half, np.float32(-ROOM_MM), scene.image), TRUTH[None])[0]
     assert unread == pytest.approx(scene.settings.unread_weight * hole, rel=0.05)
 
 
-def test_the_temperature_does_not_depend_on_how_finely_the_hand_is_sampled(context: Any) -> None:
-    coarse, fine = Scene(context, 64), Scene(context, 128)
+def test_the_temperature_does_not_depend_on_how_finely_the_hand_is_sampled(device: RenderingDevice) -> None:
+    coarse, fine = Scene(device, 64), Scene(device, 128)
     assert fine.window.step * 2 == coarse.window.step
     once, twice = coarse.log_likelihood(coarse.image), fine.log_likelihood(fine.image)
     # four times the pixels, each worth a quarter; the rest is the outline's staircase, 3.6 mm a pixel
@@ -139,8 +137,8 @@ def test_the_temperature_does_not_depend_on_how_finely_the_hand_is_sampled(conte
     np.testing.assert_allclose(twice[rest], once[rest], rtol=0.3)
 
 
-def test_a_patch_counts_as_one_reading(context: Any) -> None:
-    short, long = Scene(context, correlation_mm=8.0), Scene(context, correlation_mm=16.0)
+def test_a_patch_counts_as_one_reading(device: RenderingDevice) -> None:
+    short, long = Scene(device, correlation_mm=8.0), Scene(device, correlation_mm=16.0)
     once, weaker = short.log_likelihood(short.image), long.log_likelihood(long.image)
     np.testing.assert_allclose(4.0 * weaker, once, rtol=1e-9, atol=1e-12)
 
@@ -151,19 +149,19 @@ def test_the_share_of_a_reading() -> None:
     assert reading_share(730.0, 3, KINECT, 1.0) == 1.0  # no pixel is more than one reading
 
 
-def test_scores_are_costs_and_likelihoods_of_one_drawing(context: Any) -> None:
-    scene = Scene(context)
+def test_scores_are_costs_and_likelihoods_of_one_drawing(device: RenderingDevice) -> None:
+    scene = Scene(device)
     seen = Observation(scene.window, scene.image, int((scene.image > 0).sum()))
     costs, log_likelihood = scene.scorer.scores(POSES, seen)
     np.testing.assert_array_equal(costs, scene.scorer.costs(POSES, seen))
     np.testing.assert_array_equal(log_likelihood, scene.scorer.log_likelihood(POSES, seen))
-    union = RenderedCosts(context, HAND, KINECT, ObservationSettings(cost="union", window_px=128), len(POSES))
+    union = RenderedCosts(device, HAND, KINECT, ObservationSettings(cost="union", window_px=128), len(POSES))
     # what is reported is the union's cost, added up in another order
     np.testing.assert_allclose(costs, union.costs(POSES, seen), rtol=1e-6, atol=1e-6)
     expected = log_gibbs(costs, ObservationSettings())
     np.testing.assert_allclose(union.log_likelihood(POSES, seen), expected, rtol=1e-5, atol=1e-6)
 
 
-def test_nothing_to_compare_with_says_nothing(context: Any) -> None:
-    scene = Scene(context)
+def test_nothing_to_compare_with_says_nothing(device: RenderingDevice) -> None:
+    scene = Scene(device)
     np.testing.assert_array_equal(scene.log_likelihood(np.full_like(scene.image, -ROOM_MM)), 0.0)

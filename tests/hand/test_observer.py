@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.segmentation import Detection, detect
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from support.hand import KINECT
 from support.hand_scene import HANDS, WALL_MM, Stage, relaxed
@@ -107,9 +106,11 @@ def test_a_mask_at_the_image_s_edge_is_cut_like_the_image() -> None:
     assert found.target_pixels == pytest.approx((10 * STEP / found.window.step) ** 2, rel=0.15)
 
 
-def test_a_prediction_s_window_holds_the_hand_and_all_readings_if_nothing_is_segmented(context: Any) -> None:
+def test_a_prediction_s_window_holds_the_hand_and_all_readings_if_nothing_is_segmented(
+    device: RenderingDevice,
+) -> None:
     pose = relaxed()
-    depth = Stage(context, HANDS["right"]).depth(pose)
+    depth = Stage(device, HANDS["right"]).depth(pose)
     hand, everything = (observer(segment).observe(depth, pose) for segment in (True, False))
     drawn = observer().sampler.sample(depth, hand.window) < WALL_MM
     assert np.count_nonzero((hand.image > 0) ^ drawn) < 0.05 * drawn.sum()
@@ -120,9 +121,9 @@ def test_a_prediction_s_window_holds_the_hand_and_all_readings_if_nothing_is_seg
     assert (pixels.max(axis=0) < [columns[-1], rows[-1]]).all()
 
 
-def test_a_detection_s_window_agrees_with_the_one_around_its_pose(context: Any) -> None:
+def test_a_detection_s_window_agrees_with_the_one_around_its_pose(device: RenderingDevice) -> None:
     pose = relaxed(-60.0, 10.0, 800.0)
-    depth = Stage(context, HANDS["right"]).depth(pose)
+    depth = Stage(device, HANDS["right"]).depth(pose)
     (found,) = detect(depth, KINECT, HandConfig().detection)
     seen = observer().observe_detection(depth, found)
     drawn = observer().sampler.sample(depth, seen.window) < WALL_MM

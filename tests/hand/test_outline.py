@@ -12,6 +12,7 @@ from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.start import centre_pose
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Status
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed
@@ -56,10 +57,10 @@ def test_no_wall_has_a_hand_s_outline(name: str) -> None:
 
 
 @pytest.mark.parametrize("behind", [620.0, 700.0, 1500.0, 0.0], ids=lambda mm: f"{mm:.0f}mm")
-def test_a_hand_stands_out_also_from_what_it_nearly_touches(context: Any, behind: float) -> None:
+def test_a_hand_stands_out_also_from_what_it_nearly_touches(device: RenderingDevice, behind: float) -> None:
     """A hand some 45 mm deep, the middle of its joints at 570 mm or so, before a wall or before nothing."""
     pose = relaxed(z=560.0)
-    drawn = Stage(context, HAND).depth(pose, wall=behind or 9000.0)
+    drawn = Stage(device, HAND).depth(pose, wall=behind or 9000.0)
     depth = np.where(drawn > 8000.0, 0.0, drawn).astype(np.float32)
     observer = Observer(HandConfig(), HAND.anatomy, KINECT, segment=True)
     assert observer.shows_hand(depth, pose, is_known=False)
@@ -70,7 +71,7 @@ def test_a_hand_stands_out_also_from_what_it_nearly_touches(context: Any, behind
 
 @pytest.mark.parametrize("kind", ["rbpf", "pf", "pso", "paper"])
 @pytest.mark.parametrize("name", ["wall", "noisy wall", "step", "few readings"])
-def test_no_tracker_says_that_it_tracks_a_wall(context: Any, kind: str, name: str) -> None:
+def test_no_tracker_says_that_it_tracks_a_wall(device: RenderingDevice, kind: str, name: str) -> None:
     values: dict[str, Any] = {"filter": {"kind": "rbpf" if kind == "paper" else kind, "particles": 64}}
     values |= {"hand": {"side": "right"}, "pso": {"particles": 16, "generations": 4}}
     values |= {"fit": {"starts": 2, "iterations": 2, "polish": 0}}
@@ -78,7 +79,7 @@ def test_no_tracker_says_that_it_tracks_a_wall(context: Any, kind: str, name: st
         values["filter"]["proposal"] = "paper"
         values["observation"] = {"cost": "paper", "sigma_mm": 20.0, "clamp_mm": 100.0}
     config = HandConfig.model_validate(values)
-    tracker = make_tracker(config, HAND, KINECT, context)
+    tracker = make_tracker(config, HAND, KINECT, device)
     depth, rng = HANDLESS[name].astype(np.float32), np.random.default_rng(0)
     state = tracker.start(centre_pose(depth, KINECT, HAND.anatomy, None), 0, rng)
     for index in range(3):

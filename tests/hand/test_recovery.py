@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate
 from support.hand import KINECT
 from support.hand_scene import HANDS, WALL_MM, Stage, relaxed, tracker, turned_about_its_length
@@ -28,13 +28,13 @@ LOST_AFTER = HandConfig().status.lost_after_frames
 
 
 @pytest.fixture(scope="module")
-def stage(context: Any) -> Stage:
-    return Stage(context, HAND)
+def stage(device: RenderingDevice) -> Stage:
+    return Stage(device, HAND)
 
 
 @pytest.fixture(scope="module")
-def tracking(context: Any) -> HandTracker:
-    return tracker(context, HAND)
+def tracking(device: RenderingDevice) -> HandTracker:
+    return tracker(device, HAND)
 
 
 def pose_of(estimate: Estimate) -> FloatArray:
@@ -220,22 +220,24 @@ def test_a_step_leaves_the_state_given_as_it_is(tracking: HandTracker, story: St
 
 @pytest.mark.parametrize("proposal", ["marginal", "paper"])
 def test_proposals_that_do_not_look_at_frames_start_where_the_hand_is_found(
-    context: Any, stage: Stage, wall: np.ndarray, proposal: str
+    device: RenderingDevice, stage: Stage, wall: np.ndarray, proposal: str
 ) -> None:
     config = HandConfig.model_validate({"filter": {"proposal": proposal, "particles": 64}})
-    blind, rng, pose = tracker(context, HAND, config), np.random.default_rng(0), relaxed(-90.0)
+    blind, rng, pose = tracker(device, HAND, config), np.random.default_rng(0), relaxed(-90.0)
     state = blind.start_unknown(ELSEWHERE, Frame(0, 0, (stage.depth(pose),)), rng)
     assert stage.error(state.pose, pose) < TRACKED_MM
     np.testing.assert_array_equal(blind.start_unknown(ELSEWHERE, Frame(0, 0, (wall,)), rng).pose, ELSEWHERE)
 
 
 @pytest.mark.parametrize("kind", ["rbpf", "pf"])
-def test_both_filters_follow_a_bending_hand_to_millimetres(context: Any, stage: Stage, kind: str) -> None:
+def test_both_filters_follow_a_bending_hand_to_millimetres(
+    device: RenderingDevice, stage: Stage, kind: str
+) -> None:
     config = HandConfig.model_validate({"filter": {"kind": kind}})
     poses = moving(20, relaxed(), (4.0, -3.0, 2.0))
     for k, pose in enumerate(poses):
         pose[ANGLES][[3, 5, 6, 8]] += 0.9 * np.sin(0.15 * k)  # index and middle finger, 8 degrees a frame
-    _, estimates = run(tracker(context, HAND, config), frames_of([stage.depth(pose) for pose in poses]))
+    _, estimates = run(tracker(device, HAND, config), frames_of([stage.depth(pose) for pose in poses]))
     assert statuses(estimates) == [("tracking", 20)]
     found = errors(stage, estimates, poses)
     assert np.mean(found) < 2.0

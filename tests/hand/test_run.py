@@ -21,6 +21,7 @@ from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.stream import read_messages
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome, frames_ahead
 from support.flat_recording import CAMERA, CONFIG, FRAME_NS, Memory, after
@@ -37,7 +38,7 @@ def truths(path: Path) -> list[tuple[int, bytes]]:
 
 
 @pytest.fixture
-def track(context: Any, tmp_path: Path) -> Callable[..., RunOutcome]:
+def track(device: RenderingDevice, tmp_path: Path) -> Callable[..., RunOutcome]:
     def run(
         recording: Memory,
         name: str = "r.mcap",
@@ -46,7 +47,7 @@ def track(context: Any, tmp_path: Path) -> Callable[..., RunOutcome]:
         report: Callable[[Estimate], None] = lambda estimate: None,
         **options: Any,
     ) -> RunOutcome:
-        return HandRun(recording, config, RunOptions(tmp_path / name, **options), context).track(
+        return HandRun(recording, config, RunOptions(tmp_path / name, **options), device).track(
             report, stopped
         )
 

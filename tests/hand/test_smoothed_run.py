@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +11,14 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, smoothing_path
-from posetrack_cli.losses import Loss
-from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import load_arrays
 from posetrack_cli.results.tracks import TRACKS, estimate_topic
-from support.hand import KINECT
-from support.hand_scene import HANDS, Stage, relaxed
+from support.hand_scene import HANDS, Drawn, Stage, pose_file, relaxed
 
-FRAME_NS, COUNT = 33_333_333, 12
+COUNT = 12
 CONFIG = HandConfig.model_validate(
     {"hand": {"side": "right"}, "output": {"mesh": "none", "flush_frames": 3}, "filter": {"particles": 16}}
 )
@@ -39,58 +34,25 @@ def poses() -> list[FloatArray]:
     return out
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """A recording of drawn hands with the noise of a sensor."""
-
-    depths: tuple[np.ndarray, ...]
-    path: Path = Path("/somewhere/drawn.mcap")
-    losses: tuple[Loss, ...] = ()
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        return (KINECT,)
-
-    @property
-    def frame_count(self) -> int:
-        return len(self.depths)
-
-    def identity(self) -> Mapping[str, str]:
-        return {"name": "drawn.mcap", "sha256": "0" * 64}
-
-    def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
-        for k in range(start, len(self.depths) if end is None else end, stride):
-            yield Frame(k, k * FRAME_NS, (self.depths[k],))
-
-    def truth(self) -> Iterator[TruthMessage]:
-        return iter(())
-
-
 @pytest.fixture(scope="module")
-def drawn(context: Any) -> Drawn:
-    stage, rng = Stage(context, HANDS["right"]), np.random.default_rng(4)
-    return Drawn(
-        tuple((stage.depth(p) + rng.normal(0.0, 3.0, (424, 512))).astype(np.float32) for p in poses())
-    )
+def drawn(device: RenderingDevice) -> Drawn:
+    return Drawn.of(Stage(device, HANDS["right"]), poses())
 
 
 @pytest.fixture
-def track(context: Any, tmp_path: Path, drawn: Drawn) -> Callable[..., Path]:
-    first = poses()[0]
-    start = {"position_mm": first[:3], "quaternion_xyzw": first[3:7], "angles_rad": first[7:]}
-    pose = tmp_path / "start.json"
-    pose.write_text(json.dumps({name: list(values) for name, values in start.items()}))
+def track(device: RenderingDevice, tmp_path: Path, drawn: Drawn) -> Callable[..., Path]:
+    pose = pose_file(tmp_path / "start.json", poses()[0])
 
     def run(name: str, stopped: Callable[[], bool] = lambda: False, **options: Any) -> Path:
         chosen = RunOptions(tmp_path / name, init=str(pose), smooth=True, **options)
-        HandRun(drawn, CONFIG, chosen, context).track(lambda estimate: None, stopped)
+        HandRun(drawn, CONFIG, chosen, device).track(lambda estimate: None, stopped)
         return tmp_path / name
 
     return run
 
 
-def test_smoothed_joints_are_nearer_to_the_truth(context: Any, track: Callable[..., Path]) -> None:
-    path, stage = track("r.mcap"), Stage(context, HANDS["right"])
+def test_smoothed_joints_are_nearer_to_the_truth(device: RenderingDevice, track: Callable[..., Path]) -> None:
+    path, stage = track("r.mcap"), Stage(device, HANDS["right"])
     errors = []
     for name in TRACKS:
         found = load_arrays(path, estimate_topic("hand", name))

@@ -30,7 +30,7 @@ from posetrack_cli.hand.tracker import (
     state_from_arrays,
 )
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status
 from support.hand import KINECT
@@ -361,23 +361,23 @@ def test_only_the_union_tells_hand_from_wall() -> None:
         assert observing(config).observe(wall, START).target_pixels == pixels
 
 
-def translating_hand(context: Any, count: int) -> tuple[list[Frame], np.ndarray]:
+def translating_hand(device: RenderingDevice, count: int) -> tuple[list[Frame], np.ndarray]:
     """Noiseless depth of an open hand that moves by 3, -2, 2 mm a frame, and its poses."""
     poses = np.tile(START, (count, 1))
     poses[:, :3] += np.arange(count)[:, None] * [3.0, -2.0, 2.0]
-    drawing = TiledDepthRenderer(context, hand_mesh(ANATOMY), (512, 424), 1)
+    drawing = device.depth_renderer(hand_mesh(ANATOMY), (512, 424), 1)
     transforms = skinning_transforms(ANATOMY, poses)
     depth = [drawing.depth(transforms[k : k + 1], KINECT, Window.whole(KINECT))[0] for k in range(count)]
     return [Frame(k, k * FRAME_NS, (d,)) for k, d in enumerate(depth)], poses
 
 
 @both_filters
-def test_a_drawn_hand_is_followed_within_millimetres(context: Any, kind: str) -> None:
+def test_a_drawn_hand_is_followed_within_millimetres(device: RenderingDevice, kind: str) -> None:
     config = HandConfig.model_validate(
         {"filter": {"kind": kind, "particles": 512}, "observation": {"tile_px": 32, "cost": "union"}}
     )
-    scorer = RenderedCosts(context, average_hand(), KINECT, config.observation, 512)
-    frames, poses = translating_hand(context, 15)
+    scorer = RenderedCosts(device, average_hand(), KINECT, config.observation, 512)
+    frames, poses = translating_hand(device, 15)
     _, estimates = run(HandTracker(config, ANATOMY, KINECT, scorer, observing(config)), frames)
     truth = joint_positions(ANATOMY, poses)
     found = np.array([e.points for e in estimates])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,8 +11,9 @@ from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.rendering.bounds import BoneSpheres
-from posetrack_cli.rendering.gl.tiled import NEAR_MM, TiledDepthRenderer
+from posetrack_cli.rendering.gl.bounds import BoneSpheres
+from posetrack_cli.rendering.gl.tiled import NEAR_MM
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
@@ -39,12 +38,12 @@ def pixel_box(drawn: np.ndarray) -> tuple[int, int, int, int]:
     ids=["in the tile", "half out of it", "through the near plane"],
 )
 def test_everything_drawn_lies_in_its_box(
-    context: Any, centre: tuple[float, float, float], spread_mm: float
+    device: RenderingDevice, centre: tuple[float, float, float], spread_mm: float
 ) -> None:
     mesh, poses = hand_mesh(make_anatomy()), random_poses(centre, spread_mm)
     transforms = skinning_transforms(make_anatomy(), poses)
     window = Window.around(np.array([CAMERA.cx, CAMERA.cy]), TILE, 3)
-    drawn = TiledDepthRenderer(context, mesh, (TILE, TILE), len(poses)).depth(transforms, CAMERA, window) > 0
+    drawn = device.depth_renderer(mesh, (TILE, TILE), len(poses)).depth(transforms, CAMERA, window) > 0
     projection = window.tile_projection(CAMERA)
     boxes = BoneSpheres(mesh).tile_boxes(transforms, projection, (TILE, TILE), NEAR_MM)
     assert drawn.any(axis=(1, 2)).sum() > 10  # enough that the comparison means something

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.gl.tiled import NEAR_MM, TiledDepthRenderer
+from posetrack_cli.rendering.gl.tiled import NEAR_MM
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from support.rendering import CAMERA, cast, moved, octahedron, plane, rays, rigid, sagitta, sphere
 
@@ -20,8 +19,14 @@ WHOLE = Window.whole(CAMERA)
 RADIUS, CENTRE = 60.0, np.array([12.0, -7.0, 400.0])
 
 
-def draw(context: Any, mesh: SkinnedMesh, window: Window, camera: Camera = CAMERA) -> np.ndarray:
-    renderer = TiledDepthRenderer(context, mesh, (window.width, window.height), 1)
+@pytest.fixture(scope="module")
+def device(any_device: RenderingDevice) -> RenderingDevice:
+    """All that follows holds for every implementation."""
+    return any_device
+
+
+def draw(device: RenderingDevice, mesh: SkinnedMesh, window: Window, camera: Camera = CAMERA) -> np.ndarray:
+    renderer = device.depth_renderer(mesh, (window.width, window.height), 1)
     return renderer.depth(moved((0.0, 0.0, 0.0)), camera, window)[0]
 
 
@@ -34,10 +39,10 @@ def sphere_depth(directions: np.ndarray, radius: float, grow: float = 0.0) -> np
         return (b - np.sqrt(square)) / a
 
 
-def test_a_sphere(context: Any) -> None:
+def test_a_sphere(device: RenderingDevice) -> None:
     ball = sphere(RADIUS, 5)
     inside = sagitta(ball, RADIUS)
-    drawn = draw(context, rigid(ball.vertices + CENTRE, ball.triangles), WHOLE)
+    drawn = draw(device, rigid(ball.vertices + CENTRE, ball.triangles), WHOLE)
     directions = rays(CAMERA, WHOLE)
     # the polyhedron lies between two spheres: the true one and one smaller by the sagitta
     outer, inner = sphere_depth(directions, RADIUS), sphere_depth(directions, RADIUS, -inside)
@@ -53,24 +58,24 @@ def test_a_sphere(context: Any) -> None:
 
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (1.2, 0.0), (-0.4, 0.9)])
-def test_a_tilted_plane(context: Any, slopes: tuple[float, float]) -> None:
-    drawn = draw(context, plane(700.0, *slopes), WHOLE)
+def test_a_tilted_plane(device: RenderingDevice, slopes: tuple[float, float]) -> None:
+    drawn = draw(device, plane(700.0, *slopes), WHOLE)
     directions = rays(CAMERA, WHOLE)
     depth = 700.0 / (1.0 - directions[..., 0] * slopes[0] - directions[..., 1] * slopes[1])
     np.testing.assert_allclose(drawn, depth, atol=DEPTH_MM)
 
 
-def test_what_faces_away_is_not_drawn(context: Any) -> None:
+def test_what_faces_away_is_not_drawn(device: RenderingDevice) -> None:
     facing = plane(700.0, 0.0, 0.0)
-    assert not draw(context, rigid(facing.vertices, facing.triangles[:, ::-1]), WHOLE).any()
+    assert not draw(device, rigid(facing.vertices, facing.triangles[:, ::-1]), WHOLE).any()
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_the_nearest_surface_wins_in_either_order(context: Any, first: int) -> None:
+def test_the_nearest_surface_wins_in_either_order(device: RenderingDevice, first: int) -> None:
     planes = [plane(500.0, 0.0, 0.0, half=60.0), plane(800.0, 0.0, 0.0)]
     pair = joined([planes[first], planes[1 - first]])
     both = np.tile(np.eye(3, 4, dtype=np.float32), (1, 2, 1, 1))
-    drawn = TiledDepthRenderer(context, pair, (64, 48), 1).depth(both, CAMERA, WHOLE)[0]
+    drawn = device.depth_renderer(pair, (64, 48), 1).depth(both, CAMERA, WHOLE)[0]
     directions = rays(CAMERA, WHOLE)
     near = (np.abs(500.0 * directions[..., :2]) < 60.0).all(axis=-1)
     assert near.any()
@@ -86,16 +91,18 @@ WINDOWS = [
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-def test_windows_and_steps_show_the_rays_through_pixel_centres(context: Any, window: Window) -> None:
+def test_windows_and_steps_show_the_rays_through_pixel_centres(
+    device: RenderingDevice, window: Window
+) -> None:
     # a lopsided octahedron: no two windows, steps or axes can be confused
     mesh = rigid(octahedron().vertices * [150, 90, 60] + [20, 10, 500], octahedron().triangles)
-    drawn, expected = draw(context, mesh, window), cast(mesh.vertices, mesh.triangles, rays(CAMERA, window))
+    drawn, expected = draw(device, mesh, window), cast(mesh.vertices, mesh.triangles, rays(CAMERA, window))
     assert (expected > 0).sum() > 20
     np.testing.assert_array_equal(drawn > 0, expected > 0)
     np.testing.assert_allclose(drawn, expected, atol=DEPTH_MM)
 
 
-def test_nothing_nearer_than_the_near_plane_or_behind_the_sensor(context: Any) -> None:
+def test_nothing_nearer_than_the_near_plane_or_behind_the_sensor(device: RenderingDevice) -> None:
     # a floor from behind the sensor to far in front: drawn from the near plane on
     floor = rigid(
         [[-900, 20, -1000], [900, 20, -1000], [900, 20, 2000], [-900, 20, 2000]], [(0, 1, 2), (0, 2, 3)]
@@ -106,15 +113,15 @@ def test_nothing_nearer_than_the_near_plane_or_behind_the_sensor(context: Any) -
         depth = 20.0 / directions[..., 1]
     seen = (depth > NEAR_MM) & (depth < 2000.0)
     assert 0 < seen.sum() < seen.size
-    drawn = np.maximum(draw(context, floor, WHOLE), draw(context, turned, WHOLE))
+    drawn = np.maximum(draw(device, floor, WHOLE), draw(device, turned, WHOLE))
     np.testing.assert_array_equal(drawn > 0, seen)
     np.testing.assert_allclose(drawn[seen], depth[seen], rtol=1e-5, atol=DEPTH_MM)
-    behind = TiledDepthRenderer(context, sphere(30.0, 2), (64, 48), 3)
+    behind = device.depth_renderer(sphere(30.0, 2), (64, 48), 3)
     offsets = moved((0, 0, -400), (0, 0, 0), (0, 0, NEAR_MM - 31))
     assert not behind.depth(offsets, CAMERA, WHOLE).any()
 
 
-def test_a_vertex_on_three_bones_is_skinned_as_in_numpy(context: Any) -> None:
+def test_a_vertex_on_three_bones_is_skinned_as_in_numpy(device: RenderingDevice) -> None:
     rng = np.random.default_rng(4)
     mesh = sphere(80.0, 3)
     weights = np.zeros((len(mesh.vertices), 4))
@@ -125,9 +132,7 @@ def test_a_vertex_on_three_bones_is_skinned_as_in_numpy(context: Any) -> None:
     skinned = SkinnedMesh(mesh.vertices, weights, mesh.triangles)
     transforms = np.tile(np.eye(3, 4), (1, 4, 1, 1)) + 0.1 * rng.standard_normal((1, 4, 3, 4))
     transforms[..., 3] = rng.uniform([-40, -40, 410], [40, 40, 490], (1, 4, 3))
-    drawn = TiledDepthRenderer(context, skinned, (64, 48), 1).depth(
-        transforms.astype(np.float32), CAMERA, WHOLE
-    )[0]
+    drawn = device.depth_renderer(skinned, (64, 48), 1).depth(transforms.astype(np.float32), CAMERA, WHOLE)[0]
     vertices = skinned.posed(transforms)[0]
     expected = cast(vertices, front_facing(vertices, mesh.triangles), rays(CAMERA, WHOLE))
     assert (expected > 0).sum() > 200

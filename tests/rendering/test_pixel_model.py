@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,8 +13,8 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import sums_in_numpy
 from posetrack_cli.rendering.window import Window
 from support.rendering import CAMERA, STILL, plane, rays
@@ -150,11 +148,11 @@ def test_sums_in_numpy_against_a_loop_over_pixels() -> None:
         np.testing.assert_allclose((misfit[n], relief[n]), expected, rtol=1e-6)
 
 
-def test_sums_on_the_device_are_those_in_numpy(context: Any) -> None:
+def test_sums_on_the_device_are_those_in_numpy(device: RenderingDevice) -> None:
     kinect, anatomy = Camera(512, 424, 365.0, 365.0, 255.5, 211.5), make_anatomy()
     poses = scattered_poses(anatomy, 60, np.random.default_rng(2))
     window = Window.around(np.array([255.5, 211.5]), 48, 3)
-    drawing = TiledDepthRenderer(context, hand_mesh(anatomy), (48, 48), 60)
+    drawing = device.depth_renderer(hand_mesh(anatomy), (48, 48), 60)
     transforms = skinning_transforms(anatomy, poses)
     depth = drawing.depth(transforms, kinect, window)
     rng = np.random.default_rng(8)
@@ -177,9 +175,9 @@ def test_sums_on_the_device_are_those_in_numpy(context: Any) -> None:
 
 
 @pytest.mark.parametrize("error", [0.5, -1.0, 2.0, 100.0])
-def test_a_plane_is_as_many_misfits_as_pixels(context: Any, error: float) -> None:
+def test_a_plane_is_as_many_misfits_as_pixels(device: RenderingDevice, error: float) -> None:
     sheet, window = plane(600.0, 0.1, -0.2), Window.whole(CAMERA)
-    drawing = TiledDepthRenderer(context, sheet, (CAMERA.width, CAMERA.height), 1)
+    drawing = device.depth_renderer(sheet, (CAMERA.width, CAMERA.height), 1)
     directions = rays(CAMERA, window)
     depth = 600.0 / (1.0 - 0.1 * directions[..., 0] + 0.2 * directions[..., 1])
     found = drawing.sums(

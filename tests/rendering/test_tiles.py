@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import moderngl
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.rendering.gl import tiled
 from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
 from posetrack_cli.rendering.window import Window
 from support.rendering import CAMERA, STILL, moved, rigid, sphere
@@ -40,8 +39,8 @@ def window() -> Window:
     return Window.around(MIDDLE, SIZE, 4)
 
 
-def renderer(context: Any, most: int = COUNT) -> TiledDepthRenderer:
-    return TiledDepthRenderer(context, hand_mesh(make_anatomy()), (SIZE, SIZE), most)
+def renderer(device: RenderingDevice, most: int = COUNT) -> TiledDepthRenderer:
+    return device.depth_renderer(hand_mesh(make_anatomy()), (SIZE, SIZE), most)
 
 
 def observed_image(depth: np.ndarray) -> np.ndarray:
@@ -60,9 +59,9 @@ def check_sums(found: TileSums, expected: TileSums) -> None:
     assert found.observed == expected.observed
 
 
-def test_each_of_512_tiles_is_the_hand_drawn_alone(context: Any, hands: np.ndarray) -> None:
-    together = renderer(context).depth(hands, KINECT, window())
-    single = renderer(context, 1)
+def test_each_of_512_tiles_is_the_hand_drawn_alone(device: RenderingDevice, hands: np.ndarray) -> None:
+    together = renderer(device).depth(hands, KINECT, window())
+    single = renderer(device, 1)
     assert single.capacity == 1
     alone = np.concatenate([single.depth(hands[k : k + 1], KINECT, window()) for k in range(COUNT)])
     assert together.shape == (COUNT, SIZE, SIZE)
@@ -74,12 +73,12 @@ def test_each_of_512_tiles_is_the_hand_drawn_alone(context: Any, hands: np.ndarr
 
 @pytest.mark.parametrize("pixels", [5 * SIZE * SIZE, SIZE * SIZE, 1])
 def test_an_atlas_too_small_for_all_is_drawn_in_passes(
-    context: Any, hands: np.ndarray, monkeypatch: pytest.MonkeyPatch, pixels: int
+    device: RenderingDevice, hands: np.ndarray, monkeypatch: pytest.MonkeyPatch, pixels: int
 ) -> None:
     some = hands[:23]
-    at_once = renderer(context, 23)
+    at_once = renderer(device, 23)
     monkeypatch.setattr(tiled, "ATLAS_PIXELS", pixels)
-    small = renderer(context, 23)
+    small = renderer(device, 23)
     assert small.capacity < 23 <= at_once.capacity
     expected = at_once.depth(some, KINECT, window())
     np.testing.assert_allclose(small.depth(some, KINECT, window()), expected, atol=DEPTH_MM)
@@ -89,8 +88,10 @@ def test_an_atlas_too_small_for_all_is_drawn_in_passes(
 
 
 @pytest.mark.parametrize("clamp", [10.0, 40.0])
-def test_sums_on_the_device_are_those_in_numpy(context: Any, hands: np.ndarray, clamp: float) -> None:
-    drawing = renderer(context, 100)
+def test_sums_on_the_device_are_those_in_numpy(
+    device: RenderingDevice, hands: np.ndarray, clamp: float
+) -> None:
+    drawing = renderer(device, 100)
     depth = drawing.depth(hands[:100], KINECT, window())
     image = observed_image(depth[3])
     expected = sums_in_numpy(depth, image, clamp)
@@ -100,8 +101,10 @@ def test_sums_on_the_device_are_those_in_numpy(context: Any, hands: np.ndarray, 
     check_sums(drawing.sums(hands[:100], KINECT, window(), image, clamp), expected)
 
 
-def test_depths_that_agree_are_counted_alike_on_the_device(context: Any, hands: np.ndarray) -> None:
-    drawing = renderer(context, 100)
+def test_depths_that_agree_are_counted_alike_on_the_device(
+    device: RenderingDevice, hands: np.ndarray
+) -> None:
+    drawing = renderer(device, 100)
     depth = drawing.depth(hands[:100], KINECT, window())
     image = observed_image(depth[3])
     expected = sums_in_numpy(depth, image, 40.0, match_mm=10.0).matched
@@ -131,12 +134,12 @@ def test_sums_in_numpy_against_a_loop_over_pixels() -> None:
     assert found.observed == (image > 0).sum()
 
 
-def test_tiles_that_are_not_square(context: Any) -> None:
+def test_tiles_that_are_not_square(device: RenderingDevice) -> None:
     ball = sphere(50.0, 4)
-    wide = TiledDepthRenderer(context, ball, (40, 13), 7)
+    wide = device.depth_renderer(ball, (40, 13), 7)
     seen = Window(5, 11, 1, 40, 13)
     depth = wide.depth(moved(*[(8.0 * k - 20.0, 0.0, 400.0) for k in range(7)]), CAMERA, seen)
-    whole = TiledDepthRenderer(context, ball, (64, 48), 7)
+    whole = device.depth_renderer(ball, (64, 48), 7)
     full = whole.depth(moved(*[(8.0 * k - 20.0, 0.0, 400.0) for k in range(7)]), CAMERA, Window.whole(CAMERA))
     part = full[:, 11:24, 5:45]
     assert (part > 0).any()
@@ -159,12 +162,14 @@ def test_tiles_that_are_not_square(context: Any) -> None:
         (0.0, 0.0, 60.0),  # partly behind the sensor, larger than the tile
     ],
 )
-def test_nothing_leaks_into_neighbouring_tiles(context: Any, offset: tuple[float, float, float]) -> None:
+def test_nothing_leaks_into_neighbouring_tiles(
+    device: RenderingDevice, offset: tuple[float, float, float]
+) -> None:
     # the middle one of nine tiles is drawn half outside, the others are far behind the sensor: empty
     away = (0.0, 0.0, -1e4)
     offsets = moved(*[offset if k == 4 else away for k in range(9)])
     square = Camera(48, 48, 90.0, 90.0, 23.5, 23.5)
-    drawing = TiledDepthRenderer(context, sphere(50.0, 3), (48, 48), 9)
+    drawing = device.depth_renderer(sphere(50.0, 3), (48, 48), 9)
     assert drawing.grid[0] > 2  # there are tiles on all sides
     assert drawing.grid[1] > 2
     depth = drawing.depth(offsets, square, Window.whole(square))
@@ -173,26 +178,13 @@ def test_nothing_leaks_into_neighbouring_tiles(context: Any, offset: tuple[float
     assert not np.delete(depth, 4, axis=0).any()
 
 
-def test_transforms_windows_and_images_of_another_shape_are_refused(context: Any) -> None:
-    drawing = TiledDepthRenderer(context, sphere(50.0, 1), (16, 16), 2)
-    seen = Window(0, 0, 1, 16, 16)
-    for shape in ((2, 2, 3, 4), (2, 1, 4, 4), (2, 3, 4)):
-        with pytest.raises(RenderingError, match="bone transforms do not fit"):
-            drawing.depth(np.zeros(shape, dtype=np.float32), CAMERA, seen)
-    with pytest.raises(RenderingError, match="window does not fit the tile"):
-        drawing.depth(moved((0, 0, 400)), CAMERA, Window(0, 0, 1, 16, 17))
-    for window, image in ((seen, (16, 17)), (seen, (256,)), (Window(0, 0, 1, 8, 32), (32, 8))):
-        with pytest.raises(RenderingError, match="does not fit"):
-            drawing.sums(moved((0, 0, 400)), CAMERA, window, np.zeros(image, dtype=np.float32), 40.0)
-
-
-def test_a_tile_larger_than_any_texture_is_refused(context: Any) -> None:
+def test_a_tile_larger_than_any_texture_is_refused(device: RenderingDevice) -> None:
     with pytest.raises(RenderingError, match="tile is too large for this GL, found"):
-        TiledDepthRenderer(context, sphere(50.0, 1), (1 << 20, 16), 1)
+        device.depth_renderer(sphere(50.0, 1), (1 << 20, 16), 1)
 
 
-def test_a_thousand_flat_tiles_are_drawn_alike(context: Any) -> None:
-    drawing = TiledDepthRenderer(context, sphere(50.0, 1), (1000, 1), 1000)
+def test_a_thousand_flat_tiles_are_drawn_alike(device: RenderingDevice) -> None:
+    drawing = device.depth_renderer(sphere(50.0, 1), (1000, 1), 1000)
     seen = Window(-468, 24, 1, 1000, 1)
     depth = drawing.depth(np.tile(moved((0, 0, 400)), (1000, 1, 1, 1)), CAMERA, seen)
     assert (depth[0] > 0).any()
@@ -200,16 +192,16 @@ def test_a_thousand_flat_tiles_are_drawn_alike(context: Any) -> None:
 
 
 @pytest.mark.parametrize("tile", [(512, 64), (1000, 1), (64, 512)])
-def test_a_single_long_tile(context: Any, tile: tuple[int, int]) -> None:
-    drawing = TiledDepthRenderer(context, sphere(50.0, 1), tile, 1)
+def test_a_single_long_tile(device: RenderingDevice, tile: tuple[int, int]) -> None:
+    drawing = device.depth_renderer(sphere(50.0, 1), tile, 1)
     assert drawing.grid == (1, 1)
     centre = Window.around(np.array([CAMERA.cx, CAMERA.cy]), 1, 1)
     seen = Window(centre.left - tile[0] // 2, centre.top - tile[1] // 2, 1, *tile)
     assert drawing.depth(moved((0, 0, 400)), CAMERA, seen)[0, tile[1] // 2, tile[0] // 2] > 0
 
 
-def test_drawing_twice_gives_the_same_bytes(context: Any, hands: np.ndarray) -> None:
-    drawing = renderer(context, 64)
+def test_drawing_twice_gives_the_same_bytes(device: RenderingDevice, hands: np.ndarray) -> None:
+    drawing = renderer(device, 64)
     image = observed_image(drawing.depth(hands[:1], KINECT, window())[0])
     first = drawing.sums(hands[:64], KINECT, window(), image, 40.0)
     drawing.depth(hands[64:70], KINECT, window())  # fewer tiles, other poses in between
@@ -223,7 +215,9 @@ def test_still_is_the_identity() -> None:
     np.testing.assert_array_equal(mesh.posed(STILL[None, None])[0], np.eye(3))
 
 
-def test_what_the_device_refuses_is_one_line(context: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_device_refuses_is_one_line(
+    device: RenderingDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As a GPU without free memory does."""
 
     def refuse(self: TiledDepthRenderer) -> None:
@@ -231,4 +225,4 @@ def test_what_the_device_refuses_is_one_line(context: Any, monkeypatch: pytest.M
 
     monkeypatch.setattr(TiledDepthRenderer, "_make_targets", refuse)
     with pytest.raises(RenderingError, match=r"not complete \(UNSUPPORTED\); free memory"):
-        TiledDepthRenderer(context, sphere(10.0, 0), (SIZE, SIZE))
+        device.depth_renderer(sphere(10.0, 0), (SIZE, SIZE))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
@@ -18,11 +22,14 @@ from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.tracker import HandTracker
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.losses import Loss
+from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from support.hand import KINECT
 
 WALL_MM = 1500.0
+FRAME_NS = 33_333_333
 HANDS = {"right": average_hand(), "left": average_hand("left")}
 
 
@@ -48,9 +55,9 @@ def turned_about_its_length(pose: FloatArray, angle: float) -> FloatArray:
 class Stage:
     """Draws what a perfect sensor sees of hands before a wall."""
 
-    def __init__(self, context: Any, hand: HandModel) -> None:
+    def __init__(self, device: RenderingDevice, hand: HandModel) -> None:
         self.hand = hand
-        self._renderer = TiledDepthRenderer(context, hand.smooth, (KINECT.width, KINECT.height), 1)
+        self._renderer = device.depth_renderer(hand.smooth, (KINECT.width, KINECT.height), 1)
 
     def depth(self, *poses: FloatArray, wall: float = WALL_MM) -> Float32Array:
         """Depth (424, 512), mm, of hands at poses (22,)."""
@@ -67,18 +74,60 @@ class Stage:
         return float(np.linalg.norm(first - second, axis=1).mean())
 
 
-def acquisition(context: Any, hand: HandModel, config: HandConfig | None = None) -> Acquisition:
+@dataclass(frozen=True)
+class Drawn:
+    """A recording of drawn hands."""
+
+    depths: tuple[Float32Array, ...]
+    path: Path = Path("/somewhere/drawn.mcap")
+    losses: tuple[Loss, ...] = ()
+
+    @classmethod
+    def of(cls, stage: Stage, poses: Sequence[FloatArray]) -> Drawn:
+        """What a sensor with noise of 3 mm sees of a hand at poses (22,)."""
+        rng = np.random.default_rng(4)
+        return cls(
+            tuple((stage.depth(p) + rng.normal(0.0, 3.0, (424, 512))).astype(np.float32) for p in poses)
+        )
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        return (KINECT,)
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.depths)
+
+    def identity(self) -> Mapping[str, str]:
+        return {"name": "drawn.mcap", "sha256": "0" * 64}
+
+    def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
+        for k in range(start, len(self.depths) if end is None else end, stride):
+            yield Frame(k, k * FRAME_NS, (self.depths[k],))
+
+    def truth(self) -> Iterator[TruthMessage]:
+        return iter(())
+
+
+def pose_file(path: Path, pose: FloatArray) -> Path:
+    """A pose (22,) as ``--init`` reads it."""
+    start = {"position_mm": pose[:3], "quaternion_xyzw": pose[3:7], "angles_rad": pose[7:]}
+    path.write_text(json.dumps({name: list(values) for name, values in start.items()}))
+    return path
+
+
+def acquisition(device: RenderingDevice, hand: HandModel, config: HandConfig | None = None) -> Acquisition:
     """What looks for a hand without a prediction."""
     config = config or HandConfig()
-    scorer = RenderedCosts(context, hand, KINECT, config.observation, config.filter.particles)
+    scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
     observer = Observer(config, hand.anatomy, KINECT, segment=True)
     return Acquisition(config, hand, KINECT, scorer, observer, Guiding(config, hand, KINECT))
 
 
-def tracker(context: Any, hand: HandModel, config: HandConfig | None = None) -> HandTracker:
+def tracker(device: RenderingDevice, hand: HandModel, config: HandConfig | None = None) -> HandTracker:
     """The tracker with all that it asks."""
     config = config or HandConfig()
-    finder = acquisition(context, hand, config)
-    scorer = RenderedCosts(context, hand, KINECT, config.observation, config.filter.particles)
+    finder = acquisition(device, hand, config)
+    scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
     observer = Observer(config, hand.anatomy, KINECT, segment=True)
     return HandTracker(config, hand.anatomy, KINECT, scorer, observer, finder)

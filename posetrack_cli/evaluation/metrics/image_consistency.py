@@ -8,7 +8,7 @@ the hand scores badly.
 
 from __future__ import annotations
 
-from typing import Any
+from contextlib import closing
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from posetrack_cli.hand.segmentation import PredictedHand, segment
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.stored import StoredRecording
-from posetrack_cli.rendering.gl.context import open_context
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
@@ -48,17 +48,17 @@ class HandConsistency:
     measured alike. Only the hand's side and size are the run's.
 
     Args:
-        context: GL context.
+        device: draws the hands.
         hand: bones and skin.
         camera: of the images; lens distortion is taken out.
     """
 
-    def __init__(self, context: Any, hand: HandModel, camera: Camera) -> None:
+    def __init__(self, device: RenderingDevice, hand: HandModel, camera: Camera) -> None:
         self._anatomy, self._camera, self._sampler = hand.anatomy, camera, PixelSampler(camera)
         self._window = ObservationSettings(window_mm=WINDOW_MM * hand.anatomy.scale, tile_px=TILE_PX)
         self._segmentation = SegmentationSettings()
         mesh = hand.skin(MESH_LEVEL)
-        self._renderer = TiledDepthRenderer(context, mesh, (TILE_PX, TILE_PX), 1)
+        self._renderer = device.depth_renderer(mesh, (TILE_PX, TILE_PX), 1)
 
     def compare(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
         """Return residual, mm (NaN where nothing is both), and overlap of a pose (22,) with a frame."""
@@ -124,11 +124,8 @@ def image_consistency(
         return {}
     camera = result.camera()
     check_same_size(camera, recording)
-    context = open_context(device)
-    try:
-        residual, overlap = _compared(track, recording, HandConsistency(context, hand, camera)).T
-    finally:
-        context.release()
+    with closing(open_device(device)) as drawing:
+        residual, overlap = _compared(track, recording, HandConsistency(drawing, hand, camera)).T
     return {} if np.isnan(overlap).all() else {"residual_mm": residual, "region_overlap": overlap}
 
 

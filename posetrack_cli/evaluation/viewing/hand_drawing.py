@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 
@@ -14,7 +12,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice
 from posetrack_cli.rendering.window import Window
 
 MESH_LEVEL = "fine"
@@ -25,14 +23,14 @@ class HandDrawer:
     """Draws a hand's skin; where only joints are known, its skeleton.
 
     Args:
-        context: GL context.
+        device: draws the skin.
         hand: bones and skin.
     """
 
-    def __init__(self, context: Any, hand: HandModel) -> None:
-        self._context, self._anatomy = context, hand.anatomy
+    def __init__(self, device: RenderingDevice, hand: HandModel) -> None:
+        self._device, self._anatomy = device, hand.anatomy
         self._mesh = hand.skin(MESH_LEVEL)
-        self._renderer: TiledDepthRenderer | None = None
+        self._renderer: DepthRenderer | None = None
         self._skeleton = SkeletonDrawer(JOINT_PARENTS, axes=False)
 
     def depth(self, camera: Camera, shown: Shown) -> Float32Array | None:
@@ -66,10 +64,10 @@ class HandDrawer:
         else:
             picture[_rim(depth > 0)] = colour
 
-    def _renderer_of(self, size: tuple[int, int]) -> TiledDepthRenderer:
+    def _renderer_of(self, size: tuple[int, int]) -> DepthRenderer:
         """A renderer for pictures of this size; those of one view are all alike."""
         if self._renderer is None or self._renderer.tile != size:
-            self._renderer = TiledDepthRenderer(self._context, self._mesh, size, 1)
+            self._renderer = self._device.depth_renderer(self._mesh, size, 1)
         return self._renderer
 
 

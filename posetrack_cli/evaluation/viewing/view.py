@@ -6,7 +6,6 @@ from collections.abc import Generator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import Result
 
 
@@ -46,7 +46,7 @@ class View:
         results: one, or two of the same recording.
         recording: what they were made from.
         options: how.
-        context: GL context.
+        device: draws the hands.
 
     Raises:
         UsageError: options that cannot be meant, or no frame to draw.
@@ -54,12 +54,16 @@ class View:
     """
 
     def __init__(
-        self, results: Sequence[Result], recording: StoredRecording, options: ViewOptions, context: Any
+        self,
+        results: Sequence[Result],
+        recording: StoredRecording,
+        options: ViewOptions,
+        device: RenderingDevice,
     ) -> None:
         self._recording, self._options, self._log = recording, options, LossLog()
         self.layout = _layout(options, len(results) * len(options.tracks))
         truth = truth_of(results[0], options)
-        layers = layers_of(results, options.tracks, truth, lambda result: drawer_of(result, context))
+        layers = layers_of(results, options.tracks, truth, lambda result: drawer_of(result, device))
         self._track = layers[0].track
         self.rows = rows_to_draw(options, layers[0])
         self._camera = _common_camera(results, recording)
@@ -122,10 +126,10 @@ class View:
         return around_points(points[shown], self._camera, scale)
 
 
-def drawer_of(result: Result, context: Any) -> Drawer:
+def drawer_of(result: Result, device: RenderingDevice) -> Drawer:
     """What draws the subject of a result: a hand's skin; of any other its points, bones and axes."""
     if result.subject.name == "hand":
-        return HandDrawer(context, hand_of(result))
+        return HandDrawer(device, hand_of(result))
     return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
 
 

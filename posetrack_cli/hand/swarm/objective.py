@@ -16,7 +16,7 @@ in: they are taken with millimetres, which tracked as well as or better than wit
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from posetrack_cli.hand.config import HandConfig, PsoSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import TileSums
 
 _ABDUCTIONS = [ANGLE_NAMES.index(f"{finger}_mcp_abduction") for finger in FINGERS[1:]]
@@ -87,17 +87,17 @@ class RenderedObjective:
     """E of hand poses by rendering them: one draw for all poses of a call.
 
     Args:
-        context: GL context.
+        device: draws the poses.
         hand: its bones, and its lean skin, which is drawn.
         camera: pinhole intrinsics of the depth images.
         config: objective, size of a tile, size of the swarm.
     """
 
-    def __init__(self, context: Any, hand: HandModel, camera: Camera, config: HandConfig) -> None:
+    def __init__(self, device: RenderingDevice, hand: HandModel, camera: Camera, config: HandConfig) -> None:
         self._anatomy, self._camera, self._settings = hand.anatomy, camera, config.pso
         self._unread_weight = config.observation.unread_weight
         tile = (config.observation.tile_px, config.observation.tile_px)
-        self._renderer = TiledDepthRenderer(context, hand.lean, tile, config.pso.particles)
+        self._renderer = device.depth_renderer(hand.lean, tile, config.pso.particles)
 
     def evaluate(self, poses: FloatArray, observation: Observation) -> Objective:
         """E of poses (N, 22)."""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import moderngl
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.gl.shader_source import shader_source
+from posetrack_cli.rendering.port import Lighting, Surface
 
 RANGE_MM = (50.0, 20000.0)
 SAMPLES = 4
@@ -20,46 +20,11 @@ SHININESS = 24.0
 FLOATS = 6  # of a vertex that change: position, normal
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """What does not change about a surface.
-
-    Attributes:
-        triangles: (T, 3) vertex indices, counter-clockwise seen from outside; from inside nothing is drawn.
-        texcoords: (V, 2) place of each vertex in the texture, 0 to 1; (0, 0) is the first texel's corner.
-        texture: (height, width, 2) uint8, reflectance and gloss.
-    """
-
-    triangles: IntArray
-    texcoords: FloatArray
-    texture: ImageArray
-
-
-@dataclass(frozen=True, eq=False)
-class Lighting:
-    """Distant lights, and light from all sides.
-
-    Attributes:
-        directions: (L, 3) unit vectors towards the lights, reference axes.
-        strengths: (L,) of the lights.
-        ambient: from all sides.
-        from_above: (3,) further ambient light a n of a surface with normal n.
-    """
-
-    directions: FloatArray
-    strengths: FloatArray
-    ambient: float
-    from_above: FloatArray
-
-
 class TexturedRenderer:
-    """Grey images of a fixed set of surfaces whose vertices move.
-
-    Vertices and normals are given in the axes of the recording's reference camera. Lens distortion is the
-    caller's matter.
+    """Grey images of a fixed set of surfaces whose vertices move (``rendering.port.SurfaceRenderer``).
 
     Args:
-        context: from ``open_context``.
+        context: of moderngl.
         size: (width, height) of the images, pixels.
         surfaces: what is drawn.
         lights: L, the number of lights.

@@ -10,10 +10,11 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.bounds import BoneSpheres
+from posetrack_cli.rendering.gl.bounds import BoneSpheres
 from posetrack_cli.rendering.gl.shader_source import shader_source
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import PixelMixture, outline_distances
+from posetrack_cli.rendering.port import check_observed, check_poses
 from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.rendering.window import Window
 
@@ -27,13 +28,13 @@ _GL_CLIP_DISTANCE0 = 0x3000
 
 
 class TiledDepthRenderer:
-    """Depth images, or sums over them, of one mesh in N poses.
+    """Depth images, or sums over them, of one mesh in N poses (``rendering.port.DepthRenderer``).
 
     One instanced draw renders up to ``capacity`` tiles; more are drawn in several passes. The sums are
     reduced on the device: ROW_FLOATS numbers a tile come back, no image.
 
     Args:
-        context: from ``open_context``.
+        context: of moderngl.
         mesh: the mesh that all poses share.
         tile: (width, height) of a tile, pixels.
         most: how many tiles a call asks for at most; sizes the atlas.
@@ -42,7 +43,7 @@ class TiledDepthRenderer:
         RenderingError: the device has too little memory, or cannot make the textures and programs.
     """
 
-    def __init__(self, context: Any, mesh: SkinnedMesh, tile: tuple[int, int], most: int = 512) -> None:
+    def __init__(self, context: Any, mesh: SkinnedMesh, tile: tuple[int, int], most: int) -> None:
         self.context = context
         self.tile = tile
         self.bones = mesh.weights.shape[1]
@@ -93,17 +94,8 @@ class TiledDepthRenderer:
         return program
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
-        """Render and read back.
-
-        Args:
-            transforms: (N, B, 3, 4) camera_T_rest of every bone, mm.
-            camera: pinhole intrinsics; lens distortion is the caller's matter.
-            window: what the tiles show.
-
-        Returns:
-            (N, height, width) depth z, mm, 0 where nothing is drawn.
-        """
-        self._check(transforms, window)
+        """Render and read back."""
+        check_poses(self, transforms, window)
         parts = []
         for part in self._passes(transforms, camera, window):
             values = np.frombuffer(self._atlas.read(), dtype=np.float32)
@@ -122,28 +114,9 @@ class TiledDepthRenderer:
         model: PixelMixture | None = None,
         match_mm: float = 0.0,
     ) -> TileSums:
-        """Render and reduce on the device.
-
-        Args:
-            transforms: (N, B, 3, 4) rigid camera_T_rest of every bone, mm.
-            camera: pinhole intrinsics.
-            window: what the tiles and the observed image show.
-            observed: (height, width) float32: depth of a target pixel, mm; negative where the reading
-                is of something else; 0 where there is none.
-            clamp_mm: c_max of eq. (4).
-            model: of a pixel, for the misfits; without one they are 0.
-            match_mm: depths that differ by less agree; at 0 none do.
-
-        Raises:
-            RenderingError: transforms, window or observed image do not fit.
-        """
-        if observed.shape != (window.height, window.width):
-            raise RenderingError(
-                "observed image does not fit the window",
-                found=observed.shape,
-                expected=(window.height, window.width),
-            )
-        self._check(transforms, window)  # before anything is written to the device
+        """Render and reduce on the device."""
+        check_observed(observed, window)
+        check_poses(self, transforms, window)  # before anything is written to the device
         self._readings[..., 0] = observed
         if model is not None:
             self._readings[..., 1] = outline_distances(observed)
@@ -193,18 +166,6 @@ class TiledDepthRenderer:
         self._transforms.bind_to_storage_buffer(0)
         self._influences.bind_to_storage_buffer(2)
         self._vertices.render(instances=count)
-
-    def _check(self, transforms: Float32Array, window: Window) -> None:
-        if transforms.shape[1:] != (self.bones, 3, 4):
-            raise RenderingError(
-                "bone transforms do not fit the mesh",
-                found=transforms.shape,
-                expected=f"(N, {self.bones}, 3, 4)",
-            )
-        if (window.width, window.height) != self.tile:
-            raise RenderingError(
-                "window does not fit the tile", found=(window.width, window.height), expected=self.tile
-            )
 
     def _untiled(self, values: Float32Array) -> Float32Array:
         (width, height), (columns, rows) = self.tile, self.grid

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,9 @@ from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel
+from posetrack_cli.rendering.devices import device_or_default
+from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand.edges import missing_beside_edges
 from posetrack_cli.synthesis.hand.motion import Motion, make_motion
 from posetrack_cli.synthesis.hand.options import SynthOptions
@@ -92,35 +94,31 @@ def make_plan(options: SynthOptions, noise: WalkNoise | None = None) -> Plan:
 
 
 def synthesise(
-    options: SynthOptions, *, noise: WalkNoise | None = None, context: Any = None
+    options: SynthOptions, *, noise: WalkNoise | None = None, device: RenderingDevice | None = None
 ) -> Iterator[SyntheticFrame]:
     """Yield the frames of a synthetic recording; the camera is ``CAMERA``.
 
     Args:
         options: of the recording.
         noise: of the random walks A and B.
-        context: an open GL context to draw with; by default one is opened and released at the end.
+        device: draws the frames; by default one is opened, and closed at the end.
 
     Raises:
-        RenderingError: there is no working GL.
+        RenderingError: nothing can be drawn here.
     """
-    yield from render_plan(make_plan(options, noise), options, context=context)
+    yield from render_plan(make_plan(options, noise), options, device=device)
 
 
-def render_plan(plan: Plan, options: SynthOptions, *, context: Any = None) -> Iterator[SyntheticFrame]:
+def render_plan(
+    plan: Plan, options: SynthOptions, *, device: RenderingDevice | None = None
+) -> Iterator[SyntheticFrame]:
     """Yield the frames of a plan that ``make_plan`` made of the same options; as ``synthesise``."""
-    from posetrack_cli.rendering.gl.context import open_context
-
-    own = open_context() if context is None else None
-    try:
-        yield from _frames(plan, options, context or own)
-    finally:
-        if own is not None:
-            own.release()
+    with device_or_default(device) as drawing:
+        yield from _frames(plan, options, drawing)
 
 
-def _frames(plan: Plan, options: SynthOptions, context: Any) -> Iterator[SyntheticFrame]:
-    sensor = _Sensor(plan, options, context)
+def _frames(plan: Plan, options: SynthOptions, device: RenderingDevice) -> Iterator[SyntheticFrame]:
+    sensor = _Sensor(plan, options, device)
     joints = joint_positions(plan.anatomy, plan.motion.poses)
     seconds, twists = plan.timeline.seconds, plan.motion.twists
     for index, instant in enumerate(np.flatnonzero(plan.written).tolist()):
@@ -139,16 +137,13 @@ def _frames(plan: Plan, options: SynthOptions, context: Any) -> Iterator[Synthet
 class _Sensor:
     """Draws the scene and reads it as a Kinect would."""
 
-    def __init__(self, plan: Plan, options: SynthOptions, context: Any) -> None:
-        from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
-        from posetrack_cli.rendering.window import Window
-
+    def __init__(self, plan: Plan, options: SynthOptions, device: RenderingDevice) -> None:
         self._switches, self._rng = options.switches, plan.rng
         self._mirrored = plan.anatomy.is_left
         self._scene = Scene(plan.hand, options.switches)
         self._window = Window.whole(CAMERA)
         size = (CAMERA.width, CAMERA.height)
-        self._renderer = TiledDepthRenderer(context, self._scene.mesh, size, most=1)
+        self._renderer = device.depth_renderer(self._scene.mesh, size, most=1)
         room = room_depth(CAMERA)
         self._room = room[:, ::-1] if self._mirrored else room
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.rendering.devices import device_or_default
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.drops import dropped_images
 from posetrack_cli.synthesis.head.expression_script import ExpressionScript, make_script
 from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed
@@ -110,38 +111,34 @@ def make_plan(options: HeadSynthOptions) -> Plan:
     )
 
 
-def synthesise(options: HeadSynthOptions, *, context: Any = None) -> Iterator[SyntheticHeadFrame]:
+def synthesise(
+    options: HeadSynthOptions, *, device: RenderingDevice | None = None
+) -> Iterator[SyntheticHeadFrame]:
     """Yield the frames of a synthetic recording; its cameras are ``make_cameras(options)``.
 
     Args:
         options: of the recording.
-        context: an open GL context to draw with; by default one is opened and released at the end.
+        device: draws the frames; by default one is opened, and closed at the end.
 
     Raises:
-        RenderingError: there is no working GL.
+        RenderingError: nothing can be drawn here.
     """
-    yield from render_plan(make_plan(options), options, context=context)
+    yield from render_plan(make_plan(options), options, device=device)
 
 
 def render_plan(
-    plan: Plan, options: HeadSynthOptions, *, context: Any = None
+    plan: Plan, options: HeadSynthOptions, *, device: RenderingDevice | None = None
 ) -> Iterator[SyntheticHeadFrame]:
     """Yield the frames of a plan that ``make_plan`` made of the same options; as ``synthesise``."""
-    from posetrack_cli.rendering.gl.context import open_context
-
-    own = open_context() if context is None else None
-    try:
-        yield from _frames(plan, options, context or own)
-    finally:
-        if own is not None:
-            own.release()
+    with device_or_default(device) as drawing:
+        yield from _frames(plan, options, drawing)
 
 
-def _frames(plan: Plan, options: HeadSynthOptions, context: Any) -> Iterator[SyntheticHeadFrame]:
+def _frames(plan: Plan, options: HeadSynthOptions, device: RenderingDevice) -> Iterator[SyntheticHeadFrame]:
     sensors = [Sensor(camera, options.noise) for camera in plan.cameras]
     size = (sensors[0].drawn.width, sensors[0].drawn.height)
     origin, looks = plan.movement.origin, plan.identity.looks
-    stage = Stage(context, plan.person, looks, plan.grid, size, origin, plan.scenery)
+    stage = Stage(device, plan.person, looks, plan.grid, size, origin, plan.scenery)
     poses, twists = plan.movement.poses(plan.seconds), plan.movement.twists(plan.seconds)
     strengths = plan.script.strengths(plan.seconds)
     try:

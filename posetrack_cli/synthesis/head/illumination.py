@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.rendering.gl.textured import Lighting
+from posetrack_cli.rendering.port import Lighting
 from posetrack_cli.synthesis.head.curves import Sway, minimum_jerk, random_sway
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 

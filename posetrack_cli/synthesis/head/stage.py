@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
@@ -11,7 +9,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.poses import in_camera
 from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.rendering.gl.textured import Lighting, Surface, TexturedRenderer
+from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
 from posetrack_cli.synthesis.head import surroundings
 from posetrack_cli.synthesis.head.identity import Looks
 from posetrack_cli.synthesis.head.illumination import LAMPS
@@ -31,7 +29,7 @@ class Stage:
     """Head, trunk, wall and an object, drawn as cameras see them.
 
     Args:
-        context: an open GL context.
+        device: draws it.
         person, looks: who is seen.
         grid: of the skin.
         size: (width, height) of the images drawn.
@@ -41,7 +39,7 @@ class Stage:
 
     def __init__(
         self,
-        context: Any,
+        device: RenderingDevice,
         person: Person,
         looks: Looks,
         grid: SkinGrid,
@@ -56,7 +54,7 @@ class Stage:
         skin = Surface(grid.triangles, grid.texcoords.reshape(-1, 2), head_texture(looks))
         others = (surroundings.trunk_surface(cloth), surroundings.wall_surface(wall))
         surfaces = [skin, ear, ear, *others, surroundings.object_surface(thing)]
-        self._renderer = TexturedRenderer(context, size, surfaces, LAMPS)
+        self._renderer = device.surface_renderer(size, surfaces, LAMPS)
         self._place(WALL, surroundings.wall_vertices(float(origin[2])), facing=True)
 
     def set(self, pose: HeadPose, strengths: FloatArray, thing: FloatArray | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
-from posetrack_cli.rendering.gl.textured import Surface
+from posetrack_cli.rendering.port import Surface
 from posetrack_cli.synthesis.head.identity import Looks
 from posetrack_cli.synthesis.head.noise_fields import layered_field, smooth_field
 from posetrack_cli.synthesis.head.skin_grid import grid_triangles

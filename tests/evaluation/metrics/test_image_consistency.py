@@ -19,6 +19,7 @@ from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.synthesis.hand.options import Switches
@@ -68,11 +69,11 @@ def test_the_truth_agrees_to_within_the_sensor_s_noise(tmp_path: Path, scene: St
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (12.0, 0.0, 0.0), (-25.0, 8.0, 0.0), (0.0, 0.0, 15.0)])
 def test_shifted_hands_against_pixels_counted_one_by_one(
-    tmp_path: Path, bare: StoredRecording, context: Any, shift: tuple[float, float, float]
+    tmp_path: Path, bare: StoredRecording, device: RenderingDevice, shift: tuple[float, float, float]
 ) -> None:
     """Overlap and residual over the whole image in numpy: the hand is what is not the wall."""
     values = measured(tmp_path, bare, moved(*shift))
-    drawer = HandDrawer(context, average_hand())
+    drawer = HandDrawer(device, average_hand())
     overlaps, residuals = [], []
     for truth, frame in zip(truth_of(bare), bare.frames(), strict=True):
         depth = drawer.depth(bare.cameras[0], Shown(truth.position + shift, truth.quaternion, truth.shape))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +20,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
 from support.evaluation import FRAME_NS, hand_track
 from support.viewing import KINECT
 
@@ -31,8 +31,8 @@ CAPTION_PX = 18
 
 
 @pytest.fixture(scope="module")
-def drawer(context: Any) -> Iterator[HandDrawer]:
-    yield HandDrawer(context, average_hand())
+def drawer(device: RenderingDevice) -> Iterator[HandDrawer]:
+    yield HandDrawer(device, average_hand())
 
 
 @pytest.fixture(scope="module")

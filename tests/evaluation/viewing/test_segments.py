@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.segmentation import Label
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import read_result
 from support.viewing import KINECT, make_recording, make_result, truth_of
 
@@ -58,10 +58,10 @@ def test_outside_the_window_and_without_a_pose_nothing_is_painted() -> None:
     assert not painted(depth, far_left).any()
 
 
-def test_view_draws_observed_and_segments_beside_each_other(tmp_path: Path, context: Any) -> None:
+def test_view_draws_observed_and_segments_beside_each_other(tmp_path: Path, device: RenderingDevice) -> None:
     recording = open_recording(make_recording(tmp_path / "r.mcap", frames=1))
     result = read_result(make_result(tmp_path / "result.mcap", recording))
-    view = View([result], recording, ViewOptions(layout="segments", scale=1.0), context)
+    view = View([result], recording, ViewOptions(layout="segments", scale=1.0), device)
     ((_, picture),) = view.pictures()
     assert picture.shape[1] == 2 * KINECT.width
     panel = picture[: KINECT.height, KINECT.width :].astype(int)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,8 +14,8 @@ from posetrack_cli.hand.fitting.raster import NEAR_MM, NOTHING, Drawing, View, d
 from posetrack_cli.hand.fitting.skeleton import PALM, empty_posed, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.observation import window_around
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.port import RenderingDevice
 from support.fitting import HANDS, TILE_PX
 from support.hand import KINECT, random_poses
 
@@ -155,11 +153,11 @@ def test_a_sphere_of_many_triangles() -> None:
 
 
 @pytest.mark.parametrize("name", list(HANDS))
-def test_hands_are_drawn_as_by_the_renderer(name: str, context: Any) -> None:
+def test_hands_are_drawn_as_by_the_renderer(name: str, device: RenderingDevice) -> None:
     """Pixels whose centres lie on an edge to float32 may differ: less than 1 % of the drawn ones."""
     hand = HANDS[name]
     skin, skeleton, posed = skin_of(hand.smooth), skeleton_of(hand.anatomy), empty_posed()
-    renderer = TiledDepthRenderer(context, hand.smooth, (TILE_PX, TILE_PX), 1)
+    renderer = device.depth_renderer(hand.smooth, (TILE_PX, TILE_PX), 1)
     out = empty_drawing(skin, TILE_PX, TILE_PX)
     for pose in random_poses(12, seed=5):
         window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())

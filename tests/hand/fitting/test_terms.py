@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +26,7 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.port import RenderingDevice
 from support.fitting import HANDS, TILE_PX, WALL_MM, drawn_depth
 from support.hand import KINECT, random_poses
 
@@ -257,11 +257,11 @@ def test_the_cost_is_the_union_s(name: str) -> None:
         assert union_cost(s.tile, drawing, SETTINGS) == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_cost_is_the_renderer_s_where_nothing_hides_the_hand(context: Any) -> None:
+def test_the_cost_is_the_renderer_s_where_nothing_hides_the_hand(device: RenderingDevice) -> None:
     hand = HANDS["right"]
     settings = ObservationSettings(cost="union")
     model = HandModel(hand.anatomy, hand.smooth, hand.smooth)
-    scorer = RenderedCosts(context, model, KINECT, settings, 1)
+    scorer = RenderedCosts(device, model, KINECT, settings, 1)
     fitter = HandFitter(hand, KINECT, TILE_PX)
     for pose, other in zip(random_poses(8, 1), random_poses(8, 2), strict=True):
         other[:3], other[3:7] = pose[:3] + np.array([10.0, 5.0, -8.0]), pose[3:7]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
 from posetrack_cli.hand.space import HandSpace
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand import CAMERA, Switches, SynthOptions, synthesise
 from posetrack_cli.synthesis.hand.scene import Scene
@@ -41,13 +40,13 @@ class Told:
 
 
 @pytest.fixture(scope="module")
-def frames(context: Any) -> list[Told]:
+def frames(device: RenderingDevice) -> list[Told]:
     window, size = Window.whole(CAMERA), (CAMERA.width, CAMERA.height)
-    hand = TiledDepthRenderer(context, HAND.skin("fine"), size, 1)
+    hand = device.depth_renderer(HAND.skin("fine"), size, 1)
     scene = Scene(HAND, Switches(forearm=True))
-    limb = TiledDepthRenderer(context, scene.mesh, size, 1)
+    limb = device.depth_renderer(scene.mesh, size, 1)
     told = []
-    for frame in list(synthesise(SynthOptions(frames=120, seed=12, speed=2.0), context=context))[::15]:
+    for frame in list(synthesise(SynthOptions(frames=120, seed=12, speed=2.0), device=device))[::15]:
         alone = hand.depth(skinning_transforms(ANATOMY, frame.pose[None]), CAMERA, window)[0].copy()
         both = limb.depth(scene.transforms(frame.pose, 0.0), CAMERA, window)[0].copy()
         on_limb = (frame.depth > 0) & (both > 0) & (np.abs(frame.depth - both) < SAME_MM)

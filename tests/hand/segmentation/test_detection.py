@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.hand.segmentation.detection import coarse_window
 from posetrack_cli.hand.segmentation.palms import surfaces_of
 from posetrack_cli.hand.segmentation.region import region_around
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand import CAMERA, SynthOptions, synthesise
 from support.hand import KINECT
 
@@ -224,10 +224,10 @@ def test_a_moved_image_gives_moved_hands(right: int, down: int) -> None:
     assert np.linalg.norm(second.palm - first.palm - offset) < PIXELS * pixel_mm(first)
 
 
-def test_a_hand_before_its_own_body_is_the_first(context: Any) -> None:
+def test_a_hand_before_its_own_body_is_the_first(device: RenderingDevice) -> None:
     """Natural motion with forearm, body, room and every sensor effect: the hand is found, the nearest."""
     found, overlap = 0, []
-    frames = list(synthesise(SynthOptions(motion="C", frames=90, seed=7), context=context))[::9]
+    frames = list(synthesise(SynthOptions(motion="C", frames=90, seed=7), device=device))[::9]
     for frame in frames:
         hands = detect(frame.depth, CAMERA, SETTINGS)
         assert hands

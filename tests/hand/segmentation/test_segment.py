@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from posetrack_cli.hand.kinematics import mirrored_poses, skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from support.hand import KINECT, REST
 
@@ -32,14 +31,14 @@ SAMPLER = PixelSampler(KINECT)
 class Scene:
     """A drawn hand with a forearm below it, a wall and a face behind, a blob beside it and some holes."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, device: RenderingDevice) -> None:
         self.pose = REST.copy()
         self.pose[:3] = [0.0, WRIST_Y_MM, 650.0]
         self.hand = PredictedHand.of(ANATOMY, self.pose)
         self.window = window_around(
             self.hand.joints, KINECT, ObservationSettings(tile_px=96, window_mm=340.0)
         )
-        self.drawn = drawn_hand(context)
+        self.drawn = drawn_hand(device)
         self.is_hand = self.drawn > 0
         x, y = across_at(ARM_MM)
         below = (y > WRIST_Y_MM + MESH_END_MM) & ~self.is_hand
@@ -69,8 +68,8 @@ class Scene:
         return PredictedHand.of(ANATOMY, pose)
 
 
-def drawn_hand(context: Any) -> np.ndarray:
-    renderer = TiledDepthRenderer(context, hand_mesh(ANATOMY, "fine"), (512, 424), 1)
+def drawn_hand(device: RenderingDevice) -> np.ndarray:
+    renderer = device.depth_renderer(hand_mesh(ANATOMY, "fine"), (512, 424), 1)
     pose = REST.copy()
     pose[:3] = [0.0, WRIST_Y_MM, 650.0]
     return renderer.depth(skinning_transforms(ANATOMY, pose[None]), KINECT, Window.whole(KINECT))[0].copy()
@@ -83,8 +82,8 @@ def across_at(z: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def scene(context: Any) -> Scene:
-    return Scene(context)
+def scene(device: RenderingDevice) -> Scene:
+    return Scene(device)
 
 
 def test_hand_forearm_wall_face_and_blob_are_told_apart(scene: Scene) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,7 +15,7 @@ from posetrack_cli.hand.likelihood import union_cost
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.hand.swarm.objective import RenderedObjective, crossing, discrepancy
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import sums_in_numpy
 from support.hand import KINECT, REST, bent
 
@@ -89,18 +87,18 @@ def test_fingers_that_cross_are_counted_by_the_angle_between_them() -> None:
         np.testing.assert_allclose(crossing(make_anatomy(side), poses), expected, atol=ROUNDING)
 
 
-def hand_seen(context: Any, pose: np.ndarray) -> Observation:
+def hand_seen(device: RenderingDevice, pose: np.ndarray) -> Observation:
     """The depth image of a hand in a pose, with a wall behind it."""
     window = window_around(joint_positions(HAND.anatomy, pose[None])[0], KINECT, ObservationSettings())
     transforms = skinning_transforms(HAND.anatomy, pose[None])
-    depth = TiledDepthRenderer(context, HAND.lean, (64, 64), 1).depth(transforms, KINECT, window)[0]
+    depth = device.depth_renderer(HAND.lean, (64, 64), 1).depth(transforms, KINECT, window)[0]
     return Observation(window, np.where(depth > 0, depth, np.float32(-2000.0)), int((depth > 0).sum()))
 
 
-def test_the_objective_is_least_at_the_pose_that_is_seen(context: Any) -> None:
+def test_the_objective_is_least_at_the_pose_that_is_seen(device: RenderingDevice) -> None:
     true = REST + AWAY
-    objective = RenderedObjective(context, HAND, KINECT, HandConfig())
-    seen = hand_seen(context, true)
+    objective = RenderedObjective(device, HAND, KINECT, HandConfig())
+    seen = hand_seen(device, true)
     moved = np.stack([true] * 5)
     moved[1, 0] += 8.0
     moved[2, 2] += 15.0  # beyond d_m: no pixel matches any more
@@ -112,7 +110,7 @@ def test_the_objective_is_least_at_the_pose_that_is_seen(context: Any) -> None:
     assert found.depth[2] == pytest.approx(15.0, abs=3.0)  # the silhouette is smaller by a rim
     assert found.total[2] - found.depth[2] > 0.9 * 20.0
     free = HandConfig.model_validate({"pso": {"crossing_mm_per_rad": 0.0}})
-    without = RenderedObjective(context, HAND, KINECT, free).evaluate(moved, seen)
+    without = RenderedObjective(device, HAND, KINECT, free).evaluate(moved, seen)
     np.testing.assert_allclose(
         found.total - without.total, [0, 0, 0, 0, 10.0 * np.deg2rad(10.0)], atol=ROUNDING
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ from posetrack_cli.head.face import EYES
 from posetrack_cli.head.mono_config import MonoStartSettings
 from posetrack_cli.head.mono_start.detected import clicked_face, detect_face
 from posetrack_cli.head.start.start import NO_FACE, NoStart
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.rig import make_cameras
@@ -78,9 +78,9 @@ def test_clicked_points_are_believed():
     np.testing.assert_allclose(NEAR.difference(face.pose), 0.0, atol=1e-4)
 
 
-def test_a_drawn_head_is_found(context: Any) -> None:
+def test_a_drawn_head_is_found(device: RenderingDevice) -> None:
     options = HeadSynthOptions(frames=1, identity=1, seed=1, cameras=1)
-    frame = next(iter(synthesise(options, context=context)))
+    frame = next(iter(synthesise(options, device=device)))
     face = detect_face(frame.images[0], frame.stamp_ns, make_cameras(options)[0], FaceDetector(), SETTINGS)
     assert not isinstance(face, NoStart)
     assert np.linalg.norm(frame.pose.position - face.pose.position) < 60.0  # a mean face's size tells depth

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand import Switches, SyntheticFrame, SynthOptions, make_plan, synthesise
 from posetrack_cli.synthesis.hand.edges import MISSING_FRACTIONS
 from posetrack_cli.synthesis.hand.sensor import CAMERA
@@ -14,16 +15,16 @@ from posetrack_cli.synthesis.hand.sensor import CAMERA
 BARE = Switches()
 
 
-def frames(context: Any, **options: Any) -> list[SyntheticFrame]:
-    return list(synthesise(SynthOptions(**{"switches": BARE, "frames": 4, **options}), context=context))
+def frames(device: RenderingDevice, **options: Any) -> list[SyntheticFrame]:
+    return list(synthesise(SynthOptions(**{"switches": BARE, "frames": 4, **options}), device=device))
 
 
-def first(context: Any, **options: Any) -> SyntheticFrame:
-    return frames(context, frames=1, **options)[0]
+def first(device: RenderingDevice, **options: Any) -> SyntheticFrame:
+    return frames(device, frames=1, **options)[0]
 
 
-def test_a_frame_has_depth_truth_and_stamp(context: Any) -> None:
-    made = frames(context, motion="C")
+def test_a_frame_has_depth_truth_and_stamp(device: RenderingDevice) -> None:
+    made = frames(device, motion="C")
     assert [frame.index for frame in made] == [0, 1, 2, 3]
     assert all(frame.depth.shape == (424, 512) and frame.depth.dtype == np.uint16 for frame in made)
     assert np.diff([frame.stamp_ns for frame in made]).tolist() == pytest.approx([1e9 / 30.0] * 3, abs=1.0)
@@ -35,8 +36,8 @@ INNER = np.setdiff1d(np.arange(21), TIPS)
 
 @pytest.mark.parametrize("motion", ["A", "B", "C"])
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_true_joints_lie_in_the_rendered_hand(context: Any, motion: str, side: str) -> None:
-    for frame in frames(context, motion=motion, side=side, frames=60, seed=2)[::6]:
+def test_true_joints_lie_in_the_rendered_hand(device: RenderingDevice, motion: str, side: str) -> None:
+    for frame in frames(device, motion=motion, side=side, frames=60, seed=2)[::6]:
         pixels, _ = CAMERA.pixels_from_points(frame.joints)
         u, v = np.rint(pixels).astype(int).T
         depth = frame.depth.astype(float)
@@ -49,9 +50,9 @@ def test_true_joints_lie_in_the_rendered_hand(context: Any, motion: str, side: s
 @pytest.mark.parametrize("motion", ["A", "C"])
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_joints_of_an_open_hand_are_a_finger_radius_below_the_skin(
-    context: Any, motion: str, side: str
+    device: RenderingDevice, motion: str, side: str
 ) -> None:
-    frame = first(context, motion=motion, side=side)
+    frame = first(device, motion=motion, side=side)
     pixels, _ = CAMERA.pixels_from_points(frame.joints)
     u, v = np.rint(pixels).astype(int).T
     below = (frame.joints[:, 2] - frame.depth[v, u]).reshape(-1)
@@ -60,26 +61,26 @@ def test_joints_of_an_open_hand_are_a_finger_radius_below_the_skin(
         assert below[[2 + 4 * finger, 3 + 4 * finger]] == pytest.approx(radii[finger, 1:3], abs=2.5)
 
 
-def test_the_hand_covers_as_many_pixels_as_a_real_one(context: Any) -> None:
+def test_the_hand_covers_as_many_pixels_as_a_real_one(device: RenderingDevice) -> None:
     """hand.md: 4000 to 5500 px at 0.6 to 0.7 m."""
-    assert 4000 < np.count_nonzero(first(context, motion="C").depth) < 5500
+    assert 4000 < np.count_nonzero(first(device, motion="C").depth) < 5500
 
 
-def test_left_is_the_mirror_image_of_right(context: Any) -> None:
+def test_left_is_the_mirror_image_of_right(device: RenderingDevice) -> None:
     everything = replace(Switches.all_on(), noise=False, edges=False)
     for switches in (BARE, everything):
-        right = first(context, motion="B", switches=switches).depth.astype(int)
-        left = first(context, motion="B", side="left", switches=switches).depth.astype(int)
+        right = first(device, motion="B", switches=switches).depth.astype(int)
+        left = first(device, motion="B", side="left", switches=switches).depth.astype(int)
         # a rasteriser decides pixels on an edge differently from left and from right
         assert (np.abs(right - left[:, ::-1]) > 1).mean() < 0.002
 
 
-def test_body_forearm_and_background_add_pixels(context: Any) -> None:
-    bare = first(context, motion="C").depth
-    forearm = first(context, motion="C", switches=replace(BARE, forearm=True)).depth
-    body = first(context, motion="C", switches=replace(BARE, body=True)).depth
-    both = first(context, motion="C", switches=replace(BARE, body=True, forearm=True)).depth
-    room = first(context, motion="C", switches=replace(BARE, background=True)).depth
+def test_body_forearm_and_background_add_pixels(device: RenderingDevice) -> None:
+    bare = first(device, motion="C").depth
+    forearm = first(device, motion="C", switches=replace(BARE, forearm=True)).depth
+    body = first(device, motion="C", switches=replace(BARE, body=True)).depth
+    both = first(device, motion="C", switches=replace(BARE, body=True, forearm=True)).depth
+    room = first(device, motion="C", switches=replace(BARE, background=True)).depth
     hand = bare > 0
     for depth in (forearm, body, both, room):
         assert (depth[hand] == bare[hand]).mean() > 0.98  # but for where the forearm covers the wrist
@@ -91,18 +92,18 @@ def test_body_forearm_and_background_add_pixels(context: Any) -> None:
     assert (room > 0).all() and room[~hand].min() > 1500
 
 
-def test_the_forearm_leaves_no_gap_at_the_wrist(context: Any) -> None:
+def test_the_forearm_leaves_no_gap_at_the_wrist(device: RenderingDevice) -> None:
     import cv2
 
-    for frame in frames(context, motion="C", frames=90, seed=1, switches=replace(BARE, forearm=True))[::9]:
+    for frame in frames(device, motion="C", frames=90, seed=1, switches=replace(BARE, forearm=True))[::9]:
         parts, _ = cv2.connectedComponents((frame.depth > 0).astype(np.uint8))
         assert parts == 2  # nothing, and one piece
 
 
-def test_noise_and_edges_do_what_they_say(context: Any) -> None:
-    clean = first(context, motion="C", switches=replace(BARE, background=True)).depth.astype(float)
-    noise = first(context, motion="C", switches=replace(BARE, background=True, noise=True)).depth
-    edges = first(context, motion="C", switches=replace(BARE, background=True, edges=True)).depth
+def test_noise_and_edges_do_what_they_say(device: RenderingDevice) -> None:
+    clean = first(device, motion="C", switches=replace(BARE, background=True)).depth.astype(float)
+    noise = first(device, motion="C", switches=replace(BARE, background=True, noise=True)).depth
+    edges = first(device, motion="C", switches=replace(BARE, background=True, edges=True)).depth
     error = noise - clean
     centre = error[60:140, 220:290]  # wall between ceiling and hand, 2.7 m
     assert 1.3 < centre.std() < 2.3
@@ -112,12 +113,12 @@ def test_noise_and_edges_do_what_they_say(context: Any) -> None:
     assert (edges[~lost] == clean[~lost]).all() and (clean[lost] > 1500).all()
 
 
-def test_drops_make_gaps_and_late_frames_shift_stamps(context: Any) -> None:
+def test_drops_make_gaps_and_late_frames_shift_stamps(device: RenderingDevice) -> None:
     options = SynthOptions(motion="A", frames=200, seed=1, switches=replace(BARE, drops=True, late=True))
     plan = make_plan(options)
     written = np.flatnonzero(plan.written)
     assert 0 < plan.timeline.dropped.sum() < 20
-    some = list(synthesise(replace(options, frames=60), context=context))
+    some = list(synthesise(replace(options, frames=60), device=device))
     assert [frame.index for frame in some] == list(range(len(some)))
     assert np.diff([frame.stamp_ns for frame in some]).min() > 0
     assert len(written) == 200 - plan.timeline.dropped.sum()
@@ -142,13 +143,13 @@ def test_switches_of_the_sensor_change_no_pose() -> None:
     assert (plain.motion.poses == rest.motion.poses).all()
 
 
-def test_missing_fractions_beside_a_hand_are_as_measured(context: Any) -> None:
+def test_missing_fractions_beside_a_hand_are_as_measured(device: RenderingDevice) -> None:
     import cv2
 
     lost, count = np.zeros(9), np.zeros(9)
     switches = replace(BARE, background=True, edges=True)
-    seen = frames(context, motion="C", frames=40, seed=3, switches=switches)
-    bare = frames(context, motion="C", frames=40, seed=3)
+    seen = frames(device, motion="C", frames=40, seed=3, switches=switches)
+    bare = frames(device, motion="C", frames=40, seed=3)
     for frame, hand in zip(seen, bare, strict=True):
         outside = cv2.distanceTransform((hand.depth == 0).astype(np.uint8), cv2.DIST_L2, 5)
         for k in range(1, 9):

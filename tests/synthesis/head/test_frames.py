@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import SyntheticHeadFrame, make_plan, render_plan, synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.rig import make_cameras
@@ -30,8 +30,8 @@ def pixels(camera: Camera, frame: SyntheticHeadFrame) -> FloatArray:
     return projected[:, 0].astype(np.float64)
 
 
-def first(options: HeadSynthOptions, context: Any) -> SyntheticHeadFrame:
-    return next(iter(synthesise(options, context=context)))
+def first(options: HeadSynthOptions, device: RenderingDevice) -> SyntheticHeadFrame:
+    return next(iter(synthesise(options, device=device)))
 
 
 def faces(image: ImageArray) -> FloatArray:
@@ -40,10 +40,10 @@ def faces(image: ImageArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("identity", [1, 2, 3, 4])
-def test_haar_finds_one_face_around_the_eyes(identity: int, context: Any) -> None:
+def test_haar_finds_one_face_around_the_eyes(identity: int, device: RenderingDevice) -> None:
     """In photographs eyes lie at (.317, .403) and (.687, .401) of the box, sd .02; here within .06."""
     options = replace(SHORT, identity=identity, cameras=1, frames=1)
-    frame = first(options, context)
+    frame = first(options, device)
     found = faces(frame.images[0])
     assert len(found) == 1
     ten = pixels(make_cameras(options)[0], frame)
@@ -59,26 +59,26 @@ def nearest_corner(image: ImageArray, place: FloatArray) -> float:
     return float(np.hypot(columns - place[0], rows - place[1]).min())
 
 
-def test_corners_of_eyes_and_mouth_are_corners_where_the_truth_says(context: Any) -> None:
+def test_corners_of_eyes_and_mouth_are_corners_where_the_truth_says(device: RenderingDevice) -> None:
     options = replace(SHORT, cameras=1, frames=1)
-    frame = first(options, context)
+    frame = first(options, device)
     ten = pixels(make_cameras(options)[0], frame)
     off = [nearest_corner(frame.images[0], place) for place in ten[:6]]
     assert max(off) < 2.5 and np.mean(off) < 1.5  # px of 0.7 mm
 
 
-def test_nostrils_are_dark_and_the_pupils_too(context: Any) -> None:
-    frame = first(replace(SHORT, cameras=1, frames=1), context)
+def test_nostrils_are_dark_and_the_pupils_too(device: RenderingDevice) -> None:
+    frame = first(replace(SHORT, cameras=1, frames=1), device)
     image = cv2.GaussianBlur(frame.images[0], (0, 0), 1.0)
     ten = np.rint(pixels(make_cameras(replace(SHORT, cameras=1))[0], frame)).astype(int)
     cheek = image[ten[6, 1], ten[0, 0]]
     assert image[ten[6:8, 1], ten[6:8, 0]].max() < 0.4 * cheek
 
 
-def test_both_cameras_see_the_same_head(context: Any) -> None:
+def test_both_cameras_see_the_same_head(device: RenderingDevice) -> None:
     """The left patch around a point is found in the right image where the truth says, to a pixel."""
     options = replace(SHORT, noise=0.5)
-    frame = first(options, context)
+    frame = first(options, device)
     left, right = make_cameras(options)
     at_left, at_right = pixels(left, frame), pixels(right, frame)
     for k in (0, 1, 2, 3, 4, 5, 8, 9):
@@ -93,17 +93,17 @@ def test_both_cameras_see_the_same_head(context: Any) -> None:
         np.testing.assert_allclose(found, at_right[k], atol=1.5)
 
 
-def test_one_camera_sees_what_the_left_of_two_sees(context: Any) -> None:
-    both = list(synthesise(SHORT, context=context))
-    one = list(synthesise(replace(SHORT, cameras=1), context=context))
+def test_one_camera_sees_what_the_left_of_two_sees(device: RenderingDevice) -> None:
+    both = list(synthesise(SHORT, device=device))
+    one = list(synthesise(replace(SHORT, cameras=1), device=device))
     for two, alone in zip(both, one, strict=True):
         assert np.array_equal(two.images[0], alone.images[0])
         assert not np.array_equal(two.images[0], two.images[1])
 
 
-def test_the_same_options_give_the_same_frames_and_other_people_move_alike(context: Any) -> None:
+def test_the_same_options_give_the_same_frames_and_other_people_move_alike(device: RenderingDevice) -> None:
     one, again, other = (
-        list(synthesise(options, context=context)) for options in (SHORT, SHORT, replace(SHORT, identity=2))
+        list(synthesise(options, device=device)) for options in (SHORT, SHORT, replace(SHORT, identity=2))
     )
     for a, b, c in zip(one, again, other, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a.images, b.images, strict=True))
@@ -113,14 +113,14 @@ def test_the_same_options_give_the_same_frames_and_other_people_move_alike(conte
         assert not np.array_equal(a.images[0], c.images[0])
 
 
-def test_an_object_hides_one_half_of_the_face_only(context: Any) -> None:
+def test_an_object_hides_one_half_of_the_face_only(device: RenderingDevice) -> None:
     """Once it has come; the other half is as it would be without."""
     options = replace(SHORT, frames=31, fps=10.0, motion="still", cameras=1, noise=0.0, light="steady")
     plan = make_plan(replace(options, occlusion=True))
     assert plan.passing is not None
     index = round((plan.passing.start_s + 0.5) * 10.0)
-    hidden = next(islice(render_plan(plan, options, context=context), index, None))
-    plain = next(islice(synthesise(options, context=context), index, None))
+    hidden = next(islice(render_plan(plan, options, device=device), index, None))
+    plain = next(islice(synthesise(options, device=device), index, None))
     difference = np.abs(hidden.images[0].astype(float) - plain.images[0])
     changed = cv2.blur(difference, (9, 9)) > 4.0  # the object may be as grey as a single pixel of the face
     ten = np.rint(pixels(plan.cameras[0], plain)).astype(int)
@@ -131,9 +131,9 @@ def test_an_object_hides_one_half_of_the_face_only(context: Any) -> None:
     assert plain.images[0].std() > 20.0
 
 
-def test_a_lamp_that_is_switched_changes_the_picture_at_once(context: Any) -> None:
+def test_a_lamp_that_is_switched_changes_the_picture_at_once(device: RenderingDevice) -> None:
     options = replace(SHORT, frames=5, light="sudden", motion="still", cameras=1, noise=0.0)
-    means = [np.mean(frame.images[0][150:350, 220:420]) for frame in synthesise(options, context=context)]
+    means = [np.mean(frame.images[0][150:350, 220:420]) for frame in synthesise(options, device=device)]
     steps = np.abs(np.diff(means))
     assert np.argmax(steps) == 2 and steps[2] > 5.0 * max(steps[0], steps[1])
 

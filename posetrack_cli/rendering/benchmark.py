@@ -1,17 +1,16 @@
-"""How fast a GL context scores poses."""
+"""How fast a device scores poses."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 
 KINECT2 = Camera(512, 424, 365.0, 365.0, 255.5, 211.5, name="kinect2")
@@ -29,10 +28,10 @@ def median_milliseconds(work: Callable[[], object], repeats: int, warm_up: int =
 
 
 def scoring_milliseconds(
-    context: Any, mesh: SkinnedMesh, transforms: Float32Array, tile: int, step: int, repeats: int
+    device: RenderingDevice, mesh: SkinnedMesh, transforms: Float32Array, tile: int, step: int, repeats: int
 ) -> float:
     """Median time to draw and reduce all poses (N, B, 3, 4) in a Kinect v2's window, ms."""
-    renderer = TiledDepthRenderer(context, mesh, (tile, tile), len(transforms))
+    renderer = device.depth_renderer(mesh, (tile, tile), len(transforms))
     window = Window.around(np.array([KINECT2.cx, KINECT2.cy]), tile, step)
     observed = renderer.depth(transforms[:1], KINECT2, window)[0]
     return median_milliseconds(lambda: renderer.sums(transforms, KINECT2, window, observed, 40.0), repeats)
