@@ -11,11 +11,10 @@ from typing import Any
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
 from posetrack_cli.evaluation.recording_of import camera_of, found_beside
-from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
-from posetrack_cli.recording.opening import open_images
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 
 OPTIONS = ("camera_file", "fps", "mirror")
@@ -53,7 +52,9 @@ def search_images(
         option = f"--{name.replace('_', '-')}"
         raise UsageError(f"{option} does not apply to images", found="a head's result", hint="leave it out")
     if given is not None:
-        return (open_images(given, **options) if any_recording else _same(given, result, options)), ""
+        return (
+            open_recording(given, "grey", **options) if any_recording else _same(given, result, options)
+        ), ""
     return found_beside(result, lambda place: _same(place, result, options))
 
 
@@ -69,7 +70,7 @@ def _same(path: Path, result: Result, given: Mapping[str, Any]) -> Recording:
     check_size(path, run)
     with _camera_file(result, given) as camera:
         try:
-            recording = open_images(path, **(_options_of(run) | camera | dict(given)))
+            recording = open_recording(path, "grey", **(_options_of(run) | camera | dict(given)))
         except RecordingError:
             check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise

@@ -9,14 +9,15 @@ from posetrack_cli.arrays import IntArray
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.readahead import read_ahead
-from posetrack_cli.recording.stored import StoredFrame, StoredRecording, decode_frames
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.recording.stored import StoredFrame, decode_frames
 
 Numbered = tuple[int, StoredFrame]
 Key = Callable[[int, StoredFrame], int]
 
 
 def matched_frames(
-    recording: StoredRecording, stamp_ns: IntArray, frame_index: IntArray | None, losses: LossLog
+    recording: Recording, stamp_ns: IntArray, frame_index: IntArray | None, losses: LossLog
 ) -> Iterator[tuple[int, Frame]]:
     """Yield (position in ``stamp_ns``, frame) in the recording's order; only these frames are decoded.
 
@@ -55,7 +56,7 @@ def _index(index: int, frame: StoredFrame) -> int:
 
 
 def _frames_at(
-    recording: StoredRecording, keys: IntArray, key: Key, losses: LossLog
+    recording: Recording, keys: IntArray, key: Key, losses: LossLog
 ) -> Iterator[tuple[int, Frame]]:
     """Yield the frames whose key is among those asked for, with its position there."""
     positions = {int(value): position for position, value in enumerate(keys)}

@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.recording_identity import check_bytes, check_ident
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.camera_record import camera_from_json
 from posetrack_cli.results.reader import Result
 
@@ -34,7 +34,7 @@ class Search:
         reason: why there is none: where it was looked for, and what was wrong with what was there.
     """
 
-    recording: StoredRecording | None
+    recording: Recording | None
     reason: str = ""
 
 
@@ -83,7 +83,7 @@ def found_beside(result: Result, opened: Callable[[Path], Found]) -> tuple[Found
     return None, "; ".join(reasons) or nowhere
 
 
-def required_recording(result: Result, given: Path | None = None, **options: Any) -> StoredRecording:
+def required_recording(result: Result, given: Path | None = None, **options: Any) -> Recording:
     """As ``search_recording``, but not to find one is an error.
 
     Raises:
@@ -107,7 +107,7 @@ def _places(result: Result, name: str) -> Iterator[Path]:
     yield from {place.resolve(): place for place in places if place.exists()}.values()
 
 
-def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecording:
+def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     """Open a recording as the run did; raise RecordingError if it is not the one of the run."""
     run = result.run
     check_kind(path, run)
@@ -188,7 +188,7 @@ def camera_of(run: Mapping[str, str]) -> Camera:
         raise ResultError("run record tells no camera", found=error) from error
 
 
-def check_same_size(camera: Camera, recording: StoredRecording) -> None:
+def check_same_size(camera: Camera, recording: Recording) -> None:
     """Refuse images that the run's camera cannot have taken.
 
     Raises:

@@ -24,8 +24,9 @@ from posetrack_cli.head.passes import (
 )
 from posetrack_cli.head.protocol import HeadTracker, NoFaceError
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter

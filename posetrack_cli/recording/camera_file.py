@@ -1,4 +1,4 @@
-"""camera.toml, by hand or from a calibration: one camera, or a table ``[cameras.NAME]`` for each of several."""
+"""camera.toml, by hand or from a calibration: of one camera, or with a table ``[cameras.NAME]`` for each."""
 
 from __future__ import annotations
 
@@ -239,8 +239,7 @@ def load_rig(path: Path) -> Rig:
     if len(tables) > limits.CAMERAS:
         raise RecordingError("too many cameras", where=path, found=len(tables), expected=limits.CAMERAS)
     cameras = {
-        name: _checked(RigCamera, table, f"{path}, [cameras.{name}]")
-        for name, table in tables.items()
+        name: _checked(RigCamera, table, f"{path}, [cameras.{name}]") for name, table in tables.items()
     }
     return Rig(path, _reference_first(cameras, values, path), _mirror(values, path))
 

@@ -19,7 +19,7 @@ from posetrack_cli.recording.camera_file import (
     load_rig,
     no_intrinsics,
 )
-from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.guess import check_one_camera
 from posetrack_cli.recording.identity import files_identity
@@ -64,7 +64,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
     settings = _overridden(load_depth_camera(file), options)
     stamps = common_stamps(path, images, fps)
     height, width = first_decoded(images, lambda image: decode_codes(read_image(image), str(image))).shape
-    encoding = "16UC1" if settings.depth_unit_mm == 1.0 else "32FC1"
+    encoding: DepthEncoding = "16UC1" if settings.depth_unit_mm == 1.0 else "32FC1"
     pixels = Depth(width, height, encoding, settings.depth_unit_mm, settings.missing)
     camera = settings.window.camera(settings.stored_camera(width, height))
     copied = settings.depth_unit_mm == 1.0 and settings.missing == 0 and settings.window.keeps_pixels
@@ -262,6 +262,4 @@ def _check_calibrated(path: Path, rig: Rig, folders: Mapping[str, object]) -> No
 def _first_grey(rig: Rig, name: str, images: Sequence[Path]) -> Grey:
     """Tell what a camera's images are like from the first that can be decoded."""
     bits = rig.cameras[name].bits
-    return first_decoded(
-        images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits)
-    )
+    return first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits))

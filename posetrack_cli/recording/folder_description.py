@@ -31,7 +31,7 @@ ANY_RATE_HZ = 30.0
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
-    """Describe a folder of 16-bit depth, or folders of images of cameras; of depth the first image is read."""
+    """Describe a folder of 16-bit depth, or images of cameras; of depth only the first image is read."""
     folders = find_folders(path)
     if "" in folders:
         first = first_decoded(folders[""], _as_stored)

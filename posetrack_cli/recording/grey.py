@@ -1,4 +1,4 @@
-"""Grey images of 8 bits from whatever is stored: colour becomes luma, of more bits the upper eight are kept."""
+"""8-bit grey images from whatever is stored: colour becomes luma, of more bits the upper 8 are kept."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import placed, relative_to, rotation_from_rows
 from posetrack_cli.recording.base import TRUTH_PREFIX
-from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.camera_file import Rig, check_apart
+from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
 from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
 from posetrack_cli.recording.mcap_topics import Topic, calibration_frames, frame_id_of_topic
@@ -105,7 +105,9 @@ def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[Gr
     return found
 
 
-def cameras_of_messages(path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic]) -> list[Camera]:
+def cameras_of_messages(
+    path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic]
+) -> list[Camera]:
     """Return the cameras of stored images from the file's calibrations and transforms, relative to the first.
 
     Raises:

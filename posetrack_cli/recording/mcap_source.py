@@ -6,7 +6,7 @@ goes, which ends the frames with a loss, not an error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -148,7 +148,7 @@ def _depth_topic(topic: Topic) -> CameraTopic[Depth]:
 
 
 def _camera_file(options: ReadingOptions) -> DepthCamera | None:
-    """Load a camera file for images whose depth format the messages tell themselves; None if none is given."""
+    """Load the camera file, if one is given, for images whose depth format the messages tell themselves."""
     path = options.get("camera_file")
     if path is None:
         return None
@@ -247,7 +247,7 @@ def _image(
     return StoredImage(stamp, where, decode, png)
 
 
-def _truth(path: Path, topics: Mapping[str, Topic], *, mirror: bool) -> Any:
+def _truth(path: Path, topics: Mapping[str, Topic], *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:
     """Return what yields the truth: nothing if images are mirrored, as it is not about the mirrored scene."""
     names = [name for name in topics if name.startswith(TRUTH_PREFIX)]
     return no_truth if mirror or not names else partial(_truth_messages, path, names)

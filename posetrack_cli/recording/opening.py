@@ -1,4 +1,4 @@
-"""Open or describe a recording by what it is: the registry of all kinds of files and folders that hold one."""
+"""Open or describe a recording by what it is: the registry of all files and folders that can be one."""
 
 from __future__ import annotations
 
@@ -86,9 +86,7 @@ SOURCES = (
 """All of them; the first that holds a path counts."""
 
 
-def open_recording(
-    path: Path, pixels: PixelKind = "depth", **options: Unpack[ReadingOptions]
-) -> Recording:
+def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[ReadingOptions]) -> Recording:
     """Open a folder of images, an MCAP file or a video.
 
     Depth is of one camera. Grey images may be of several: ``cameras`` has the reference first, the others

@@ -1,4 +1,4 @@
-"""What images hold, and how that becomes the pixels of frames: the interface of its kinds, and what they share."""
+"""What images hold, and how that becomes the pixels of frames: the interface of the kinds, and their base."""
 
 from __future__ import annotations
 

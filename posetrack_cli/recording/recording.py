@@ -143,7 +143,7 @@ class Recording:
 def match_streams(
     streams: Sequence[CameraStream], tolerance_ns: int, losses: LossLog
 ) -> Iterator[StoredFrame | None]:
-    """Put together what cameras took at the same time; images that are numbered as stored are frames alone."""
+    """Put together what cameras took at the same time; images numbered as stored are frames by themselves."""
     names = [stream.camera.name for stream in streams]
     images = [stream.images(losses) for stream in streams]
     if streams[0].pixels.is_numbered_as_stored:

@@ -88,9 +88,7 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
             **({} if fps is None else {"fps": str(fps)}),
         }
 
-    return Recording(
-        path, [stream], identity=identity, frame_count=video.count, is_guessed=rig.is_guessed
-    )
+    return Recording(path, [stream], identity=identity, frame_count=video.count, is_guessed=rig.is_guessed)
 
 
 class _Video:

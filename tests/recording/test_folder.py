@@ -12,11 +12,9 @@ from mcap.records import Metadata
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.mcap.stream import read_extras
-from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.conversion import convert_recording
-from posetrack_cli.recording.folder import FolderRecording
-from posetrack_cli.recording.inspection import describe
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import describe, open_recording
+from posetrack_cli.recording.recording import Recording
 
 
 def test_frames_are_the_images_in_order_with_their_stamps(tmp_path: Path, make: SimpleNamespace) -> None:
@@ -344,7 +342,7 @@ def test_senz3d_recording_is_read_without_its_empty_column(tmp_path: Path, measu
     camera.write_text(
         "fx = 224.5\nfy = 230.5\ncx = 160\ncy = 120\nmissing = 32001\ncrop = [0, 0, 320, 240]\n"
     )
-    recording = FolderRecording(measured_data / "cvar-hand" / "P1", camera_file=camera, fps=30)
+    recording = open_recording(measured_data / "cvar-hand" / "P1", camera_file=camera, fps=30)
     frames = list(recording.frames(end=5))
     assert all(frame.depth.shape == (240, 320) for frame in frames)
     assert all(0 < frame.depth.max() < 32001 for frame in frames)

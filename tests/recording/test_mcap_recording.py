@@ -11,8 +11,8 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.recording import Recording
 
 FLAVOURS = ["foxglove", "ros1", "ros2"]
 ULP = float(np.finfo(np.float32).eps)

@@ -27,7 +27,7 @@ from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import PredictedHand, segment
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import TileSums
@@ -97,7 +97,7 @@ def region_overlap(sums: TileSums) -> float:
 
 
 def image_consistency(
-    result: Result, recording: StoredRecording, device: int | None = None, which: str = FILTERED
+    result: Result, recording: Recording, device: int | None = None, which: str = FILTERED
 ) -> dict[str, FloatArray]:
     """Metrics ``residual_mm`` and ``region_overlap`` of every frame (N,), lost ones included, NaN for none.
 
@@ -129,7 +129,7 @@ def image_consistency(
     return {} if np.isnan(overlap).all() else {"residual_mm": residual, "region_overlap": overlap}
 
 
-def _compared(track: Track, recording: StoredRecording, measure: HandConsistency) -> FloatArray:
+def _compared(track: Track, recording: Recording, measure: HandConsistency) -> FloatArray:
     """Residual and overlap (N, 2) of every frame, NaN where the recording does not give it."""
     compared = np.full((len(track), 2), np.nan)
     if track.position is None or track.quaternion is None or track.shape is None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.recording.base import RECORDING_KEY
-from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.results.reader import Result, is_result, read_result
 
 LIKE_METRES = (500.0, 2000.0)

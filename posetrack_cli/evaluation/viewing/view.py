@@ -34,7 +34,7 @@ from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, l
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import Result
 
@@ -56,7 +56,7 @@ class View:
     def __init__(
         self,
         results: Sequence[Result],
-        recording: StoredRecording,
+        recording: Recording,
         options: ViewOptions,
         device: RenderingDevice,
     ) -> None:
@@ -133,7 +133,7 @@ def drawer_of(result: Result, device: RenderingDevice) -> Drawer:
     return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
 
 
-def _common_camera(results: Sequence[Result], recording: StoredRecording) -> Camera:
+def _common_camera(results: Sequence[Result], recording: Recording) -> Camera:
     """The camera that all estimates are relative to."""
     camera = results[0].camera()
     check_same_size(camera, recording)

@@ -18,8 +18,8 @@ from posetrack_cli.recording.calibration.boards import Board
 from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import CameraFit, fit_camera, place_cameras, shared_views
 from posetrack_cli.recording.calibration.views import CameraViews, find_views
-from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.camera_file import camera_file_text
+from posetrack_cli.recording.identity import shown_name
 
 DOUBTFUL_PX = 1.0
 """Errors above are no calibration to rely on."""

@@ -11,8 +11,7 @@ import numpy as np
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_place, is_taken, part_path
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
 from posetrack_cli.synthesis.head.encoding import SUFFIXES, encoded
 from posetrack_cli.synthesis.head.frames import Plan, SyntheticHeadFrame

@@ -18,7 +18,7 @@ from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import fit_camera, place_cameras
 from posetrack_cli.recording.calibration.stereo import StereoCalibration, calibrate_stereo
 from posetrack_cli.recording.calibration.views import CameraViews
-from posetrack_cli.recording.rig_file import load_rig
+from posetrack_cli.recording.camera_file import load_rig
 from support import boards as support
 
 VIEWS = 10
