@@ -52,9 +52,9 @@ def search_images(
         option = f"--{name.replace('_', '-')}"
         raise UsageError(f"{option} does not apply to images", found="a head's result", hint="leave it out")
     if given is not None:
-        return (
-            open_recording(given, "grey", **options) if any_recording else _same(given, result, options)
-        ), ""
+        if any_recording:
+            return open_recording(given, "grey", **options), ""
+        return _same(given, result, options), ""
     return found_beside(result, lambda place: _same(place, result, options))
 
 

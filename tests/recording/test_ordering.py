@@ -13,7 +13,7 @@ from posetrack_cli.recording.stored import StoredFrame
 
 
 def frame(stamp: int) -> StoredFrame:
-    return StoredFrame(stamp, "x", "16UC1", lambda: None, lambda: None)
+    return StoredFrame(stamp, "x", (None,))
 
 
 def test_doubled_and_backward_stamps_are_dropped_and_counted() -> None:

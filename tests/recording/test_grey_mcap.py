@@ -16,7 +16,6 @@ from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.mcap_extrinsics import camera_places
 from posetrack_cli.recording.mcap_topics import scan_topics
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.recording import Recording
 from support import images as support
 
 LEFT, RIGHT = support.grey_images(5), support.grey_images(5, seed=1)
@@ -81,7 +80,6 @@ def test_images_of_both_cameras_from_every_kind_of_file(
 ) -> None:
     found = messages(make, flavour, {"left": LEFT, "right": RIGHT}, offsets_ms=(0, 2), encode=encode)
     recording = open_recording(write(make, tmp_path / "r.mcap", found, flavour), "grey")
-    assert isinstance(recording, Recording)
     frames = list(recording.frames())
     assert [frame.stamp_ns for frame in frames] == support.stamps(COUNT)
     for frame, left, right in zip(frames, LEFT, RIGHT, strict=True):

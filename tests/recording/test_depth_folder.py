@@ -14,14 +14,12 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.mcap.stream import read_extras
 from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.opening import describe, open_recording
-from posetrack_cli.recording.recording import Recording
 
 
 def test_frames_are_the_images_in_order_with_their_stamps(tmp_path: Path, make: SimpleNamespace) -> None:
     images = make.depth_codes(5)
     recording = open_recording(make.write_folder(tmp_path / "r", images))
     frames = list(recording.frames())
-    assert isinstance(recording, Recording)
     assert [frame.stamp_ns for frame in frames] == make.stamps(5)
     assert [frame.index for frame in frames] == [0, 1, 2, 3, 4]
     for frame, image in zip(frames, images, strict=True):
