@@ -34,9 +34,9 @@ def test_what_is_not_there_is_said_before_any_option(tmp_path: Path, pixels: str
 
 
 def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--depth-unit-mm does not apply to a folder of images, found '2.0'"):
+    with pytest.raises(UsageError, match="--depth-unit-mm does not apply to a folder of images"):
         open_recording(tmp_path, "grey", depth_unit_mm=2.0)
-    with pytest.raises(UsageError, match="--tolerance-ms does not apply to a folder of images, found '5.0'"):
+    with pytest.raises(UsageError, match="--tolerance-ms does not apply to a folder of images"):
         open_recording(tmp_path, "depth", tolerance_ms=5.0)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from posetrack_cli.arrays import BoolArray
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
@@ -21,12 +22,14 @@ class CameraViews:
 
     Attributes:
         name: of the camera.
+        board: that was looked for.
         width, height: of its images, pixels.
         images: how many there are.
         boards: one per instant, None where it has no image or the image shows no board.
     """
 
     name: str
+    board: Board
     width: int
     height: int
     images: int
@@ -36,6 +39,11 @@ class CameraViews:
     def found(self) -> int:
         """In how many images the board was found."""
         return sum(board is not None for board in self.boards)
+
+    def only(self, kept: BoolArray) -> CameraViews:
+        """Return these views without the boards of instants that are not kept (instants,)."""
+        boards = (board if keeps else None for board, keeps in zip(self.boards, kept, strict=True))
+        return replace(self, boards=tuple(boards))
 
 
 def find_views(
@@ -69,7 +77,7 @@ def find_views(
             camera.add(finder, instant.get(name), log)
             done += name in instant
             report(done, total)
-        views.append(camera.views(path))
+        views.append(camera.views(path, board))
     return views
 
 
@@ -87,15 +95,15 @@ class _Camera:
         self._images += image is not None
         self._boards.append(None if image is None else self._found(finder, image, losses))
 
-    def views(self, path: Path) -> CameraViews:
+    def views(self, path: Path, board: Board) -> CameraViews:
         """Return what was seen."""
         if self._pixels is None:
             raise RecordingError(
                 "no image can be decoded", where=path / self.name, found=f"{self._images} files"
             )
-        return CameraViews(
-            self.name or "camera", self._pixels.width, self._pixels.height, self._images, tuple(self._boards)
-        )
+        width, height = self._pixels.width, self._pixels.height
+        boards = tuple(self._boards)
+        return CameraViews(self.name or "camera", board, width, height, self._images, boards)
 
     def _found(self, finder: BoardFinder, image: Path, losses: LossLog) -> FoundBoard | None:
         try:
