@@ -137,7 +137,7 @@ def readings() -> Iterator[Step]:
         yield _step(f"info-{name}", f"info {{{name}}} --json", printed=True)
         yield _step(f"info-text-{name}", f"info {{{name}}}", printed=True)
     for name in ("depth", "faces"):
-        yield _step(f"info-{name}", f"info {name} --json --fps 30", printed=True)
+        yield _step(f"info-{name}", f"info {name} --json", printed=True)
     measured = {
         "rbpf": "--truth {hand-C} --recording {hand-C}",
         "smooth": "--truth {hand-C} --track both --joint-offsets palm --parts",
@@ -169,7 +169,7 @@ def readings() -> Iterator[Step]:
     yield _step("export-smoothed", "export {smooth} --track smoothed -o smoothed.csv", "smoothed.csv")
     seen = {
         "rbpf": "--recording {hand-C} --truth --skeleton",
-        "smooth {rbpf}": "--recording {hand-C} --track both",
+        "smooth": "--recording {hand-C} --track both --layout over",
         "stereo-two": "--recording {head-two} --truth",
         "mono-two": "--recording {head-one} --crop head",
     }

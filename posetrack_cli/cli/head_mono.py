@@ -21,12 +21,11 @@ from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.head.model_file import Learned
     from posetrack_cli.head.mono_config import HeadMonoConfig
-    from posetrack_cli.head.protocol import HeadTracker
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
+    from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 OWN_CONFIGURED = {"adjust": "adjustment.when", "face_model": "model.file"}
 
@@ -137,7 +136,7 @@ def _run(
     file = None if config.model.file is None else Path(config.model.file)
     clicked = None if options.init is None else Path(options.init)
 
-    def make_tracker(known: Learned | None) -> HeadTracker[Any]:
+    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         return make_mono_tracker(config, camera, known, face=face - 1, clicked=clicked)
 
     return HeadRun(

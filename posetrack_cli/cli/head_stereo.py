@@ -21,11 +21,10 @@ from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadStereoConfig
-    from posetrack_cli.head.model_file import Learned
-    from posetrack_cli.head.protocol import HeadTracker
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
+    from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
 @click.command("stereo", short_help="Track a head in the images of calibrated cameras.")
@@ -81,7 +80,7 @@ def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, f
     from posetrack_cli.head.stereo_tracker import make_stereo_tracker
     from posetrack_cli.head.subject import head_subject
 
-    def make_tracker(known: Learned | None) -> HeadTracker[Any]:
+    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if options.init is None:
             return make_stereo_tracker(config, source.cameras, known)
         return ClickedTracker(config, source.cameras, Path(options.init), known)

@@ -84,14 +84,14 @@ class HandRun(Run):
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
         self._start_pose = _given_pose(options)
         renderer = str(device.info)
-        self._record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
+        self.cameras = (self._camera,)
+        triangles = None if self._mesh is None else self._mesh.triangles
+        self.subject = Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
+        self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
 
-    def _subject(self) -> Subject:
-        triangles = None if self._mesh is None else self._mesh.triangles
-        return Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
-
-    def _started(self, frame: Frame, rng: np.random.Generator) -> Any:
+    def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
+        """Return the state at the pose that is given, or as the configuration says."""
         if self._start_pose is not None:
             return self.tracker.start(self._start_pose, frame.stamp_ns, rng)
         init = self._config.init
@@ -100,7 +100,8 @@ class HandRun(Run):
             return self.tracker.start_unknown(pose, frame, rng)
         return self.tracker.start(pose, frame.stamp_ns, rng)
 
-    def _vertices(self, estimate: Estimate) -> FloatArray | None:
+    def vertices(self, estimate: Estimate) -> FloatArray | None:
+        """Return the skin of an estimate; None if none is written."""
         if self._mesh is None:
             return None
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
@@ -109,7 +110,8 @@ class HandRun(Run):
         return vertices
 
     @contextmanager
-    def _memory(self, writer: ResultWriter) -> Iterator[_Smoothing | None]:
+    def open_memory(self, writer: ResultWriter) -> Iterator[_Smoothing | None]:
+        """Open what will be smoothed; None if nothing is."""
         if not self._options.smooth:
             yield None
             return
@@ -124,11 +126,13 @@ class HandRun(Run):
         with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
             yield _Smoothing(self, track, fits)
 
-    def _noted(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame) -> None:
+        """Remember frames without any reading."""
         if not frame.depth.any():
             self._blank.append(frame.index)
 
-    def _losses(self) -> tuple[Loss, ...]:
+    def losses(self) -> tuple[Loss, ...]:
+        """Return what could not be read, and frames without any reading."""
         blank = self._blank
         where = f"frame {blank[0]}" if blank else ""
         return self._recording.losses + (
@@ -151,7 +155,7 @@ class _Smoothing:
 
     def finish(self, writer: ResultWriter) -> None:
         for estimate in self._track.backward():
-            writer.write_smoothed(estimate, self._run._vertices(estimate))
+            writer.write_smoothed(estimate, self._run.vertices(estimate))
         self._track.delete()
 
 

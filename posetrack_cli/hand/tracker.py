@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field, fields, replace
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -33,7 +32,8 @@ from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, pose
 from posetrack_cli.hand.watch import Watch
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.results.layouts import STAMPS_NS, Layout, check_arrays, check_numbers, floats
+from posetrack_cli.results.layouts import STAMPS_NS, floats
+from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
 
 FilterState: TypeAlias = ParticleState | MarginalState
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
@@ -120,6 +120,7 @@ class HandTracker:
         self._space = HandSpace()
         self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self.dynamics = dynamics(config)
+        self.codec = state_codec(config)
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> HandState:
         """Return the prior about a pose (22,): one usual frame before the first frame's stamp."""
@@ -275,21 +276,6 @@ class HandTracker:
         pose: FloatArray = inside_limits(moved)[0]
         return pose
 
-    def state_parts(self, state: HandState) -> tuple[dict[str, FloatArray], dict[str, int]]:
-        """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        numbers = {"stamp_ns": state.stamp_ns, "unseen_ns": state.unseen_ns}
-        return state_arrays(state), numbers
-
-    def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> HandState:
-        """Put a state together from what ``state_parts`` made of it.
-
-        Raises:
-            LayoutError: they are of no state of this tracker.
-        """
-        check_arrays(arrays, state_layouts(self.config))
-        check_numbers(numbers, {"stamp_ns": STAMPS_NS, "unseen_ns": (0, STAMPS_NS[1])})
-        return state_from_arrays(arrays, numbers["stamp_ns"], numbers["unseen_ns"])
-
     def _log_likelihood(self, observation: Observation | None) -> _Counted | None:
         """None where there is nothing to compare with: the filter then only predicts."""
         if observation is None:
@@ -382,41 +368,33 @@ def dynamics(config: HandConfig) -> Dynamics:
     )
 
 
-def state_arrays(state: HandState) -> dict[str, FloatArray]:
-    """The arrays of a state, for a checkpoint."""
-    arrays = {"pose": state.pose, "velocity": state.velocity, "particles_poses": state.particles.poses}
-    arrays["particles_log_weights"] = state.particles.log_weights
-    arrays["watch"] = np.array(astuple(state.watch), dtype=np.float64)
-    if isinstance(state.particles, MarginalState):
-        arrays["particles_velocities"] = state.particles.velocities
-        arrays["particles_velocity_variance"] = state.particles.velocity_variance
-    return arrays
-
-
-def state_layouts(config: HandConfig) -> dict[str, Layout]:
-    """What the arrays of a state must be."""
+def state_codec(config: HandConfig) -> Codec[HandState]:
+    """Return how the tracker's states are kept; local fits and what was seen of a frame are not."""
     count = config.filter.particles
-    layouts = {
-        "pose": pose_layout(),
-        "velocity": floats(TANGENT_SIZE),
-        "particles_poses": pose_layout(count),
-        "particles_log_weights": floats(count, least=-np.inf),
-        "watch": floats(len(fields(Watch)), least=0.0),
+    weighted: dict[str, Codec[FloatArray]] = {
+        "poses": Value(pose_layout(count)),
+        "log_weights": Value(floats(count, least=-np.inf)),
     }
+    particles: Codec[Any] = Fields(ParticleState, **weighted)
     if config.filter.kind == "rbpf":
-        layouts["particles_velocities"] = floats(count, TANGENT_SIZE)
-        layouts["particles_velocity_variance"] = floats(TANGENT_SIZE, least=0.0)
-    return layouts
-
-
-def state_from_arrays(arrays: Mapping[str, FloatArray], stamp_ns: int, unseen_ns: int) -> HandState:
-    """The state that ``state_arrays`` took apart, with the numbers that are no arrays."""
-    poses, log_weights = arrays["particles_poses"], arrays["particles_log_weights"]
-    particles: FilterState = ParticleState(poses, log_weights)
-    if "particles_velocities" in arrays:
-        particles = MarginalState(
-            poses, arrays["particles_velocities"], arrays["particles_velocity_variance"], log_weights
-        )
-    kinds = (bool, bool, int, float, int, int)
-    watch = Watch(*(kind(value) for kind, value in zip(kinds, arrays["watch"], strict=True)))
-    return HandState(particles, stamp_ns, arrays["pose"], arrays["velocity"], watch, unseen_ns)
+        weighted["velocities"] = Value(floats(count, TANGENT_SIZE))
+        weighted["velocity_variance"] = Value(floats(TANGENT_SIZE, least=0.0))
+        particles = Fields(MarginalState, **weighted)
+    watch = Fields(
+        Watch,
+        lost=flag(),
+        found=flag(),
+        misses=whole(),
+        usual_mm=real(floats(least=0.0)),
+        wait=whole(),
+        pause=whole(),
+    )
+    return Fields(
+        HandState,
+        particles=particles,
+        stamp_ns=stamp(),
+        pose=Value(pose_layout()),
+        velocity=Value(floats(TANGENT_SIZE)),
+        watch=watch,
+        unseen_ns=whole((0, STAMPS_NS[1])),
+    )

@@ -12,13 +12,13 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.following import Images
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.start.clicked import read_clicked
 from posetrack_cli.head.start.from_clicked import start_from_clicked
 from posetrack_cli.head.start.start import NoStart, Start, find_start
 from posetrack_cli.head.stereo_state import StereoState
 from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 
 class ClickedTracker(StereoTracker):
@@ -32,7 +32,7 @@ class ClickedTracker(StereoTracker):
 
     Raises:
         UsageError: no such table, or a face detector without its model.
-        PosetrackError: points that cannot be used. From ``step``, NoFaceError: they are not those of a face.
+        PosetrackError: points that cannot be used. From ``step``, NothingFoundError: they are no face's.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class ClickedTracker(StereoTracker):
         found = start_from_clicked(images, self._cameras, self._clicked, settings)
         if isinstance(found, Start):
             return found
-        raise NoFaceError(
+        raise NothingFoundError(
             "clicked points begin no head",
             where=self._path,
             found=found.reason,

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import whole_or_nothing
-
-Learned: TypeAlias = dict[str, np.ndarray[Any, Any]]
+from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
 ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"
@@ -119,3 +118,8 @@ def _bytes(path: Path) -> bytes:
     from posetrack_cli.results.reader import read_result
 
     return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else read_input(path, limits.MODEL_BYTES)
+
+
+def unusable(found: object, expected: str) -> ResultError:
+    """Return the error that says what of learned arrays is not as it must be."""
+    return ResultError("model is incomplete or damaged", found=found, expected=expected)

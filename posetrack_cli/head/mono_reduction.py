@@ -19,10 +19,11 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.mono_start.detected import eye_distance_px
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.mono_tracker import MonoTracker
-from posetrack_cli.head.person_arrays import unusable_people
+from posetrack_cli.head.person_codec import unusable_people
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.results.layouts import check_arrays, floats
+from posetrack_cli.results.layouts import floats
+from posetrack_cli.tracking.state_codec import Codec, Fields, Value
 
 LEAST_REDUCTION = 0.8
 """Images that would become hardly smaller stay as they are."""
@@ -72,6 +73,17 @@ class ReducingTracker:
         self._known, self._first_scale = known or None, _known_scale(known, camera)
         self._at(self._first_scale or _WHOLE)  # refuses what cannot be used before the first frame
 
+    @property
+    def codec(self) -> Codec[ReducedState]:
+        """How states are kept; that of the inner one does not depend on the scale."""
+        known = floats(least=_LEAST_SCALE, most=_WHOLE, missing=True)
+        scale = Value(known, lambda stored: None if np.isnan(stored) else float(stored))
+        return Fields(
+            ReducedState,
+            scale=(lambda state: np.nan if state.scale is None else state.scale, scale),
+            inner=self._at(_WHOLE).codec,
+        )
+
     def start(self, frame: Frame, rng: np.random.Generator) -> ReducedState:
         """Return the state before a first frame, in which the head has yet to be found."""
         scale = self._first_scale
@@ -120,24 +132,6 @@ class ReducingTracker:
     def remarks(self, state: ReducedState) -> tuple[str, ...]:
         """Say what a user should know about a finished run beside its numbers."""
         return self._of(state).remarks(state.inner)
-
-    def state_parts(self, state: ReducedState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
-        """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        arrays, numbers = self._of(state).state_parts(state.inner)
-        return arrays | {"scale": np.array(np.nan if state.scale is None else state.scale)}, numbers
-
-    def state_from_parts(
-        self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
-    ) -> ReducedState:
-        """Put a state together from what ``state_parts`` made of it.
-
-        Raises:
-            LayoutError: they are of no state of this tracker.
-        """
-        check_arrays(arrays, {"scale": floats(least=_LEAST_SCALE, most=_WHOLE, missing=True)})
-        stored = float(arrays["scale"])
-        scale = None if np.isnan(stored) else stored
-        return ReducedState(scale, self._at(scale or _WHOLE).state_from_parts(arrays, numbers))
 
     def _of(self, state: ReducedState) -> MonoTracker:
         """The tracker of a state's scale; of whole images before a face is first found."""

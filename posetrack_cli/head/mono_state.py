@@ -1,8 +1,7 @@
-"""A one-camera tracker's state, also as arrays and whole numbers: for checkpoints and second passes."""
+"""A one-camera tracker's state, and how it becomes arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,43 +11,16 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.cuts import HEIGHT, WIDTH
 from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.following import Following
-from posetrack_cli.head.learned_arrays import template_layouts
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.mono_start.detected import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson
-from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_layouts, people_of, people_parts
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.person_codec import people_codec
 from posetrack_cli.head.start.search import Search
-from posetrack_cli.head.state_arrays import (
-    Arrays,
-    Numbers,
-    following_layouts,
-    following_of,
-    following_parts,
-    is_following,
-    search_layouts,
-    search_of,
-    search_parts,
-    template_parts,
-    templates_of,
-)
+from posetrack_cli.head.state_codecs import POSE, following_codec, search_codec, template_codec
 from posetrack_cli.head.templates import TemplateSet
-from posetrack_cli.results.layouts import (
-    COUNTS,
-    FLAGS,
-    STAMPS_NS,
-    Layout,
-    Range,
-    check_arrays,
-    check_numbers,
-    counts,
-    floats,
-    group,
-    places,
-    stamps,
-    units,
-)
+from posetrack_cli.results.layouts import LayoutError, counts, floats, places
+from posetrack_cli.tracking.state_codec import Codec, Fields, Maybe, Stacked, Value, flag, stamp, whole
 
 _LEAST_EYES_PX = 1e-3
 
@@ -144,121 +116,57 @@ class MonoState:
         return replace(self, detected=(), reference=None)
 
 
-def parts_of(state: MonoState) -> tuple[Arrays, Numbers]:
-    """Take a state apart."""
-    arrays: Arrays = search_parts(state.search) | people_parts(state.people)
-    arrays["changes"] = np.array(state.changes, dtype=np.int64).reshape(-1, 2)
-    arrays |= _detected_parts("detected", state.detected)
-    arrays |= _detected_parts("clicked", () if state.clicked is None else (state.clicked,))
-    numbers: Numbers = {"lost": state.lost, "strange": state.strange, "current": state.current}
-    numbers |= {"checked_ns": state.checked_ns, "cut": int(state.cut)}
-    arrays["scene"] = np.zeros(0) if state.scene is None else state.scene
-    if state.reference is not None:
-        arrays |= template_parts("reference", [state.reference])
-    if state.following is not None:
-        numbers["stamp_ns"] = state.following.stamp_ns
-        arrays |= following_parts(state.following)
-    return arrays, numbers
-
-
-def state_of(
-    arrays: Mapping[str, np.ndarray[Any, Any]],
-    numbers: Mapping[str, int],
-    model: FaceModel,
-    settings: AdjustmentSettings,
-) -> MonoState:
-    """Put a state together from what ``parts_of`` made of it.
-
-    Raises:
-        LayoutError: they are of no state of a tracker with this face model.
-    """
-    check_arrays(arrays, _layouts(arrays, model))
-    followed = is_following(arrays)
-    check_numbers(numbers, _ranges(int(arrays[PEOPLE]) if PEOPLE in arrays else 0, followed))
-    clicked = _detected_of(arrays, "clicked")
-    return MonoState(
-        people_of(arrays, model, settings),
-        numbers["current"],
-        following_of(arrays, numbers["stamp_ns"]) if followed else None,
-        numbers["lost"],
-        numbers["strange"],
-        _detected_of(arrays, "detected"),
-        templates_of(arrays, "reference")[0] if "reference.seen" in arrays else None,
-        clicked[0] if clicked else None,
-        search_of(arrays),
-        numbers["checked_ns"],
-        arrays["scene"] if arrays["scene"].size else None,
-        bool(numbers["cut"]),
-        tuple((int(frame), int(who)) for frame, who in arrays["changes"]),
+def state_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[MonoState]:
+    """Return how the states of a tracker with a face model are kept."""
+    detected: Codec[DetectedFace] = Fields(
+        _detected_face,
+        stamps=("stamp_ns", stamp()),
+        pixels=Value(places(POINT_COUNT, 2)),
+        responses=Value(floats(POINT_COUNT)),
+        single=(
+            lambda face: [face.score, face.eye_distance, face.misfit],
+            Value(floats(3, least=(0.0, _LEAST_EYES_PX, 0.0))),
+        ),
+        pose=POSE,
+    )
+    changes = Value(
+        counts("changes?", 2), lambda array: tuple((int(frame), int(who)) for frame, who in array)
+    )
+    return Fields(
+        _state,
+        people=people_codec(model, settings),
+        current=whole(),
+        following=Maybe(following_codec(1)),
+        lost=whole(),
+        strange=whole(),
+        detected=Stacked(detected, "detected"),
+        reference=Maybe(template_codec(1)),
+        clicked=Maybe(detected),
+        search=search_codec(1),
+        checked_ns=stamp(),
+        scene=(_pixels, Value(floats("scene?"), lambda pixels: pixels if pixels.size else None)),
+        cut=flag(),
+        changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
     )
 
 
-def _layouts(arrays: Mapping[str, np.ndarray[Any, Any]], model: FaceModel) -> dict[str, Layout]:
-    """What the arrays of a state must be; frames with a face have their templates."""
-    detected = group("detected", _detected_layouts("detected"), arrays)
-    referred = detected or any(name.startswith("reference.") for name in arrays)
-    return {
-        "changes": counts("changes?", 2),
-        **search_layouts(1),
-        **people_layouts(arrays, model),
-        **detected,
-        **(template_layouts("reference", 1, 1) if referred else {}),
-        **group("clicked", _detected_layouts(1), arrays),
-        "scene": floats(WIDTH * HEIGHT if "scene" in arrays and arrays["scene"].size else 0),
-        **following_layouts(arrays, 1),
-    }
+def _state(**parts: Any) -> MonoState:
+    """Only people who are known are followed, and frames with a face have their templates."""
+    state = MonoState(**parts)
+    if state.current > max(len(state.people) - 1, 0) or (state.following is not None and not state.people):
+        raise LayoutError(f"'current' as {state.current}, of {len(state.people)} people")
+    if len(_pixels(state)) not in (0, WIDTH * HEIGHT):
+        raise LayoutError(f"'scene' of {len(_pixels(state))} pixels, not {WIDTH * HEIGHT}")
+    if state.detected and state.reference is None:
+        raise LayoutError("no array 'reference.windows'")
+    return state
 
 
-def _detected_layouts(length: int | str) -> dict[str, Layout]:
-    """What the arrays of faces that were detected must be; no distance between eyes is 0."""
-    return {
-        "stamps": stamps(length),
-        "pixels": places(length, POINT_COUNT, 2),
-        "responses": floats(length, POINT_COUNT),
-        "single": floats(length, 3, least=(0.0, _LEAST_EYES_PX, 0.0)),
-        "positions": floats(length, 3),
-        "quaternions": units(length, 4),
-    }
+def _pixels(state: MonoState) -> FloatArray:
+    """The thumbnail of the last frame, without pixels before the first."""
+    return np.zeros(0) if state.scene is None else state.scene
 
 
-def _ranges(people: int, followed: bool) -> dict[str, Range]:
-    """Of a state's whole numbers, given how many people it knows and whether one is followed."""
-    ranges = {"lost": COUNTS, "strange": COUNTS, "current": (0, max(people - 1, 0))}
-    ranges |= {"checked_ns": STAMPS_NS, "cut": FLAGS}
-    return ranges | ({"stamp_ns": STAMPS_NS} if followed else {})
-
-
-def known_state(
-    learned: Mapping[str, np.ndarray[Any, Any]], model: FaceModel, settings: AdjustmentSettings
-) -> MonoState:
-    """Return the state that begins with people whom another tracker has learned.
-
-    Raises:
-        ResultError: arrays are missing, or not what a one-camera tracker with this face model learns.
-    """
-    check_people(learned, model)
-    return MonoState(people_of(learned, model, settings))
-
-
-def _detected_parts(prefix: str, faces: Sequence[DetectedFace]) -> Arrays:
-    if not faces:
-        return {}
-    return {
-        f"{prefix}.stamps": np.array([face.stamp_ns for face in faces]),
-        f"{prefix}.pixels": np.stack([face.pixels for face in faces]),
-        f"{prefix}.responses": np.stack([face.responses for face in faces]),
-        f"{prefix}.single": np.array([(face.score, face.eye_distance, face.misfit) for face in faces]),
-        f"{prefix}.positions": np.stack([face.pose.position for face in faces]),
-        f"{prefix}.quaternions": np.stack([face.pose.quaternion for face in faces]),
-    }
-
-
-def _detected_of(arrays: Mapping[str, np.ndarray[Any, Any]], prefix: str) -> tuple[DetectedFace, ...]:
-    names = ("stamps", "pixels", "responses", "single", "positions", "quaternions")
-    columns = [arrays.get(f"{prefix}.{name}", ()) for name in names]
-    return tuple(
-        DetectedFace(int(stamp), pixels, responses, score, distance, HeadPose(position, quaternion), misfit)
-        for stamp, pixels, responses, (score, distance, misfit), position, quaternion in zip(
-            *columns, strict=True
-        )
-    )
+def _detected_face(stamps: int, single: np.ndarray[Any, Any], **parts: Any) -> DetectedFace:
+    score, eye_distance, misfit = (float(value) for value in single)
+    return DetectedFace(stamp_ns=stamps, score=score, eye_distance=eye_distance, misfit=misfit, **parts)

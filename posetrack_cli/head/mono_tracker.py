@@ -19,16 +19,16 @@ from posetrack_cli.head.mono_estimates import MonoEstimates
 from posetrack_cli.head.mono_finder import MonoFinder
 from posetrack_cli.head.mono_start.detected import DetectedFace, clicked_face
 from posetrack_cli.head.mono_start.start import MonoStart
-from posetrack_cli.head.mono_state import MonoState, known_state, parts_of, state_of
+from posetrack_cli.head.mono_state import MonoState, state_codec
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.person import KnownPerson, new_person
-from posetrack_cli.head.person_arrays import people_parts
+from posetrack_cli.head.person_codec import known_people, people_codec
 from posetrack_cli.head.person_following import PersonFollower
 from posetrack_cli.head.projection import project
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.start.start import NoStart
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 STRANGER_FRAMES = 10
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
@@ -45,7 +45,7 @@ FORGOTTEN_S = 1.0
 
 
 class MonoTracker:
-    """Follows one head in the images of one camera; a ``HeadTracker``.
+    """Follows one head in the images of one camera; a ``LearningTracker``.
 
     Args:
         config: parameters.
@@ -78,7 +78,9 @@ class MonoTracker:
         self._finder = MonoFinder(config, camera, model, choice)
         self._follower = PersonFollower(config, camera, model)
         self._estimates = MonoEstimates(model, scale)
-        self._known = MonoState() if known is None else known_state(known, model, config.adjustment)
+        self.codec = state_codec(model, config.adjustment)
+        people = () if known is None else known_people(known, model, config.adjustment)
+        self._known = MonoState(people)
 
     def start(self, frame: Frame, rng: np.random.Generator) -> MonoState:
         """Return the state before a first frame, in which the head has yet to be found."""
@@ -103,7 +105,8 @@ class MonoTracker:
     def learned(self, state: MonoState) -> dict[str, np.ndarray[Any, Any]]:
         """Return what was learned of the people seen, as arrays by name: identities, offsets, templates."""
         settings = self._config.adjustment
-        return people_parts([one.over_all(self._model, self._camera, settings) for one in state.people])
+        people = tuple(one.over_all(self._model, self._camera, settings) for one in state.people)
+        return people_codec(self._model, settings).to_arrays(people)
 
     def not_found(self, state: MonoState) -> str:
         """Say how a head was looked for that was found in no frame yet; empty once it was found."""
@@ -117,16 +120,6 @@ class MonoTracker:
         settings = self._config.adjustment
         doubt = focal_doubt(state.person, self._model, self._camera, self._scale, settings)
         return (*people, *doubt)
-
-    def state_parts(self, state: MonoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
-        """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        return parts_of(state)
-
-    def state_from_parts(
-        self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
-    ) -> MonoState:
-        """Put a state together from what ``state_parts`` made of it."""
-        return state_of(arrays, numbers, self._model, self._config.adjustment)
 
     # A head that is followed
 
@@ -261,7 +254,7 @@ class MonoTracker:
         """Begin at once, from points that a person clicked."""
         start = self._finder.begin(detected)
         if isinstance(start, NoStart):
-            raise NoFaceError(
+            raise NothingFoundError(
                 "clicked points begin no head",
                 where=self._clicked_where,
                 found=start.reason,

@@ -1,34 +1,22 @@
-"""A stereo tracker's state as arrays and whole numbers, for checkpoints, model files and second passes."""
+"""A stereo tracker's state, and what of it another tracker can begin with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from posetrack_cli.head.ccipca import Ccipca
 from posetrack_cli.head.config import ModelSettings
+from posetrack_cli.head.face import POINT_COUNT
 from posetrack_cli.head.following import Following
-from posetrack_cli.head.learned_arrays import check_learned, face_layouts, template_layouts
 from posetrack_cli.head.learning import FaceLearning, known_face
+from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.start.search import Search
-from posetrack_cli.head.state_arrays import (
-    Arrays,
-    Numbers,
-    following_layouts,
-    following_of,
-    following_parts,
-    is_following,
-    search_layouts,
-    search_of,
-    search_parts,
-    template_parts,
-    templates_of,
-)
+from posetrack_cli.head.state_codecs import following_codec, search_codec, template_codec
 from posetrack_cli.head.templates import TemplateSet
-from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, Layout, check_arrays, check_numbers
+from posetrack_cli.results.layouts import Arrays, LayoutError, counts, floats
+from posetrack_cli.tracking.state_codec import Array, Codec, Fields, Maybe, Stacked, Value, real, whole
+from posetrack_cli.tracking.two_pass import Learned
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,66 +38,57 @@ class StereoState:
     search: Search = field(default_factory=Search)
 
 
-def parts_of(state: StereoState) -> tuple[Arrays, Numbers]:
-    """Take a state apart."""
-    arrays: Arrays = search_parts(state.search)
-    numbers: Numbers = {"lost": state.lost}
-    if state.face is not None:
-        statistics = state.face.statistics
-        arrays |= {
-            "face.mean": statistics.mean,
-            "face.components": statistics.components,
-            "face.variance": np.array(statistics.variance),
-            "face.counts": np.array([statistics.count, statistics.learnt, state.face.frames]),
-        } | template_parts("sets", state.sets)
-    if state.following is not None:
-        numbers["stamp_ns"] = state.following.stamp_ns
-        arrays |= following_parts(state.following)
-    return arrays, numbers
+class StereoCodecs:
+    """How a stereo tracker's states and what they have learned become arrays.
 
-
-def state_of(
-    arrays: Mapping[str, np.ndarray[Any, Any]],
-    numbers: Mapping[str, int],
-    cameras: int,
-    settings: ModelSettings,
-) -> StereoState:
-    """Put a state together from what ``parts_of`` made of it.
-
-    Raises:
-        LayoutError: they are of no state of a tracker with so many cameras.
+    Args:
+        cameras: how many there are.
+        settings: of the face's model.
     """
-    check_arrays(arrays, _layouts(arrays, cameras))
-    followed = is_following(arrays)
-    check_numbers(numbers, {"lost": COUNTS} | ({"stamp_ns": STAMPS_NS} if followed else {}))
-    face = _face_of(arrays, settings) if "face.mean" in arrays else None
-    sets = templates_of(arrays, "sets") if face is not None else ()
-    following = following_of(arrays, numbers["stamp_ns"]) if followed else None
-    return StereoState(face, sets, following, numbers["lost"], search_of(arrays))
+
+    def __init__(self, cameras: int, settings: ModelSettings) -> None:
+        face, sets = _face_codec(settings), Stacked(template_codec(cameras), "sets")
+        needed = Stacked(template_codec(cameras), "sets", least=1)
+        self._known: Codec[StereoState] = Fields(StereoState, face=face, sets=needed)
+        learned: dict[str, Codec[Any]] = {"search": search_codec(cameras), "face": Maybe(face), "sets": sets}
+        self._learned: Codec[StereoState] = Fields(StereoState, **learned)
+        following = Maybe(following_codec(cameras))
+        self.state: Codec[StereoState] = Fields(_state, **learned, following=following, lost=whole())
+
+    def learned(self, state: StereoState) -> Learned:
+        """Return what was learned, as model files have it: face, templates, and how it was searched for."""
+        return self._learned.to_arrays(state)
+
+    def known(self, learned: Arrays) -> StereoState:
+        """Return the state that begins with a face and templates that another tracker has learned.
+
+        Raises:
+            ResultError: arrays are missing, or not what a stereo tracker with so many cameras learns.
+        """
+        try:
+            return self._known.from_arrays(learned)
+        except LayoutError as error:
+            raise unusable(error, "what --save-model wrote of a stereo run") from error
 
 
-def known_state(
-    learned: Mapping[str, np.ndarray[Any, Any]], cameras: int, settings: ModelSettings
-) -> StereoState:
-    """Return the state that begins with a face and templates that another tracker has learned.
-
-    Raises:
-        ResultError: arrays are missing, or not what a stereo tracker with so many cameras learns.
-    """
-    check_learned(learned, cameras)
-    return StereoState(_face_of(learned, settings), templates_of(learned, "sets"))
+def _state(**parts: Any) -> StereoState:
+    """A head is only followed once its face is known, and a face is known with its templates."""
+    state = StereoState(**parts)
+    known = (state.face is not None, bool(state.sets))
+    if known != (True, True) and (any(known) or state.following is not None):
+        raise LayoutError("a head that is followed, without its face or its templates")
+    return state
 
 
-def _layouts(arrays: Mapping[str, np.ndarray[Any, Any]], cameras: int) -> dict[str, Layout]:
-    """What the arrays of a state must be; a head is only followed once its face is known."""
-    following = following_layouts(arrays, cameras)
-    found = following or any(name.startswith(("face.", "sets.")) for name in arrays)
-    face = face_layouts() | template_layouts("sets", cameras) if found else {}
-    return search_layouts(cameras) | face | following
+def _face_codec(settings: ModelSettings) -> Codec[FaceLearning]:
+    def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
+        count, learnt, frames = (int(value) for value in counts)
+        return known_face(Ccipca(mean, components, variance, count, learnt), frames, settings)
 
-
-def _face_of(arrays: Mapping[str, np.ndarray[Any, Any]], settings: ModelSettings) -> FaceLearning:
-    count, learnt, frames = (int(value) for value in arrays["face.counts"])
-    variance = float(arrays["face.variance"])
-    statistics = Ccipca(arrays["face.mean"], arrays["face.components"], variance, count, learnt)
-    return known_face(statistics, frames, settings)
+    return Fields(
+        face,
+        mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
+        components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
+        variance=("statistics.variance", real(floats(least=0.0))),
+        counts=(lambda one: [one.statistics.count, one.statistics.learnt, one.frames], Value(counts(3))),
+    )

@@ -19,15 +19,16 @@ from posetrack_cli.head.keyframes import is_new
 from posetrack_cli.head.learning import FaceLearning, new_face
 from posetrack_cli.head.motion import FRAME_S
 from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.refinement.settling import settle
 from posetrack_cli.head.start.start import NoStart, Start, find_start
 from posetrack_cli.head.stereo_estimates import searched, tracked
-from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of, state_of
+from posetrack_cli.head.stereo_state import StereoCodecs, StereoState
 from posetrack_cli.head.templates import TemplateSet, take_templates
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 
 class FindStart(Protocol):
@@ -38,7 +39,7 @@ class FindStart(Protocol):
 
 
 class StereoTracker:
-    """Follows one head in the images of calibrated cameras; a ``HeadTracker``.
+    """Follows one head in the images of calibrated cameras; a ``LearningTracker``.
 
     Args:
         config: parameters.
@@ -60,7 +61,13 @@ class StereoTracker:
         self._config, self._cameras, self._find_start = config, tuple(cameras), find_start
         self._follower = Follower(config.particles, config.refinement, self._cameras)
         self._steadiness = point_values(config.model.expression_mm) ** -2
-        self._known = StereoState() if known is None else known_state(known, len(self._cameras), config.model)
+        self._codecs = StereoCodecs(len(self._cameras), config.model)
+        self._known = StereoState() if known is None else self._codecs.known(known)
+
+    @property
+    def codec(self) -> Codec[StereoState]:
+        """How states are kept."""
+        return self._codecs.state
 
     def start(self, frame: Frame, rng: np.random.Generator) -> StereoState:
         """Return the state before a first frame, in which the head has yet to be found."""
@@ -82,7 +89,7 @@ class StereoTracker:
 
     def learned(self, state: StereoState) -> dict[str, np.ndarray[Any, Any]]:
         """Return what was learned of the face, shape model and templates, as arrays by name."""
-        return parts_of(replace(state, following=None))[0] if state.face is not None else {}
+        return self._codecs.learned(state) if state.face is not None else {}
 
     def not_found(self, state: StereoState) -> str:
         """Say how a head was looked for that was found in no frame yet; empty once it was found."""
@@ -93,16 +100,6 @@ class StereoTracker:
     def remarks(self, state: StereoState) -> tuple[str, ...]:
         """Say nothing: what a stereo run finds is in its numbers."""
         return ()
-
-    def state_parts(self, state: StereoState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
-        """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        return parts_of(state)
-
-    def state_from_parts(
-        self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
-    ) -> StereoState:
-        """Put a state together from what ``state_parts`` made of it."""
-        return state_of(arrays, numbers, len(self._cameras), self._config.model)
 
     def _followed(
         self, state: StereoState, following: Following, frame: Frame, rng: np.random.Generator
@@ -172,7 +169,7 @@ class StereoTracker:
         search = state.search.failed(failure)
         if search.images_exchanged:
             names = [camera.name for camera in self._cameras]
-            raise NoFaceError(
+            raise NothingFoundError(
                 "the cameras' images seem to be exchanged",
                 found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
                 + ", ".join(names[c] for c in search.order),

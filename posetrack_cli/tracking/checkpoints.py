@@ -2,41 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.layouts import FLAGS, LayoutError, check_numbers
+from posetrack_cli.tracking.loop import RunState
 from posetrack_cli.tracking.protocol import Tracker
 
 _BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)
 
 
-class Reached(NamedTuple):
-    """How far a run has come.
-
-    Attributes:
-        state: the tracker's, None before its first frame.
-        rng: the random generator.
-        frame_index: of the last frame tracked, -1 before the first.
-    """
-
-    state: Any
-    rng: np.random.Generator
-    frame_index: int = -1
-
-
-def checkpoint_of(tracker: Tracker[Any], reached: Reached, frames: int) -> Checkpoint:
+def checkpoint_of(tracker: Tracker[Any], run_state: RunState, frames: int) -> Checkpoint:
     """Return the checkpoint after a frame, of which ``frames`` are written."""
-    record: dict[str, Any] = {"rng": reached.rng.bit_generator.state}
-    if reached.state is None:
-        return Checkpoint(reached.frame_index, frames, {}, record)
-    arrays, numbers = tracker.state_parts(reached.state)
-    return Checkpoint(reached.frame_index, frames, arrays, record | {"numbers": numbers})
+    record: dict[str, Any] = {"rng": run_state.rng.bit_generator.state}
+    if run_state.state is None:
+        return Checkpoint(run_state.frame_index, frames, {}, record)
+    return Checkpoint(run_state.frame_index, frames, tracker.codec.to_arrays(run_state.state), record)
 
 
-def reached_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> Reached:
+def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> RunState:
     """Return where a checkpoint was saved; the generator given is set to where it was.
 
     Raises:
@@ -45,8 +31,8 @@ def reached_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Gen
     record, index = checkpoint.state, checkpoint.frame_index
     _set_state(rng, record.get("rng"))
     if index < 0:
-        return Reached(None, rng, index)
-    return Reached(tracker.state_from_parts(checkpoint.arrays, record.get("numbers", {})), rng, index)
+        return RunState(None, rng, index)
+    return RunState(tracker.codec.from_arrays(checkpoint.arrays), rng, index)
 
 
 def _set_state(rng: np.random.Generator, state: Any) -> None:

@@ -21,7 +21,8 @@ from posetrack_cli.recording.timeline import StampCheck
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
-from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
+from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
+from posetrack_cli.tracking.loop import RunState, Step, track_frames
 from posetrack_cli.tracking.options import RunOptions, RunOutcome, frames_ahead, nothing_to_track
 from posetrack_cli.tracking.protocol import Tracker
 from posetrack_cli.tracking.truth import truth_carrier
@@ -44,7 +45,7 @@ class FrameMemory(Protocol):
 
 
 class Run(ABC):
-    """One run of a tracker over a recording; what is a hand's or a head's own is added by a subclass.
+    """One run of a tracker over a recording; a subclass adds what is a hand's or a head's own.
 
     Args:
         recording: frames.
@@ -53,11 +54,18 @@ class Run(ABC):
 
     Raises:
         UsageError: no frame to track; no file is made that would have to be overwritten.
+
+    Attributes:
+        tracker: of the pass at hand; set by the subclass.
+        subject: what is tracked; set by the subclass.
+        record: the run record; set by the subclass.
+        cameras: that the result states, the one that estimates are relative to first.
     """
 
     tracker: Tracker[Any]
-    _record: Mapping[str, str]
-    """The run record; set by the subclass."""
+    subject: Subject
+    record: Mapping[str, str]
+    cameras: tuple[Camera, ...]
 
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
@@ -65,6 +73,7 @@ class Run(ABC):
         self._stamps = StampCheck()
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
+        self.cameras = recording.cameras
 
     def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
         """Track every frame.
@@ -84,117 +93,115 @@ class Run(ABC):
                 raise nothing_to_track(self._recording)
             return self._track(chain((first,), frames), began, report, stopped)
 
-    # What a subclass says of its subject
+    # What a subclass says
 
     @abstractmethod
-    def _subject(self) -> Subject:
-        """What is tracked."""
+    def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
+        """Return the tracker's state before the first frame."""
 
-    @abstractmethod
-    def _started(self, frame: Frame, rng: np.random.Generator) -> Any:
-        """The tracker's state before the first frame."""
-
-    def _cameras(self) -> tuple[Camera, ...]:
-        """The cameras that the result states, the one that estimates are relative to first."""
-        return self._recording.cameras[:1]
-
-    @abstractmethod
-    def _noted(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame) -> None:  # noqa: B027 - most subjects need not look
         """Look at every frame that is read, also at those that were tracked before an interruption."""
 
-    def _vertices(self, estimate: Estimate) -> FloatArray | None:
-        """The mesh (V, 3) to draw of an estimate, mm, camera axes; None for none."""
+    def vertices(self, estimate: Estimate) -> FloatArray | None:
+        """Return the mesh (V, 3) to draw of an estimate, mm, camera axes; None for none."""
         return None
 
-    def _memory(self, writer: ResultWriter) -> AbstractContextManager[FrameMemory | None]:
-        """What is kept of every frame; None where nothing is."""
+    def open_memory(self, writer: ResultWriter) -> AbstractContextManager[FrameMemory | None]:
+        """Open what is kept of every frame; None where nothing is."""
         return nullcontext()
 
-    def _reached(self, checkpoint: Checkpoint) -> Reached:
-        """Where a run was interrupted; LayoutError or ResultError if its tracker says nothing of it."""
-        return reached_at(self.tracker, checkpoint, self._rng())
-
-    def _begun(self, writer: ResultWriter, reached: Reached, stopped: Stopped) -> Reached | None:
-        """Where to write from, given where the run starts or was interrupted; None if stopped on the way."""
-        return reached
-
-    def _saved(self, reached: Reached, frames: int) -> Checkpoint:
-        """The checkpoint after a frame."""
-        return checkpoint_of(self.tracker, reached, frames)
-
-    def _ended(self, writer: ResultWriter, state: Any) -> dict[str, str]:
+    def finish(self, writer: ResultWriter, state: Any) -> Mapping[str, str]:
         """Write what comes last in the result; return what its summary says of it."""
         return {}
 
-    def _losses(self) -> tuple[Loss, ...]:
-        """Data that could not be used."""
+    def losses(self) -> tuple[Loss, ...]:
+        """Return what data could not be used."""
         return self._recording.losses
 
-    def _remarks(self, state: Any) -> tuple[str, ...]:
-        """What else a user should know once all frames are tracked, one line each."""
+    def remarks(self, state: Any) -> tuple[str, ...]:
+        """Return what else a user should know once all frames are tracked, one line each."""
         return ()
+
+    # What a run of several passes does otherwise
+
+    def run_state_at(self, checkpoint: Checkpoint) -> RunState:
+        """Return where a run was interrupted; LayoutError or ResultError if its tracker has no such state."""
+        return run_state_at(self.tracker, checkpoint, self.new_rng())
+
+    def checkpoint(self, run_state: RunState, frames: int) -> Checkpoint:
+        """Return the checkpoint after a frame, of which ``frames`` are written."""
+        return checkpoint_of(self.tracker, run_state, frames)
+
+    def before_writing(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> RunState | None:
+        """Do what comes before the pass that is written; None if it was stopped."""
+        return run_state
 
     # The loop
 
+    def steps(self, frames: Iterable[Frame], run_state: RunState) -> Iterator[Step]:
+        """Yield the steps of one pass, and count them."""
+        timings = self._options.timings
+        for step in track_frames(self.tracker, frames, run_state, self.start_state, timings=timings):
+            self._tracked += 1
+            yield step
+
+    def new_rng(self) -> np.random.Generator:
+        """Return the random generator as it is at the start of a pass."""
+        return np.random.default_rng(self._options.seed)
+
     def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
-        writer, reached = self._open()
+        writer, run_state = self._open()
         with writer, _stopped_at_once(stopped):
-            begun = self._begun(writer, reached, stopped)
-            if begun is None:
+            going_on = self.before_writing(writer, run_state, stopped)
+            if going_on is None:
                 return self._outcome(writer, began, stopped=True)
-            state, rng, last = begun
-            with closing(self._truth(writer)) as truth, self._memory(writer) as memory:
-                for frame in frames:
-                    self._noted(frame)
-                    self._stamps.add(frame.index, frame.stamp_ns)
-                    if frame.index <= last:
-                        continue  # tracked before the interruption
-                    if state is None:
-                        state = self._started(frame, rng)
-                    state, estimate = self._timed_step(state, frame, rng)
-                    truth.send(frame.stamp_ns)
-                    self._write(writer, memory, Reached(state, rng, frame.index), estimate)
-                    report(estimate)
-                    self._tracked += 1
+            run_state = going_on
+            with closing(self._truth(writer)) as truth, self.open_memory(writer) as memory:
+                for step in self.steps(self._watched(frames), run_state):
+                    truth.send(step.frame.stamp_ns)
+                    run_state = step.after
+                    self._write(writer, memory, step)
+                    report(step.estimate)
                     if stopped():
                         return self._outcome(writer, began, stopped=True)
                 if memory is not None:
                     memory.finish(writer)
-                remarks = self._stamps.remarks + self._remarks(state)
-                self._finish(writer, state, remarks)
+                remarks = self._stamps.remarks + self.remarks(run_state.state)
+                self._close(writer, run_state.state, remarks)
             return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
         return self._outcome(writer, began, stopped=True)
 
-    def _write(
-        self, writer: ResultWriter, memory: FrameMemory | None, reached: Reached, estimate: Estimate
-    ) -> None:
+    def _watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames, each looked at once it is read."""
+        for frame in frames:
+            self.on_frame(frame)
+            self._stamps.add(frame.index, frame.stamp_ns)
+            yield frame
+
+    def _write(self, writer: ResultWriter, memory: FrameMemory | None, step: Step) -> None:
         """Write an estimate, and a checkpoint where the result is flushed."""
         if memory is not None:
-            memory.remember(reached.state, estimate)
-        if writer.write(estimate, self._vertices(estimate)):
+            memory.remember(step.after.state, step.estimate)
+        if writer.write(step.estimate, self.vertices(step.estimate)):
             if memory is not None:
                 memory.flush()
-            writer.save_checkpoint(self._saved(reached, writer.frames_written))
+            writer.save_checkpoint(self.checkpoint(step.after, writer.frames_written))
 
-    def _open(self) -> tuple[ResultWriter, Reached]:
+    def _open(self) -> tuple[ResultWriter, RunState]:
         """The writer, and where to begin; what was interrupted is put together before any file is touched."""
         options, flush = self._options, self._flush_frames
-        camera, *others = self._cameras()
-        about = self._subject(), camera, self._record
+        camera, *others = self.cameras
+        about = self.subject, camera, self.record
         if options.resume:
             writer, checkpoint = ResultWriter.resume(
-                options.output, *about, others=others, flush_frames=flush, check=self._reached
+                options.output, *about, others=others, flush_frames=flush, check=self.run_state_at
             )
-            return writer, self._reached(checkpoint)
+            return writer, self.run_state_at(checkpoint)
         overwrite = options.overwrite
         writer = ResultWriter(options.output, *about, others=others, flush_frames=flush, overwrite=overwrite)
-        start = Reached(None, self._rng())
+        start = RunState(None, self.new_rng())
         writer.save_checkpoint(checkpoint_of(self.tracker, start, 0))
         return writer, start
-
-    def _rng(self) -> np.random.Generator:
-        """The random generator at the start of a pass."""
-        return np.random.default_rng(self._options.seed)
 
     def _frames(self) -> Any:
         options = self._options
@@ -203,22 +210,15 @@ class Run(ABC):
     def _truth(self, writer: ResultWriter) -> Generator[None, int]:
         return truth_carrier(iter(self._recording.truth()), writer)
 
-    def _timed_step(self, state: Any, frame: Frame, rng: np.random.Generator) -> tuple[Any, Estimate]:
-        began = time.perf_counter()
-        state, estimate = self.tracker.step(state, frame, rng)
-        if self._options.timings:
-            estimate = replace(estimate, milliseconds=1e3 * (time.perf_counter() - began))
-        return state, estimate
-
-    def _finish(self, writer: ResultWriter, state: Any, remarks: tuple[str, ...]) -> None:
-        said, losses = self._ended(writer, state), self._losses()
+    def _close(self, writer: ResultWriter, state: Any, remarks: tuple[str, ...]) -> None:
+        said, losses = self.finish(writer, state), self.losses()
         more = {"losses": loss_line(losses), "remarks": "; ".join(remarks)}
-        writer.finish(said | {name: line for name, line in more.items() if line})
+        writer.finish({**said, **{name: line for name, line in more.items() if line}})
 
     def _outcome(self, writer: ResultWriter, began: float, *, stopped: bool) -> RunOutcome:
         seconds = time.perf_counter() - began
         lost = writer.count(Status.LOST)
-        return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self._losses(), stopped)
+        return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self.losses(), stopped)
 
 
 @contextmanager

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.head.model_file import Learned
-from posetrack_cli.head.protocol import HeadTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 from stepping import FRAME_NS
 
 SETTLING = 10
@@ -24,7 +23,7 @@ class HeadWalker:
         tracker: of one camera or more.
     """
 
-    def __init__(self, tracker: HeadTracker[Any]) -> None:
+    def __init__(self, tracker: LearningTracker[Any]) -> None:
         self._tracker = tracker
         self._rng = np.random.default_rng(0)
         self._state: Any = None

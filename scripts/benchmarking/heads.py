@@ -18,7 +18,6 @@ from benchmarking.rows import Row, median_ms, median_of_pairs
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.model_file import Learned
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.stereo_estimates import components_of
 from posetrack_cli.head.stereo_tracker import make_stereo_tracker
@@ -27,6 +26,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
+from posetrack_cli.tracking.two_pass import Learned
 from stepping import in_turn
 
 FEW, MANY = 1000, 5000

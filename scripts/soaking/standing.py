@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.head.passes import learned_before
 from posetrack_cli.outputs import state_path
 from posetrack_cli.results.checkpoint import load
+from posetrack_cli.tracking.two_pass import learned_before
 from soaking.cases import Case
 
 
@@ -34,7 +34,7 @@ def standing_of(case: Case, output: Path) -> Standing | None:
             return None
         raise
     written = checkpoint.frames_written
-    first_pass = checkpoint.state.get("first_pass_frame")  # as head.passes calls it
+    first_pass = checkpoint.state.get("first_pass_frame")  # as tracking.two_pass calls it
     if first_pass is not None:
         return Standing(int(first_pass) + 1, 0)
     in_second = case.passes == 2 and bool(learned_before(checkpoint))

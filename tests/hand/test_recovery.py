@@ -15,6 +15,7 @@ from posetrack_cli.hand.tracker import HandState, HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate
+from support.codecs import assert_lawful
 from support.hand import KINECT
 from support.hand_scene import HANDS, WALL_MM, Stage, relaxed, tracker, turned_about_its_length
 
@@ -201,8 +202,7 @@ def test_a_checkpoint_goes_on_bit_by_bit_also_while_lost(
     tracking: HandTracker, story: Story, at: int
 ) -> None:
     frames, states, estimates = story
-    arrays, numbers = tracking.state_parts(states[at])
-    restored = tracking.state_from_parts({k: v.copy() for k, v in arrays.items()}, dict(numbers))
+    restored = assert_lawful(tracking.codec, states[at])
     assert restored.watch == states[at].watch
     for frame in frames[at + 1 :]:
         restored, estimate = tracking.step(restored, frame, np.random.default_rng(frame.index))
@@ -212,9 +212,9 @@ def test_a_checkpoint_goes_on_bit_by_bit_also_while_lost(
 @pytest.mark.parametrize("at", [1, 2, 8, 9])
 def test_a_step_leaves_the_state_given_as_it_is(tracking: HandTracker, story: Story, at: int) -> None:
     frames, states, _ = story
-    before = {name: array.copy() for name, array in tracking.state_parts(states[at])[0].items()}
+    before = {name: array.copy() for name, array in tracking.codec.to_arrays(states[at]).items()}
     tracking.step(states[at], frames[at + 1], np.random.default_rng(99))
-    for name, array in tracking.state_parts(states[at])[0].items():
+    for name, array in tracking.codec.to_arrays(states[at]).items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
 
 

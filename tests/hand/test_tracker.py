@@ -26,13 +26,12 @@ from posetrack_cli.hand.tracker import (
     HandState,
     HandTracker,
     dynamics,
-    state_arrays,
-    state_from_arrays,
 )
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status
+from support.codecs import assert_lawful
 from support.hand import KINECT
 
 ANATOMY = make_anatomy()
@@ -268,8 +267,7 @@ def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(kind: str) -> N
     tracker = tracker_with(DistanceScorer(START[:3]), kind, status={"lost_below": 0.99})
     state, _ = run(tracker, [seen(k) for k in range(4)])
     assert state.watch.misses > 0
-    arrays = {name: array.copy() for name, array in state_arrays(state).items()}
-    restored = state_from_arrays(arrays, state.stamp_ns, state.unseen_ns)
+    restored = assert_lawful(tracker.codec, state)
     assert restored.watch == state.watch
     np.testing.assert_array_equal(restored.velocity, state.velocity)
     np.testing.assert_array_equal(restored.pose, state.pose)
@@ -291,9 +289,9 @@ def test_the_same_seed_gives_the_same_run_and_a_step_changes_no_state(kind: str)
         same(a, b)
     assert not np.array_equal(first[-1].position, other[-1].position)
     state, _ = run(tracker, frames)
-    before = {name: array.copy() for name, array in state_arrays(state).items()}
+    before = {name: array.copy() for name, array in tracker.codec.to_arrays(state).items()}
     tracker.step(state, seen(4), np.random.default_rng(0))
-    for name, array in state_arrays(state).items():
+    for name, array in tracker.codec.to_arrays(state).items():
         np.testing.assert_array_equal(array, before[name])
 
 

@@ -11,27 +11,26 @@ import pytest
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.head.mono_reduction import ReducedState, ReducingTracker
 from posetrack_cli.results.layouts import LayoutError
-from support.damage import OTHER_VALUES, Arrays, damaged_arrays, wild_numbers
+from support.damage import Arrays, damaged_arrays, wild_numbers
 from support.mono_scene import Scene as MonoScene
 from support.stereo_scene import Scene as StereoScene
 from support.stereo_scene import Told
 
-Put = Callable[[Arrays, dict[str, int]], object]
-Saved = tuple[Put, Callable[[Any], object], Arrays, dict[str, int]]
-"""What puts a state together, a step from it, and a real state's arrays and numbers."""
+Put = Callable[[Arrays], object]
+Saved = tuple[Put, Callable[[Any], object], Arrays]
+"""What puts a state together, a step from it, and a real state's arrays."""
 
 
 def stereo(frames: int = 5) -> Saved:
     scene = StereoScene()
     for index in range(frames):
         scene.step(index)
-    arrays, numbers = scene.tracker.state_parts(scene.state)
+    arrays = scene.tracker.codec.to_arrays(scene.state)
     frame = scene.frame(frames)
     return (
-        scene.tracker.state_from_parts,
+        scene.tracker.codec.from_arrays,
         lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)),
         arrays,
-        numbers,
     )
 
 
@@ -39,9 +38,9 @@ def searching() -> Saved:
     scene = StereoScene(told=Told(there=False))
     scene.step(0, blank=True)
     frame = scene.frame(1)
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    put = scene.tracker.state_from_parts
-    return put, lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)), arrays, numbers
+    arrays = scene.tracker.codec.to_arrays(scene.state)
+    put = scene.tracker.codec.from_arrays
+    return put, lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)), arrays
 
 
 def mono(frames: int) -> Saved:
@@ -50,11 +49,11 @@ def mono(frames: int) -> Saved:
     for index in range(frames):
         scene.step(index)
     tracker = ReducingTracker(scene.tracker._camera, 1e6, lambda *_: scene.tracker)
-    arrays, numbers = tracker.state_parts(ReducedState(1.0, scene.state))
+    arrays = tracker.codec.to_arrays(ReducedState(1.0, scene.state))
     frame = scene.frame(frames)
     scene.told.index = frames
-    put = tracker.state_from_parts
-    return put, lambda state: tracker.step(state, frame, np.random.default_rng(0)), arrays, numbers
+    put = tracker.codec.from_arrays
+    return put, lambda state: tracker.step(state, frame, np.random.default_rng(0)), arrays
 
 
 STATES: dict[str, Callable[[], Saved]] = {
@@ -71,16 +70,16 @@ def saved(request: pytest.FixtureRequest) -> Saved:
 
 
 def test_the_state_itself_is_taken(saved: Saved) -> None:
-    put, step, arrays, numbers = saved
-    step(put(arrays, numbers))
+    put, step, arrays = saved
+    step(put(arrays))
 
 
 def test_every_array_is_needed_and_of_its_type_and_shape(saved: Saved) -> None:
     """But for those of one kind in each other's place: they are a state, if another one."""
-    put, step, arrays, numbers = saved
+    put, step, arrays = saved
     for what, damaged in damaged_arrays(arrays):
         try:
-            state = put(damaged, numbers)
+            state = put(damaged)
         except LayoutError as error:
             assert "\n" not in str(error)
             continue
@@ -90,18 +89,18 @@ def test_every_array_is_needed_and_of_its_type_and_shape(saved: Saved) -> None:
 
 def test_numbers_that_are_none_are_refused_or_do_no_harm(saved: Saved) -> None:
     """NaN stands for what was not seen, in a few arrays; a tracker goes on with it as it always did."""
-    put, step, arrays, numbers = saved
+    put, step, arrays = saved
     taken = []
     for what, damaged in wild_numbers(arrays):
         try:
-            state = put(damaged, numbers)
+            state = put(damaged)
         except LayoutError:
             continue
         taken.append(what)
         attempt(step, state)
     missing = ("pixels", "centres", "tangents", "single", "scale")
     usual = {f"{name} with nan" for name in arrays if name.endswith(missing)}
-    assert set(taken) <= usual | {f"{name} of -1" for name in arrays if name.endswith("stamps")}
+    assert set(taken) <= usual | {f"{name} of -1" for name in arrays if name.endswith(("stamps", "_ns"))}
 
 
 def attempt(step: Callable[[Any], object], state: object) -> None:
@@ -112,18 +111,6 @@ def attempt(step: Callable[[Any], object], state: object) -> None:
         assert "\n" not in str(error)
 
 
-def test_every_whole_number_is_needed_and_in_its_range(saved: Saved) -> None:
-    put, _, arrays, numbers = saved
-    for name in numbers:
-        with pytest.raises(LayoutError, match=f"no number '{name}'"):
-            put(arrays, {other: value for other, value in numbers.items() if other != name})
-        for value in OTHER_VALUES:
-            if value == -7 and name.endswith("_ns"):
-                continue  # a time as good as any
-            with pytest.raises(LayoutError, match=f"'{name}' as"):
-                put(arrays, numbers | {name: value})  # type: ignore[dict-item]
-
-
 def test_nothing_is_no_state(saved: Saved) -> None:
     with pytest.raises(LayoutError, match="no array"):
-        saved[0]({}, {})
+        saved[0]({})

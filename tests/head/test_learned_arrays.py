@@ -11,12 +11,11 @@ import pytest
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.learned_arrays import check_learned
 from posetrack_cli.head.learning import new_face
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.start.start import NO_FACE, NoStart
-from posetrack_cli.head.stereo_state import StereoState, known_state, parts_of
+from posetrack_cli.head.stereo_state import StereoCodecs, StereoState
 from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.templates import WINDOW, TemplateSet
@@ -26,6 +25,7 @@ NEEDED = (
     *(f"face.{name}" for name in ("mean", "components", "variance", "counts")),
     *(f"sets.{name}" for name in ("windows", "centres", "tangents", "seen", "facing")),
 )
+CODECS = StereoCodecs(2, ModelSettings())
 
 
 def learned(cameras: int = 2) -> dict[str, np.ndarray[Any, Any]]:
@@ -38,11 +38,11 @@ def learned(cameras: int = 2) -> dict[str, np.ndarray[Any, Any]]:
         np.zeros(seen, bool),
         np.array([0.0, 0.0, -1.0]),
     )
-    return parts_of(StereoState(new_face(MEAN_SHAPE, ModelSettings()), (templates, templates)))[0]
+    return CODECS.learned(StereoState(new_face(MEAN_SHAPE, ModelSettings()), (templates, templates)))
 
 
 def test_what_a_tracker_has_learned_is_taken_but_for_its_search() -> None:
-    state = known_state(learned(), 2, ModelSettings())
+    state = CODECS.known(learned())
     assert state.face is not None
     np.testing.assert_array_equal(state.face.model.mean, MEAN_SHAPE)
     assert (len(state.sets), state.following, state.search.frames) == (2, None, 0)
@@ -53,22 +53,22 @@ def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     arrays = learned()
     del arrays[name]
     with pytest.raises(ResultError, match=f"incomplete or damaged, found no array '{name}'"):
-        check_learned(arrays, 2)
+        CODECS.known(arrays)
     for wrong in (np.array(["text"]), learned()[name][None], np.zeros(0, learned()[name].dtype)):
         with pytest.raises(ResultError, match=f"found '{name}' as "):
-            check_learned(learned() | {name: wrong}, 2)
+            CODECS.known(learned() | {name: wrong})
 
 
 def test_templates_of_other_cameras_and_of_different_lengths() -> None:
     with pytest.raises(ResultError, match=r"found 'sets.windows' as uint8 \(2, 3, 10, 48, 48\)"):
-        check_learned(learned(cameras=3), 2)
+        CODECS.known(learned(cameras=3))
     with pytest.raises(ResultError, match=r"'sets.facing' as float64 \(1, 3\), not float64 \(2, 3\)"):
-        check_learned(learned() | {"sets.facing": np.zeros((1, 3))}, 2)
+        CODECS.known(learned() | {"sets.facing": np.zeros((1, 3))})
 
 
 def test_a_face_that_is_not_finite() -> None:
     with pytest.raises(ResultError, match=r"'face.mean' with values that are not finite"):
-        check_learned(learned() | {"face.mean": np.full((POINT_COUNT, 3), np.inf)}, 2)
+        CODECS.known(learned() | {"face.mean": np.full((POINT_COUNT, 3), np.inf)})
 
 
 @pytest.mark.parametrize("left_out", [(), ("sets.facing",), NEEDED], ids=["none", "one", "all"])

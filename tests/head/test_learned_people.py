@@ -11,18 +11,19 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.mono_reduction import ReducingTracker
-from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_of, people_parts
+from posetrack_cli.head.person_codec import PEOPLE, known_people, people_codec
 from support.bundles import random_model
 from support.mono_cases import random_known
 
 MODEL = random_model(0)
+CODEC = people_codec(MODEL, AdjustmentSettings())
 CAMERA = Camera(640, 480, 700.0, 700.0, 320.0, 240.0)
 MAY_BE_NAN = ("single", "pixels", "centres", "tangents")
 Learned = dict[str, np.ndarray[Any, Any]]
 
 
 def learned() -> Learned:
-    return people_parts((random_known(0, MODEL), random_known(10, MODEL)))
+    return CODEC.to_arrays((random_known(0, MODEL), random_known(10, MODEL)))
 
 
 NEEDED = [name for name in learned() if name.startswith("person1.")]
@@ -30,13 +31,13 @@ NEEDED = [name for name in learned() if name.startswith("person1.")]
 
 def assert_refused(arrays: Learned, found: str) -> None:
     with pytest.raises(ResultError) as caught:
-        check_people(arrays, MODEL)
+        known_people(arrays, MODEL, AdjustmentSettings())
     assert f"model is incomplete or damaged, found {found}" in str(caught.value)
 
 
 @pytest.mark.parametrize("name", NEEDED)
 def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
-    check_people(learned(), MODEL)
+    known_people(learned(), MODEL, AdjustmentSettings())
     right = learned()[name]
     assert_refused(
         {other: array for other, array in learned().items() if other != name}, f"no array '{name}'"
@@ -52,7 +53,7 @@ def test_only_what_may_be_unknown_may_be_nan(name: str) -> None:
     arrays = learned()
     arrays[name] = np.full_like(arrays[name], np.nan)
     if name.endswith(MAY_BE_NAN):
-        check_people(arrays, MODEL)
+        known_people(arrays, MODEL, AdjustmentSettings())
     else:
         assert_refused(arrays, f"'{name}' with values that are not finite")
 
@@ -62,17 +63,17 @@ def test_arrays_that_belong_together_are_equally_long(group: str) -> None:
     name = next(name for name in NEEDED if name.startswith(f"person1.{group}."))
     longer = np.concatenate([learned()[name], learned()[name]])
     with pytest.raises(ResultError, match=rf"found 'person1\.{group}\.[a-z]+' as "):
-        check_people(learned() | {name: longer}, MODEL)
+        known_people(learned() | {name: longer}, MODEL, AdjustmentSettings())
 
 
 def test_a_person_without_frames_is_as_good() -> None:
     """As learned by a whole recording: its frames are in the person."""
-    arrays = people_parts((random_known(0, MODEL, views=0),))
+    arrays = CODEC.to_arrays((random_known(0, MODEL, views=0),))
     assert not any(name.startswith("person0.views.") for name in arrays)
-    check_people(arrays, MODEL)
+    known_people(arrays, MODEL, AdjustmentSettings())
     del arrays["person0.album.scores"]
-    check_people(arrays, MODEL)
-    (one,) = people_of(arrays, MODEL, AdjustmentSettings())
+    known_people(arrays, MODEL, AdjustmentSettings())
+    (one,) = known_people(arrays, MODEL, AdjustmentSettings())
     assert one.views == one.album.views == ()
 
 

@@ -21,11 +21,13 @@ from posetrack_cli.head.mono_reduction import (
     reduced_pixels,
 )
 from posetrack_cli.head.mono_start.detected import EYE_DISTANCE_MM, DetectedFace
-from posetrack_cli.head.mono_state import MonoState, parts_of
+from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.start.search import Search
 from posetrack_cli.head.start.start import NO_FACE, NoStart
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.tracking.state_codec import Fields, whole
+from support.codecs import assert_lawful
 
 WANTED_PX = 80.0
 CAMERA = Camera(640, 480, 700.0, 702.0, 321.0, 238.0)
@@ -81,11 +83,11 @@ class FakeTracker:
     def remarks(self, state: MonoState) -> tuple[str, ...]:
         return (f"at {self.scale:g}",)
 
-    def state_parts(self, state: MonoState) -> tuple[dict, dict]:
-        return parts_of(state)
-
-    def state_from_parts(self, arrays: dict, numbers: dict) -> MonoState:
-        return MonoState(lost=numbers["lost"], search=Search(int(arrays["search.counts"][0])))
+    codec = Fields(
+        lambda lost, searched: MonoState(lost=lost, search=Search(searched)),
+        lost=whole(),
+        searched=("search.frames", whole()),
+    )
 
 
 @dataclass
@@ -203,7 +205,7 @@ def test_a_face_that_is_looked_for_longer_is_said_so() -> None:
 @pytest.mark.parametrize("scale", [None, 1.0, 0.4])
 def test_a_saved_state_comes_back_at_its_scale(scale: float | None) -> None:
     scene, inner = Scene(), MonoState(lost=3, search=Search(5))
-    again = scene.tracker.state_from_parts(*scene.tracker.state_parts(ReducedState(scale, inner)))
+    again = assert_lawful(scene.tracker.codec, ReducedState(scale, inner))
     assert again.scale == scale and again.inner.lost == 3 and again.inner.search.frames == 5
 
 

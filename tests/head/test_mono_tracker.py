@@ -16,10 +16,11 @@ from posetrack_cli.head.estimates import UNSEEN
 from posetrack_cli.head.mono_start import start as mono_start
 from posetrack_cli.head.mono_state import MonoState
 from posetrack_cli.head.projection import project
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.templates import take_templates, tangents
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.two_pass import NothingFoundError
+from support.codecs import assert_lawful
 from support.mono_cases import assert_same
 from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
 from support.textured_face import SHAPE, textured_face
@@ -142,10 +143,10 @@ def test_a_step_leaves_the_state_as_it_is() -> None:
     scene = Scene()
     for index in range(STARTING + 5):
         before = scene.state
-        saved = None if before is None else deepcopy(scene.tracker.state_parts(before))
+        saved = None if before is None else deepcopy(scene.tracker.codec.to_arrays(before))
         scene.step(index)
         if before is not None:
-            assert_same(scene.tracker.state_parts(before), saved)
+            assert_same(scene.tracker.codec.to_arrays(before), saved)
 
 
 @pytest.mark.parametrize("at", [2, STARTING, STARTING + 4], ids=["collecting", "found", "following"])
@@ -153,8 +154,7 @@ def test_a_saved_state_goes_on_alike(at: int) -> None:
     scene, other = Scene(), Scene()
     for index in range(at):
         scene.step(index)
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    other.state = other.tracker.state_from_parts(arrays, numbers)
+    other.state = other.tracker.codec.from_arrays(scene.tracker.codec.to_arrays(scene.state))
     other.rng.bit_generator.state = scene.rng.bit_generator.state
     for index in range(at, at + 5):
         assert_same_estimates(scene.step(index), other.step(index))
@@ -271,8 +271,7 @@ def test_before_it_is_found_a_head_is_lost() -> None:
     assert {e.status for e in estimates} == {Status.LOST}
     np.testing.assert_array_equal(estimates[-1].position, UNSEEN.position)
     said = "3 frames searched, best score 0.30, mostly: no face"
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    again = scene.tracker.state_from_parts(arrays, numbers)
+    again = assert_lawful(scene.tracker.codec, scene.state)
     assert scene.tracker.not_found(scene.state) == scene.tracker.not_found(again) == said
     assert scene.tracker.learned(scene.state) == {}
     scene.told.there = True
@@ -291,7 +290,7 @@ def test_clicked_points_begin_at_once() -> None:
 def test_clicked_points_that_are_no_face_are_refused() -> None:
     pixels = project((CAMERA,), pose_at(0).points(SHAPE)).pixels[0]
     scene = Scene(clicked=pixels[[8, 5, 4, 1, 0, 3, 9, 2, 6, 7]])
-    with pytest.raises(NoFaceError, match="clicked points begin no head"):
+    with pytest.raises(NothingFoundError, match="clicked points begin no head"):
         scene.step(0)
 
 

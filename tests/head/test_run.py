@@ -16,7 +16,6 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.model_file import load_model, model_bytes
-from posetrack_cli.head.protocol import NoFaceError
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.losses import LossLog
@@ -27,6 +26,7 @@ from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.results.export.text_formats import csv_text
 from posetrack_cli.tracking.options import RunOutcome
+from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory
 
 Track = Callable[..., RunOutcome]
@@ -221,7 +221,9 @@ def test_a_run_in_two_passes_resumes_to_the_same_bytes(track: Track, tmp_path: P
 
 def test_no_face_is_told_and_leaves_nothing(track: Track, tmp_path: Path) -> None:
     for passes in (1, 2):
-        with pytest.raises(NoFaceError, match=r"no face found, found 12 frames searched, best score 0\.31"):
+        with pytest.raises(
+            NothingFoundError, match=r"no face found, found 12 frames searched, best score 0\.31"
+        ):
             track(Memory(appears=99), passes=passes)
         assert not list(tmp_path.iterdir())
 
@@ -232,7 +234,7 @@ def test_what_is_resumed_is_never_deleted(track: Track, tmp_path: Path, passes: 
     track(Memory(appears=99), passes=passes, stopped=after(7))
     kept = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.suffix == ".state"}
     for _ in range(2):
-        with pytest.raises(NoFaceError, match="no face found"):
+        with pytest.raises(NothingFoundError, match="no face found"):
             track(Memory(appears=99), passes=passes, resume=True)
         names = {path.name for path in tmp_path.iterdir()}
         assert names == {"r.mcap.part", "r.mcap.part.state"} and names > kept.keys()

@@ -11,6 +11,7 @@ from posetrack_cli.head.estimates import UNSEEN
 from posetrack_cli.head.start.start import NoStart
 from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.results.estimate import Estimate, Status
+from support.codecs import assert_lawful
 from support.stereo_scene import CAMERAS, FEW, Scene, Told, pose_at
 from support.textured_face import textured_face
 
@@ -76,8 +77,7 @@ def test_a_saved_state_goes_on_alike() -> None:
     scene, other = Scene(), Scene()
     for index in range(8):
         scene.step(index)
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    other.state = other.tracker.state_from_parts(arrays, numbers)
+    other.state = other.tracker.codec.from_arrays(scene.tracker.codec.to_arrays(scene.state))
     other.rng.bit_generator.state = scene.rng.bit_generator.state
     for index in range(8, 12):
         first, second = scene.step(index), other.step(index)
@@ -90,8 +90,7 @@ def test_a_search_is_saved_too() -> None:
     scene = Scene(told=Told(there=False))
     for index in range(3):
         scene.step(index, blank=True)
-    arrays, numbers = scene.tracker.state_parts(scene.state)
-    again = scene.tracker.state_from_parts(arrays, numbers)
+    again = assert_lawful(scene.tracker.codec, scene.state)
     said = "3 frames searched, best score 0.30, mostly: no face"
     assert scene.tracker.not_found(scene.state) == scene.tracker.not_found(again) == said
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,9 +17,11 @@ from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import ResultWriter
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
-from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, check_arrays, check_numbers, floats
-from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
+from posetrack_cli.results.layouts import floats
+from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
+from posetrack_cli.tracking.loop import RunState
 from posetrack_cli.tracking.protocol import Tracker
+from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
 from support.damage import Arrays, changed_json, damaged_arrays, damaged_fields, sealed
 from support.results import CAMERA, RUN, SUBJECT, begin, make_estimate, make_truth
 
@@ -29,13 +32,12 @@ FLUSHED, WRITTEN = 10, 13
 class Walking:
     """A tracker whose state is where it is, how often it went, and when."""
 
-    def state_parts(self, state: tuple[Any, ...]) -> tuple[Arrays, dict[str, int]]:
-        return {"place": state[0]}, {"steps": state[1], "stamp_ns": state[2]}
-
-    def state_from_parts(self, arrays: Arrays, numbers: Mapping[str, int]) -> tuple[Any, ...]:
-        check_arrays(arrays, {"place": floats(3)})
-        check_numbers(numbers, {"steps": COUNTS, "stamp_ns": STAMPS_NS})
-        return arrays["place"], numbers["steps"], numbers["stamp_ns"]
+    codec = Fields(
+        lambda place, steps, stamp_ns: (place, steps, stamp_ns),
+        place=(itemgetter(0), Value(floats(3))),
+        steps=(itemgetter(1), whole()),
+        stamp_ns=(itemgetter(2), stamp()),
+    )
 
 
 TRACKER = cast(Tracker[Any], Walking())
@@ -54,16 +56,16 @@ def interrupted(folder: Path) -> Path:
                 writer.add_truth(make_truth(index))
             step = generator.standard_normal(3)
             if writer.write(make_estimate(index)):
-                reached = Reached((step, index + 1, 10**18 + index), generator, index)
+                reached = RunState((step, index + 1, 10**18 + index), generator, index)
                 writer.save_checkpoint(checkpoint_of(TRACKER, reached, writer.frames_written))
     return folder / "r.mcap"
 
 
-def resume(path: Path) -> Reached:
+def resume(path: Path) -> RunState:
     """Go on as a run does, and stop at once."""
-    reached: list[Reached] = []
+    reached: list[RunState] = []
     writer, _ = ResultWriter.resume(
-        path, SUBJECT, CAMERA, RUN, check=lambda found: reached.append(reached_at(TRACKER, found, rng()))
+        path, SUBJECT, CAMERA, RUN, check=lambda found: reached.append(run_state_at(TRACKER, found, rng()))
     )
     writer.abort()
     return reached[0]
@@ -120,7 +122,7 @@ def test_every_array_is_needed_and_of_its_kind_and_shape(path: Path) -> None:
     [
         lambda contents: contents | {"array.place": contents["array.place"] + 1e-12},
         lambda contents: contents | {"array.more": np.zeros(3)},
-        lambda contents: contents | {"json": with_steps(contents)},
+        lambda contents: contents | {"json": with_another_count(contents)},
         lambda contents: {name: array for name, array in contents.items() if name != "digest"},
         lambda contents: contents | {"digest": contents["digest"][:31]},
     ],
@@ -135,8 +137,10 @@ def test_a_state_that_was_altered_is_refused(path: Path, change: Callable[[Array
     assert "checkpoint cannot be read" in line and "digest" in line and HINT in line
 
 
-def with_steps(contents: Arrays) -> np.ndarray[Any, Any]:
-    return np.frombuffer(contents["json"].tobytes().replace(b'"steps": 10', b'"steps": 11'), np.uint8)
+def with_another_count(contents: Arrays) -> np.ndarray[Any, Any]:
+    return np.frombuffer(
+        contents["json"].tobytes().replace(b'"frames_written": 10', b'"frames_written": 11'), np.uint8
+    )
 
 
 @pytest.mark.parametrize("share", np.linspace(0.0, 0.99, 12))

@@ -19,12 +19,13 @@ from click.testing import CliRunner
 
 from benchmarking.recordings import link_recording
 from benchmarking.rows import Row
-from posetrack_cli.head.passes import first_pass_checkpoint, second_pass_checkpoint
 from posetrack_cli.outputs import state_path
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
-from posetrack_cli.tracking.checkpoints import Reached
+from posetrack_cli.tracking.loop import RunState
+from posetrack_cli.tracking.state_codec import whole
+from posetrack_cli.tracking.two_pass import first_pass_checkpoint, second_pass_checkpoint
 from soaking import disks
 from soaking.__main__ import main
 from soaking.cases import Case, Recordings
@@ -195,14 +196,13 @@ def test_a_figure_beyond_its_bound_is_a_trouble(capsys: pytest.CaptureFixture[st
 class NoTracker:
     """A tracker whose states are numbers."""
 
-    def state_parts(self, state: int) -> Any:
-        return {"state": np.array([state])}, {}
+    codec = whole()
 
 
 def test_steps_of_both_passes_are_counted(tmp_path: Path) -> None:
     case, output = replace(made_up(frames=40), passes=2), tmp_path / "r.mcap"
     assert standing_of(case, output) is None
-    reached = Reached(0, np.random.default_rng(0), 9)
+    reached = RunState(0, np.random.default_rng(0), 9)
     first = first_pass_checkpoint(NoTracker(), reached)
     second = second_pass_checkpoint(NoTracker(), reached, 10, {"face": np.ones(3)})
     for checkpoint, expected in ((first, Standing(10, 0)), (second, Standing(50, 10))):

@@ -16,6 +16,8 @@ from posetrack_cli.head.subject import HeadNumbers
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.layouts import floats
+from posetrack_cli.tracking.state_codec import Fields, Value, whole
 
 FRAME_NS = 33_333_333
 COMPONENTS = 2
@@ -109,10 +111,4 @@ class FakeTracker:
     def remarks(self, state: FakeState) -> tuple[str, ...]:
         return (f"face seen in {state.seen} frames",)
 
-    def state_parts(self, state: FakeState) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, int]]:
-        return {"mean": state.mean}, {"seen": state.seen, "searched": state.searched}
-
-    def state_from_parts(
-        self, arrays: Mapping[str, np.ndarray[Any, Any]], numbers: Mapping[str, int]
-    ) -> FakeState:
-        return FakeState(numbers["seen"], numbers["searched"], arrays["mean"])
+    codec = Fields(FakeState, seen=whole(), searched=whole(), mean=Value(floats(10, 3)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,20 +10,21 @@ import numpy as np
 
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
-from posetrack_cli.tracking.checkpoints import Reached, checkpoint_of, reached_at
+from posetrack_cli.results.layouts import floats
+from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
+from posetrack_cli.tracking.loop import RunState
 from posetrack_cli.tracking.protocol import Tracker
+from posetrack_cli.tracking.state_codec import Fields, Value, whole
 
 
 class Counting:
     """A tracker whose state is an array and a number."""
 
-    def state_parts(self, state: tuple[np.ndarray, int]) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-        return {"sum": state[0]}, {"count": state[1]}
-
-    def state_from_parts(
-        self, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, int]
-    ) -> tuple[np.ndarray, int]:
-        return arrays["sum"], numbers["count"]
+    codec = Fields(
+        lambda sum, count: (sum, count),
+        sum=(itemgetter(0), Value(floats("n"))),
+        count=(itemgetter(1), whole()),
+    )
 
 
 TRACKER = cast(Tracker[Any], Counting())
@@ -32,17 +33,17 @@ TRACKER = cast(Tracker[Any], Counting())
 def test_state_frame_and_random_numbers_come_back_from_a_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     rng.standard_normal(5)
-    saved = checkpoint_of(TRACKER, Reached((np.arange(3.0), 7), rng, 11), 6)
+    saved = checkpoint_of(TRACKER, RunState((np.arange(3.0), 7), rng, 11), 6)
     checkpoints.save(tmp_path / "state", saved, Progress(0, 2, 0, {}))
     loaded, _ = checkpoints.load(tmp_path / "state")
     assert (loaded.frame_index, loaded.frames_written) == (11, 6)
-    (total, count), again, index = reached_at(TRACKER, loaded, np.random.default_rng(0))
+    (total, count), again, index = run_state_at(TRACKER, loaded, np.random.default_rng(0))
     assert (total.tolist(), count, index) == ([0.0, 1.0, 2.0], 7, 11)
     assert again.standard_normal(9).tolist() == rng.standard_normal(9).tolist()
 
 
 def test_before_the_first_frame_there_is_no_state() -> None:
-    saved = checkpoint_of(TRACKER, Reached(None, np.random.default_rng(4)), 0)
-    state, rng, index = reached_at(TRACKER, saved, np.random.default_rng(0))
+    saved = checkpoint_of(TRACKER, RunState(None, np.random.default_rng(4)), 0)
+    state, rng, index = run_state_at(TRACKER, saved, np.random.default_rng(0))
     assert state is None and index == -1
     assert rng.integers(1 << 40) == np.random.default_rng(4).integers(1 << 40)

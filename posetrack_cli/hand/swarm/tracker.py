@@ -14,7 +14,6 @@ Window and segmentation are those of our filters, in depth alone; theirs used sk
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +32,7 @@ from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tang
 from posetrack_cli.hand.swarm.objective import SwarmObjective
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.results.layouts import COUNTS, STAMPS_NS, check_arrays, check_numbers
+from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
 
 REDRAWN = np.arange(TANGENT_ANGLES.start, TANGENT_ANGLES.stop)
 """The components that are redrawn: the paper's 20 of the fingers, here 15."""
@@ -80,6 +79,7 @@ class SwarmTracker:
         self._space = HandSpace()
         self._rules = swarm_rules(config.pso)
         self._spread = tangent_vector(config.pso.spread)
+        self.codec = Fields(SwarmState, pose=Value(pose_layout()), stamp_ns=stamp(), misses=whole())
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> SwarmState:
         """Return the state in which the hand is at a pose (22,)."""
@@ -157,23 +157,6 @@ class SwarmTracker:
             cost=cost,
             evaluations=evaluations,
         )
-
-    def state_parts(self, state: SwarmState) -> tuple[dict[str, FloatArray], dict[str, int]]:
-        """Take a state apart into arrays and whole numbers, for a checkpoint."""
-        numbers = {"misses": state.misses}
-        if state.stamp_ns is not None:
-            numbers["stamp_ns"] = state.stamp_ns
-        return {"pose": state.pose}, numbers
-
-    def state_from_parts(self, arrays: Mapping[str, FloatArray], numbers: Mapping[str, int]) -> SwarmState:
-        """Put a state together from what ``state_parts`` made of it.
-
-        Raises:
-            LayoutError: they are of no state of this tracker after a frame.
-        """
-        check_arrays(arrays, {"pose": pose_layout()})
-        check_numbers(numbers, {"stamp_ns": STAMPS_NS, "misses": COUNTS})
-        return SwarmState(arrays["pose"], numbers["stamp_ns"], numbers["misses"])
 
 
 def swarm_rules(settings: PsoSettings) -> SwarmRules:

@@ -17,6 +17,7 @@ from posetrack_cli.hand.swarm.objective import Objective
 from posetrack_cli.hand.swarm.tracker import SwarmState, SwarmTracker, search_box
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from support.codecs import assert_lawful
 from support.hand import KINECT
 
 ANATOMY = make_anatomy()
@@ -171,8 +172,7 @@ def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(frames: int) ->
     state = tracker.start(START, 0, rng)
     for k in range(frames):
         state, _ = tracker.step(state, seen(k), rng)
-    arrays, numbers = tracker.state_parts(state)
-    restored = tracker.state_from_parts({name: array.copy() for name, array in arrays.items()}, dict(numbers))
+    restored = assert_lawful(tracker.codec, state)
     assert (restored.stamp_ns, restored.misses) == (state.stamp_ns, state.misses)
     state, expected = tracker.step(state, seen(5), np.random.default_rng(1))
     restored, found = tracker.step(restored, seen(5), np.random.default_rng(1))

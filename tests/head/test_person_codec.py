@@ -9,12 +9,13 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.album import PER_CELL
 from posetrack_cli.head.mono_config import AdjustmentSettings
 from posetrack_cli.head.person import KnownPerson
-from posetrack_cli.head.person_arrays import PEOPLE, check_people, people_of, people_parts
+from posetrack_cli.head.person_codec import PEOPLE, known_people, people_codec
 from support.bundles import random_model
 from support.mono_cases import assert_same, random_known
 
 MODEL = random_model(0)
 SETTINGS = AdjustmentSettings(average=6)
+CODEC = people_codec(MODEL, SETTINGS)
 
 
 def people(count: int, **how: int) -> tuple[KnownPerson, ...]:
@@ -22,31 +23,31 @@ def people(count: int, **how: int) -> tuple[KnownPerson, ...]:
 
 
 def learned() -> dict[str, np.ndarray]:
-    return people_parts(people(2))
+    return CODEC.to_arrays(people(2))
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_people_come_back(count: int) -> None:
     known = people(count)
-    assert_same(people_of(people_parts(known), MODEL, SETTINGS), known)
+    assert_same(CODEC.from_arrays(CODEC.to_arrays(known)), known)
 
 
 def test_more_than_nine_people_are_told_apart() -> None:
     """The arrays of person 1 and of person 10 begin alike."""
     known = people(12, views=1, sets=1)
-    assert_same(people_of(people_parts(known), MODEL, SETTINGS), known)
+    assert_same(CODEC.from_arrays(CODEC.to_arrays(known)), known)
 
 
 def test_a_person_who_was_only_found_comes_back() -> None:
     known = people(1, views=0, sets=1)
-    assert_same(people_of(people_parts(known), MODEL, SETTINGS), known)
+    assert_same(CODEC.from_arrays(CODEC.to_arrays(known)), known)
 
 
 def test_an_album_comes_back_page_by_page() -> None:
     """Many frames, so that some cells are full."""
     known = people(1, views=60)
     assert max(len(page) for page in known[0].album.pages.values()) == PER_CELL
-    assert_same(people_of(people_parts(known), MODEL, SETTINGS), known)
+    assert_same(CODEC.from_arrays(CODEC.to_arrays(known)), known)
 
 
 def test_arrays_are_plain() -> None:
@@ -55,7 +56,7 @@ def test_arrays_are_plain() -> None:
 
 
 def test_what_was_learned_is_taken() -> None:
-    check_people(learned(), MODEL)
+    known_people(learned(), MODEL, SETTINGS)
 
 
 @pytest.mark.parametrize("name", [PEOPLE, "person0.identity", "person1.offsets"])
@@ -86,11 +87,11 @@ def test_what_is_not_finite_is_named(bad: float) -> None:
 
 def test_of_another_face_model_is_refused() -> None:
     with pytest.raises(ResultError, match=r"'person0.identity' as float64 \(10,\), not float64 \(7\)"):
-        check_people(learned(), random_model(0, identities=7))
+        known_people(learned(), random_model(0, identities=7), SETTINGS)
 
 
 def assert_refused(arrays: dict[str, np.ndarray], found: str) -> None:
     with pytest.raises(ResultError) as caught:
-        check_people(arrays, MODEL)
+        known_people(arrays, MODEL, SETTINGS)
     said = str(caught.value)
     assert found in said and "model is incomplete or damaged" in said and "\n" not in said
