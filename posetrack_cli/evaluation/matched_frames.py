@@ -25,7 +25,7 @@ def matched_frames(
     at another rate, frames are matched by their number.
 
     Args:
-        recording: read once; twice if no stamp agrees.
+        recording: of depth; read once, twice if no stamp agrees.
         stamp_ns: (N,) of the estimates, unique.
         frame_index: (N,) their frames' positions in the recording, None if unknown.
         losses: gets what cannot be decoded, and the estimates without a frame.

@@ -112,7 +112,7 @@ def _drawn(
 
 
 def _panels(evaluation: Evaluation, recording: Recording, device: RenderingDevice) -> Panels:
-    from posetrack_cli.evaluation.recording_of import check_same_size
+    from posetrack_cli.evaluation.recording_of import cameras_of
     from posetrack_cli.evaluation.viewing.colours import TRUTH
     from posetrack_cli.evaluation.viewing.layers import Layer
     from posetrack_cli.evaluation.viewing.panels import Panels
@@ -121,8 +121,7 @@ def _panels(evaluation: Evaluation, recording: Recording, device: RenderingDevic
     from posetrack_cli.results.reader import read_result
 
     result, track, truth = read_result(evaluation.path), evaluation.track, evaluation.truth
-    camera, drawer = result.camera(), drawer_of(result, device)
-    check_same_size(camera, recording)
+    (camera,), drawer = cameras_of(result, recording), drawer_of(result, device)
     return Panels(
         camera=camera,
         sampler=PixelSampler(camera),

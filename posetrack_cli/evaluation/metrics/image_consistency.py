@@ -15,10 +15,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recorded_hand import hand_of
-from posetrack_cli.evaluation.recording_of import check_same_size
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL
+from posetrack_cli.evaluation.recording_of import cameras_of
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
@@ -34,6 +32,7 @@ from posetrack_cli.rendering.sums import TileSums
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 
+MESH_LEVEL = "fine"
 WINDOW_MM = 320.0
 """A hand of scale 1 within ``reach_mm`` of its middle, whichever way it points, and some room."""
 TILE_PX = 160
@@ -122,8 +121,7 @@ def image_consistency(
     hand, track = hand_of(result), track_of_result(result, "", which)
     if not len(track):
         return {}
-    camera = result.camera()
-    check_same_size(camera, recording)
+    (camera,) = cameras_of(result, recording)
     with closing(open_device(device)) as drawing:
         residual, overlap = _compared(track, recording, HandConsistency(drawing, hand, camera)).T
     return {} if np.isnan(overlap).all() else {"residual_mm": residual, "region_overlap": overlap}

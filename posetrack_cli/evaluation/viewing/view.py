@@ -13,7 +13,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recorded_hand import hand_of
-from posetrack_cli.evaluation.recording_of import check_same_size
+from posetrack_cli.evaluation.recording_of import cameras_of
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
@@ -135,8 +135,7 @@ def drawer_of(result: Result, device: RenderingDevice) -> Drawer:
 
 def _common_camera(results: Sequence[Result], recording: Recording) -> Camera:
     """The camera that all estimates are relative to."""
-    camera = results[0].camera()
-    check_same_size(camera, recording)
+    camera = cameras_of(results[0], recording)[0]
     for other in results[1:]:
         if replace(other.camera(), name=camera.name) != camera:
             raise UsageError("results have different cameras", found=f"{results[0].path} and {other.path}")
