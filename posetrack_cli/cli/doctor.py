@@ -1,4 +1,4 @@
-"""``posetrack doctor``: which GL renderer is used, how fast it is, what is missing if none works."""
+"""``posetrack doctor``: which renderer is used, how fast it is, and what is missing if none works."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ LIBRARIES = (
 )
 
 
-@click.command(short_help="Tell which OpenGL renderer is used and how fast it is.")
+@click.command(short_help="Report which OpenGL renderer is used and how fast it is.")
 @click.option("--device", type=click.IntRange(min=0), help="Only this EGL device.")
 @click.option("--particles", type=click.IntRange(min=1), default=PARTICLES, show_default=True)
 def doctor(device: int | None, particles: int) -> None:
-    """Tell which OpenGL renderer is used, how fast it scores particles, and what is missing if none works."""
+    """Report which OpenGL renderer is used and how fast it scores particles, or what is missing."""
     _print_versions()
     works = _check("default" if device is None else f"device {device}", device, particles)
     numbers = _working_devices() if device is None else []
-    if len(numbers) > 1 or not works:  # the only device is the default one, told already
+    if len(numbers) > 1 or not works:  # a single device is the default one, which was reported
         for number in numbers:
             _check(f"device {number}", number, particles)
     if not works:
@@ -66,7 +66,7 @@ def _print_versions() -> None:
 
 
 def _working_devices() -> list[int]:
-    """Numbers of the EGL devices that open; one that does not may lie between others that do."""
+    """Numbers of the EGL devices that open; they need not be consecutive."""
     from posetrack_cli.rendering.devices import open_device
 
     numbers = []
@@ -78,7 +78,7 @@ def _working_devices() -> list[int]:
 
 
 def _check(label: str, device: int | None, particles: int) -> bool:
-    """Print what a device draws with and how fast; say what is missing if it does not."""
+    """Print what a device draws with and how fast, or what is missing; return whether it works."""
     from posetrack_cli.rendering.devices import open_device
 
     try:

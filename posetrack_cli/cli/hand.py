@@ -1,4 +1,4 @@
-"""``posetrack hand``: the commands about hands."""
+"""``posetrack hand``: the commands for hands."""
 
 from __future__ import annotations
 
@@ -56,25 +56,29 @@ hand.add_command(hand_synth)
     "--filter",
     "filter_kind",
     type=click.Choice(["rbpf", "pf", "pso"]),
-    help="Filter; pso is the optimiser of Oikonomidis et al. 2011 instead.  [default: rbpf]",
+    help="Filter, or pso, the optimiser of Oikonomidis et al. 2011.  [default: rbpf]",
 )
-@click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 512; pso: 64]")
+@click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 64]")
 @click.option(
     "--proposal",
     type=click.Choice(["guided", "annealed", "marginal", "paper"]),
-    help="Proposal; annealed is a slow check of guided.  [default: guided]",
+    help="Proposal distribution; annealed is slow, to check guided with.  [default: guided]",
 )
 @click.option(
     "--resampling",
     type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
     help="Resampling scheme.  [default: systematic]",
 )
-@click.option("--cost", type=click.Choice(["union", "paper"]), help="Cost's image region.  [default: union]")
+@click.option(
+    "--cost",
+    type=click.Choice(["mixture", "union", "paper"]),
+    help="Cost function over the image.  [default: mixture]",
+)
 @click.option(
     "--hand-side",
     "side",
     type=click.Choice(["auto", "right", "left"]),
-    help="Which hand; auto finds out from the first second.  [default: auto]",
+    help="Which hand; auto tells from the first second.  [default: auto]",
 )
 @click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's.")
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
@@ -87,9 +91,9 @@ hand.add_command(hand_synth)
 @click.option(
     "--calibrate/--no-calibrate",
     default=None,
-    help="First estimate the hand's size and proportions from its first seconds.  [default: no]",
+    help="Estimate the hand's size and proportions from the first seconds before tracking.  [default: no]",
 )
-@click.option("--smooth", is_flag=True, help="Also write the smoothed track, which knows the future.")
+@click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
 @frame_options
 @recording_options
 @click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
@@ -115,7 +119,7 @@ def hand_run(recording: Path, **options: Any) -> None:
 
 
 def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, str]:
-    """Everything that can be refused is refused here, before the first frame; what is open is found out."""
+    """Refuse what can be refused before the first frame, and settle what is left open."""
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.recording.opening import open_recording

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="File to write.",
 )
-@click.option("--seconds", default=5.0, show_default=True, help="How much is looked at, from the start, s.")
+@click.option("--seconds", default=5.0, show_default=True, help="Length of the part used, from the start, s.")
 @click.option(
     "--frames",
     type=click.IntRange(min=4, max=200),
     default=16,
     show_default=True,
-    help="Frames that the shape is adjusted to, as different in pose as there are.",
+    help="Frames that the shape is fitted to, chosen for different poses.",
 )
 @click.option(
-    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: find out]"
+    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: detected]"
 )
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Shape this hand instead of the average one.")
 @click.option("--config", "configs", multiple=True, help="TOML file or a shipped name, as of hand run.")
@@ -46,11 +46,10 @@ if TYPE_CHECKING:
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """Estimate side, size, finger lengths and widths and the palm's size of the hand in RECORDING.
 
-    The hand should be seen open, from its palm and its back, and with its fingers bent, for a few seconds.
-    What is written is a configuration: posetrack hand run RECORDING --config HAND.toml.
+    For a few seconds the hand should be seen open, from its palm and its back, and with its fingers bent.
+    The file is a configuration for hand run: posetrack hand run RECORDING --config HAND.toml.
     """
-    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate
-    from posetrack_cli.hand.calibration.hand_file import write_hand_file
+    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate, write_hand_file
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
     from posetrack_cli.recording.opening import open_recording

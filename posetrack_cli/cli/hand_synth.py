@@ -16,8 +16,8 @@ from posetrack_cli.errors import UsageError
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 SWITCHES = (
-    ("noise", "Noise of the readings, and none outside 0.5 to 4.5 m."),
-    ("edges", "Missing readings beside edges of depth."),
+    ("noise", "Depth noise, and no readings outside 0.5 to 4.5 m."),
+    ("edges", "Missing readings at depth edges."),
     ("background", "A room behind the hand."),
     ("body", "Trunk and head behind the hand."),
     ("forearm", "The forearm behind the wrist."),
@@ -40,7 +40,7 @@ SHAPE = (
 
 
 def switch_options(command: Command) -> Command:
-    """Add the switches; their default, None, stands for what is usual of the motion."""
+    """Add the switches; None, their default, means the motion's own default."""
     for name, text in reversed(SWITCHES):
         command = click.option(f"--{name}/--no-{name}", default=None, help=text)(command)
     return command
@@ -48,16 +48,16 @@ def switch_options(command: Command) -> Command:
 
 def shape_options(command: Command) -> Command:
     """Add the hand's proportions."""
-    place = "Further factor, how far along the palm the thumb begins."
+    place = "Factor on how far along the palm the thumb begins."
     command = click.option("--thumb-place", type=float, help=place)(command)
-    command = click.option("--wrist-width", type=float, help="Further factor on the wrist's width.")(command)
+    command = click.option("--wrist-width", type=float, help="Factor on the wrist's width.")(command)
     for name, text in reversed(PALM):
-        command = click.option(f"--palm-{name}", type=float, help=f"Further factor, the palm {text}.")(
+        command = click.option(f"--palm-{name}", type=float, help=f"Factor on the palm's {name}, {text}.")(
             command
         )
     for name, text in reversed(FINGERS):
         option = f"--finger-{name}"
-        command = click.option(option, type=float, nargs=5, help=f"Further factors, {text}.")(command)
+        command = click.option(option, type=float, nargs=5, help=f"Factors on {text}.")(command)
     return command
 
 
@@ -74,7 +74,7 @@ def shape_options(command: Command) -> Command:
 @click.option(
     "--frames", default=300, show_default=True, help="Frames at the nominal rate, dropped ones included."
 )
-@click.option("--seed", default=0, show_default=True, help="Of everything random.")
+@click.option("--seed", default=0, show_default=True, help="Random seed.")
 @click.option(
     "--speed",
     default=1.0,
@@ -84,8 +84,8 @@ def shape_options(command: Command) -> Command:
 @click.option("--hand-side", "side", type=click.Choice(["right", "left"]), default="right", show_default=True)
 @click.option("--scale", type=float, help="Factor on the hand's lengths.  [default: 1]")
 @shape_options
-@click.option("--random-hand", is_flag=True, help="A hand of random size and proportions, of the seed.")
-@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="A hand other than the average one (glTF).")
+@click.option("--random-hand", is_flag=True, help="Draw the hand's size and proportions from the seed.")
+@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Hand (glTF) instead of the average one.")
 @click.option("--fps", default=30.0, show_default=True, help="Nominal frame rate, Hz.")
 @switch_options
 @click.option("--overwrite", is_flag=True, help="Replace OUT.mcap if it exists.")
@@ -104,7 +104,7 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
     with _progress(options.frames) as report:
         made = write_synthetic(options, output, overwrite=overwrite, report=report)
     print_line(
-        f"{output}: {made.frames} frames, {made.dropped} dropped, {made.seconds:.3f} s long, "
+        f"{output}: {made.frames} frames, {made.missing} dropped, {made.seconds:.3f} s long, "
         f"made in {time.perf_counter() - began:.1f} s"
     )
 
@@ -113,7 +113,7 @@ def synth_options(values: dict[str, Any]) -> Any:
     """Return the SynthOptions of the command's values.
 
     Raises:
-        UsageError: a value that cannot be meant.
+        UsageError: a value that cannot be used.
     """
     from dataclasses import asdict, replace
 

@@ -22,11 +22,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.laplace import Prediction
-from posetrack_cli.filtering.model import LogLikelihood, StateSpace
-from posetrack_cli.filtering.proposed import Proposed
+from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace
 from posetrack_cli.filtering.resampling import resample
-from posetrack_cli.filtering.step import Weighing, equal_log_weights, scored
+from posetrack_cli.filtering.step import Prediction, Proposed, Weighing, equal_log_weights, scored
 from posetrack_cli.filtering.weights import effective_count, normalise
 
 SMALLEST_STEP = 1e-4
@@ -64,21 +62,12 @@ class Annealing:
         return True
 
     def propose(
-        self,
-        prediction: Prediction,
-        space: StateSpace,
-        log_likelihood: LogLikelihood,
-        scheme: str,
-        rng: np.random.Generator,
+        self, prediction: Prediction, model: FilterModel, score: LogLikelihood, rng: np.random.Generator
     ) -> Proposed:
-        """Draw and weigh as many poses as there are particles.
-
-        Raises:
-            FilterError: the likelihood has the wrong shape, a NaN or an infinity, or is zero for all.
-        """
-        weights = normalise(prediction.log_weights)[0]
+        """Draw and weigh as many poses as there are particles; see `Proposer`."""
+        scheme, weights = model.resampling.scheme, normalise(prediction.log_weights)[0]
         count, ancestors = weights.size, resample(scheme, weights, rng, weights.size)
-        cloud = _Cloud(prediction, space, log_likelihood, ancestors, rng)
+        cloud = _Cloud(prediction, model.space, score, ancestors, rng)
         temperature, log_evidence = 0.0, 0.0
         while True:
             step = next_step(cloud.scores, 1.0 - temperature, self.keep)

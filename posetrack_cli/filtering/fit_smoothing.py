@@ -2,10 +2,15 @@
 
 With one fit's quadratic as a frame's likelihood and a smooth motion as the prior, the whole recording is a
 linear-Gaussian model about the fits: a Kalman filter on the way forward, the message from the later frames
-(`backward_message`) on the way back. Which fit, and how far it is trusted, is decided under the prediction
-of the frame from those before it, and again, on the way back, under that from all others. There the frame may
-also be fitted anew, from what all others expect: the likelihood is expanded again about a better pose, as in
-an iterated Kalman smoother (Bell 1994), and a finger that the filter's fits lost may be found.
+(`gaussian_smoothing.BackwardMessage`) on the way back. Which fit, and how far it is trusted, is decided under
+the prediction of the frame from those before it, and again, on the way back, under that from all others.
+There the frame may also be fitted anew, from what all others expect: the likelihood is expanded again about a
+better pose, as in an iterated Kalman smoother (Bell 1994), and a finger that the filter's fits lost may be
+found.
+
+The fit with the greatest evidence is taken. Where it contradicts the belief its information is lowered as a
+Student-t density does: errors of fits are mostly small, and sometimes far larger than a quadratic says, where
+a finger is taken for another.
 
 It has no Monte Carlo error, which outweighs all that the future could tell of a hand that is seen well, and
 its motion may be smoother than the filter's, which has to catch what the fits did not foresee.
@@ -18,21 +23,28 @@ from typing import Protocol
 
 import numpy as np
 
-from posetrack_cli.arrays import IntArray
-from posetrack_cli.filtering.backward_message import BackwardMessage, before, joined, no_message, recentred
-from posetrack_cli.filtering.backward_message import with_fit as message_with_fit
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, check_time_step
-from posetrack_cli.filtering.fit_choice import doubted, likeliest, only
-from posetrack_cli.filtering.gaussian_smoothing import StateGaussian, state_gaussian
+from posetrack_cli.filtering.filters import FilterState
+from posetrack_cli.filtering.gaussian_smoothing import (
+    BackwardMessage,
+    StateGaussian,
+    earlier_message,
+    joined,
+    no_message,
+    recentred,
+    state_gaussian,
+    with_fit,
+)
 from posetrack_cli.filtering.kalman import constant_velocity
-from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.particle import ParticleState
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, with_velocity
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
 from posetrack_cli.filtering.weights import normalise, truncated
 
 BELIEF = ("pose", "velocity", "covariance")
+_RIDGE = 1e-9
+"""Information, per unit^2, of what a fit knows nothing about: far below any prior's."""
 
 
 class FrameFits(Protocol):
@@ -73,7 +85,7 @@ class FitSmoother:
         self._belief: StateGaussian | None = None
         self._message: BackwardMessage | None = None
 
-    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
+    def remember(self, state: FilterState, step: Step | None = None) -> Memory:
         """Return what is expected of a frame; a chain begins with the particles' own moments."""
         if self._belief is None or step is None or step.cut:
             expected, first = self._moments(state), True
@@ -100,7 +112,7 @@ class FitSmoother:
         if self._message is None:
             raise FilterError("a backward pass begins with the last frame")
         check_time_step(dt)
-        earlier = before(self._message, dt, self._dynamics)
+        earlier = earlier_message(self._message, dt, self._dynamics)
         return self._smoothed(memory, recentred(earlier, memory["pose"], self._space))
 
     def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
@@ -116,7 +128,7 @@ class FitSmoother:
         if known is None:
             return belief.smoothed
         fit = self._chosen(belief, self._fits.more(memory, known, belief))
-        self._message = message_with_fit(message, fit, 0, self._space)
+        self._message = with_fit(message, fit, 0, self._space)
         return fitted(belief, fit, 0, self._space).smoothed
 
     def _updated(self, belief: StateGaussian, modes: LikelihoodModes) -> StateGaussian:
@@ -129,8 +141,8 @@ class FitSmoother:
             return fit
         return doubted(belief, fit, self._groups, self._freedom, self._space)
 
-    def _moments(self, state: ParticleState | MarginalState) -> StateGaussian:
-        moving = with_velocity(state, self._dynamics.pose_noise.size)
+    def _moments(self, state: FilterState) -> StateGaussian:
+        moving = state.with_velocity(self._dynamics.pose_noise.size)
         return state_gaussian(moving, truncated(normalise(state.log_weights)[0]), self._space)
 
 
@@ -157,6 +169,70 @@ def fitted(belief: StateGaussian, modes: LikelihoodModes, k: int, space: StateSp
     covariance = C - gain @ H @ C[:size]
     pose = space.retract(belief.pose[None], moved[None])[0]
     return StateGaussian(pose, belief.velocity + quicker, 0.5 * (covariance + covariance.T))
+
+
+def log_evidence(belief: StateGaussian, modes: LikelihoodModes, k: int, space: StateSpace) -> float:
+    """Return the log of the integral of the belief's pose times the k-th fit's quadratic.
+
+    With d the fit's pose and b = g + H d the gradient at the belief's mean, C the pose's covariance:
+    h - g . d - d^T H d / 2 - log det(1 + C H) / 2 + b^T (1 + C H)^-1 C b / 2.
+    """
+    size, H, g = belief.velocity.size, modes.information[k], modes.gradients[k]
+    C = belief.covariance[:size, :size]
+    d = space.local(belief.pose, modes.poses[k])
+    b, spread = g + H @ d, np.eye(size) + C @ H
+    at_mean = modes.log_heights[k] - g @ d - 0.5 * d @ H @ d
+    return float(at_mean + 0.5 * (b @ np.linalg.solve(spread, C @ b) - np.linalg.slogdet(spread)[1]))
+
+
+def likeliest(belief: StateGaussian, modes: LikelihoodModes, space: StateSpace) -> int:
+    """Return which fit has the greatest evidence."""
+    if len(modes) == 1:
+        return 0
+    return int(np.argmax([log_evidence(belief, modes, k, space) for k in range(len(modes))]))
+
+
+def only(modes: LikelihoodModes, k: int) -> LikelihoodModes:
+    """Return the k-th fit alone."""
+    k = range(len(modes))[k]
+    one = slice(k, k + 1)
+    return LikelihoodModes(
+        modes.poses[one], modes.gradients[one], modes.information[one], modes.log_heights[one]
+    )
+
+
+def doubted(
+    belief: StateGaussian,
+    modes: LikelihoodModes,
+    groups: Sequence[IntArray],
+    freedom: float,
+    space: StateSpace,
+) -> LikelihoodModes:
+    """Return a single fit with less information on those groups of components that contradict a belief.
+
+    Per group of d components, with e its part of (the fit's maximum - the belief's mean) and V that of
+    C + H^-1, the weight is w = min(1, (nu + d) / (nu + e^T V^-1 e)), the expected precision of a Student-t
+    density of nu degrees of freedom given e. H becomes W^1/2 H W^1/2 with the weights on W's diagonal, and
+    the maximum stays.
+
+    Args:
+        belief: of the frame, without the fit.
+        modes: one fit.
+        groups: of components, which err together.
+        freedom: nu.
+        space: the poses' space.
+    """
+    size, H = belief.velocity.size, modes.information[0]
+    inverse = np.linalg.inv(H + _RIDGE * np.eye(size))
+    best = inverse @ modes.gradients[0]
+    off = space.local(belief.pose, modes.poses[0]) + best
+    spread = belief.covariance[:size, :size] + inverse
+    roots = np.ones(size)
+    for group in groups:
+        chi2 = off[group] @ np.linalg.solve(spread[np.ix_(group, group)], off[group])
+        roots[group] = np.sqrt(min(1.0, (freedom + len(group)) / (freedom + chi2)))
+    weighted: FloatArray = roots[:, None] * H * roots
+    return LikelihoodModes(modes.poses, (weighted @ best)[None], weighted[None], modes.log_heights)
 
 
 def _belief_of(memory: Memory) -> StateGaussian:

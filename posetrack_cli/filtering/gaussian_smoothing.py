@@ -6,6 +6,15 @@ the spread is wide, the gain close to 1, and the mean follows the frames that kn
 
 It moves the mean to where the smoothed pose is. A particle smoother has to find it among the filter's
 particles, and in 21 dimensions next to none of 256 lies there.
+
+What later frames say about a state is also to be had without the state's own prior and likelihood, in
+information form, as the backward half of a two-filter smoother (Mayne 1966; Fraser and Potter 1969):
+
+    log p(y_t+1, .. | x_t (+) e)  =  b . e - e^T L e / 2  + const.
+
+L may be singular: one later frame says nothing about velocities. The product with the prediction from the
+past is what Rauch, Tung and Striebel's smoother yields; but here what all *other* frames expect of a frame is
+at hand before its own likelihood is taken in, which may so be looked at again from there.
 """
 
 from __future__ import annotations
@@ -16,11 +25,11 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_smooth
-from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics, StateSpace
-from posetrack_cli.filtering.particle import ParticleState
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of, with_velocity
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of
 from posetrack_cli.filtering.weights import effective_count, normalise, truncated
 
 
@@ -55,11 +64,11 @@ class GaussianSmoother:
         self._dynamics, self._space, self._guided = noise_of(dynamics, moving), space, guided
         self._later: StateGaussian | None = None
 
-    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
+    def remember(self, state: FilterState, step: Step | None = None) -> Memory:
         """Return the moments; see `Smoother`."""
         weights = normalise(state.log_weights)[0]
         weights = truncated(weights) if self._guided else weights
-        moving = with_velocity(state, self._dynamics.pose_noise.size)
+        moving = state.with_velocity(self._dynamics.pose_noise.size)
         return vars(state_gaussian(moving, weights, self._space))
 
     def resume(self, last: Memory) -> None:
@@ -145,3 +154,72 @@ def _between_components(size: int) -> BoolArray:
     component = np.arange(size) % (size // 2)
     different: BoolArray = component[:, None] != component
     return different
+
+
+@dataclass(frozen=True, eq=False)
+class BackwardMessage:
+    """A quadratic in (pose, velocity), the pose in the tangent space of a reference.
+
+    Attributes:
+        reference: (S,) pose.
+        information: (2D, 2D) L, symmetric, positive semi-definite.
+        vector: (2D,) b.
+    """
+
+    reference: FloatArray
+    information: FloatArray
+    vector: FloatArray
+
+
+def no_message(reference: FloatArray, dimension: int) -> BackwardMessage:
+    """Return what no later frame says about a state of D pose components."""
+    return BackwardMessage(reference, np.zeros((2 * dimension, 2 * dimension)), np.zeros(2 * dimension))
+
+
+def recentred(message: BackwardMessage, reference: FloatArray, space: StateSpace) -> BackwardMessage:
+    """Return the message in another pose's tangent space.
+
+    The spaces are taken to differ by a shift, which neglects terms of the order of the angle between them.
+    """
+    shift = np.zeros_like(message.vector)
+    shift[: len(shift) // 2] = space.local(message.reference, reference)
+    return BackwardMessage(reference, message.information, message.vector - message.information @ shift)
+
+
+def earlier_message(message: BackwardMessage, dt: float, dynamics: Dynamics) -> BackwardMessage:
+    """Return what the message says about the state dt seconds earlier; at dt = 0 the same.
+
+    F^T (1 + L Q)^-1 L F and F^T (1 + L Q)^-1 b.
+    """
+    if dt <= 0.0:
+        return message
+    noise = dynamics.pose_noise, dynamics.velocity_noise
+    F, Q = constant_velocity(*noise, dt, dynamics.discretisation)
+    L = message.information
+    back = np.linalg.solve((np.eye(len(L)) + L @ Q).T, F).T
+    information = back @ L @ F
+    symmetric = 0.5 * (information + information.T)
+    return BackwardMessage(message.reference, symmetric, back @ message.vector)
+
+
+def with_fit(message: BackwardMessage, modes: LikelihoodModes, k: int, space: StateSpace) -> BackwardMessage:
+    """Return the message times the k-th fit of the likelihood."""
+    size, H = modes.gradients.shape[1], modes.information[k]
+    away = space.local(message.reference, modes.poses[k])
+    information, vector = message.information.copy(), message.vector.copy()
+    information[:size, :size] += H
+    vector[:size] += modes.gradients[k] + H @ away
+    return BackwardMessage(message.reference, information, vector)
+
+
+def joined(belief: StateGaussian, message: BackwardMessage, space: StateSpace) -> StateGaussian:
+    """Return the belief times what later frames say: C' = (1 + C L)^-1 C, moved by C' (b - L m).
+
+    m is the belief's mean in the message's tangent space; the covariance is taken for that in the belief's.
+    """
+    size, C, L = belief.velocity.size, belief.covariance, message.information
+    mean = np.concatenate([space.local(message.reference, belief.pose), belief.velocity])
+    joint = np.linalg.solve(np.eye(2 * size) + C @ L, C)
+    moved, quicker = np.split(joint @ (message.vector - L @ mean), 2)
+    pose = space.retract(belief.pose[None], moved[None])[0]
+    return StateGaussian(pose, belief.velocity + quicker, 0.5 * (joint + joint.T))

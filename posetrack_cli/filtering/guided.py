@@ -30,12 +30,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.laplace import Prediction, laplace_mixture
-from posetrack_cli.filtering.model import LogLikelihood, StateSpace
-from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.proposed import Proposed
+from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace
+from posetrack_cli.filtering.modes import LikelihoodModes, laplace_mixture
 from posetrack_cli.filtering.resampling import resample
-from posetrack_cli.filtering.step import weigh_drawn
+from posetrack_cli.filtering.step import Prediction, Proposed, weigh_drawn
 from posetrack_cli.filtering.weights import normalise
 
 
@@ -66,16 +64,11 @@ class Guide:
         return len(self.modes) > 0
 
     def propose(
-        self,
-        prediction: Prediction,
-        space: StateSpace,
-        log_likelihood: LogLikelihood,
-        scheme: str,
-        rng: np.random.Generator,
+        self, prediction: Prediction, model: FilterModel, score: LogLikelihood, rng: np.random.Generator
     ) -> Proposed:
         """Draw from q(i, x) and weigh by (24); see `draw_guided` and `weigh_drawn`."""
-        draw = draw_guided(prediction, self, space, scheme, rng)
-        weighing = weigh_drawn(draw.log_weights, draw.poses, log_likelihood)
+        draw = draw_guided(prediction, self, model.space, model.resampling.scheme, rng)
+        weighing = weigh_drawn(draw.log_weights, draw.poses, score)
         return Proposed(draw.poses, draw.increments, draw.ancestors, weighing)
 
     @property

@@ -8,19 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import nearest_name
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.kalman import Discretisation, check_discretisation
+from posetrack_cli.filtering.resampling import Resampling
 
 LogLikelihood: TypeAlias = Callable[[FloatArray], FloatArray]
 """log p(y | x) of poses (N, S) -> (N,), up to a constant; -inf for impossible, never NaN."""
 
 Constrain: TypeAlias = Callable[[FloatArray], FloatArray]
 """Poses (N, S) -> (N, S), put back inside their limits."""
+
+Sampling: TypeAlias = Literal["marginal", "paper"]
+SAMPLINGS: tuple[str, ...] = get_args(Sampling)
 
 
 class StateSpace(Protocol):
@@ -94,6 +99,33 @@ class Dynamics:
             raise FilterError(
                 "noises do not match", found=f"{self.pose_noise.shape} and {self.velocity_noise.shape}"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class FilterModel:
+    """What stays the same from step to step.
+
+    Attributes:
+        dynamics: noise and limits of the motion.
+        space: the poses' space.
+        resampling: scheme and threshold.
+        sampling: how a filter with a velocity samples increments where no proposal looks at the frame:
+            ``marginal`` **[fix]**, with the variance N of (55), or ``paper``, dt Q^n as printed in (51). Both
+            take the weights (54), which are right for ``marginal`` only.
+
+    Raises:
+        FilterError: the sampling is not known.
+    """
+
+    dynamics: Dynamics
+    space: StateSpace
+    resampling: Resampling
+    sampling: Sampling = "marginal"
+
+    def __post_init__(self) -> None:
+        if self.sampling not in SAMPLINGS:
+            hint = nearest_name(self.sampling, SAMPLINGS)
+            raise FilterError("no such proposal", found=self.sampling, hint=hint)
 
 
 def checked_variance(values: FloatArray, name: str) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Local Gaussian approximations of a likelihood: what a proposal that looks at the frame is made of."""
+"""Local Gaussian approximations of a likelihood, and their products with the particles' priors (Laplace)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.model import StateSpace
+from posetrack_cli.filtering.step import Prediction
+
+RESOLUTION = 1e-9
+"""Of the largest pose component: what varies less does not count in a density, as its digits are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,3 +48,105 @@ class LikelihoodModes:
 
     def __len__(self) -> int:
         return len(self.poses)
+
+
+@dataclass(frozen=True, eq=False)
+class LaplaceMixture:
+    """The Gaussians p_i l_k, over u = e / sd, in which the prior is N(0, 1).
+
+    Attributes:
+        prediction: the priors p_i.
+        modes: the fits l_k.
+        space: the poses' space.
+        means: (K, N, D) the priors' means in the chart of each fit.
+        whitened: (K, N, D) y, and
+        unwhitening: (K, D, D) L^-1: the product has precision B = L L^T and mean L^-T y.
+        log_masses: (K, N) log c_ik, the integrals of p_i l_k.
+    """
+
+    prediction: Prediction
+    modes: LikelihoodModes
+    space: StateSpace
+    means: FloatArray
+    whitened: FloatArray
+    unwhitening: FloatArray
+    log_masses: FloatArray
+
+    def sample(self, picked: IntArray, ancestors: IntArray, rng: np.random.Generator) -> FloatArray:
+        """Return a pose (M, S) from p_i l_k for each ancestor i (M,) and fit k (M,); k = K is p_i alone."""
+        prediction = self.prediction
+        u = rng.standard_normal((ancestors.size, prediction.variance.size))
+        base, offset = prediction.poses[ancestors], prediction.drift[ancestors]
+        for k in range(len(self.modes)):
+            rows = np.flatnonzero(picked == k)
+            chosen = ancestors[rows]
+            u[rows] = (self.whitened[k, chosen] + u[rows]) @ self.unwhitening[k]
+            base[rows], offset[rows] = self.modes.poses[k], self.means[k, chosen]
+        return self.space.retract(base, offset + np.sqrt(prediction.variance) * u)
+
+    def log_fits(self, poses: FloatArray, increments: FloatArray, ancestors: IntArray) -> FloatArray:
+        """Return log l_k(x) (K, M), times the prior that `sample` draws from over the true one.
+
+        The ratio is 1 in a flat space. In a curved one the prior is Gaussian in the tangent space of x_i, and
+        `sample` draws as if it were in that of the fit.
+
+        Args:
+            poses: (M, S) x.
+            increments: (M, D) x (-) x_i.
+            ancestors: (M,) i.
+        """
+        offsets = self.space.local(self.modes.poses[:, None], poses)
+        slopes = self.modes.gradients[:, None] - offsets @ (0.5 * self.modes.information)
+        log_fits: FloatArray = self.modes.log_heights[:, None] + np.einsum("kid,kid->ki", offsets, slopes)
+        precision = precisions(self.prediction.variance, self.prediction.poses)
+        log_fits += self.space.log_volume(increments) - self.space.log_volume(offsets)
+        true = np.square(increments - self.prediction.drift[ancestors]) @ precision
+        offsets -= self.means[:, ancestors]
+        log_fits += 0.5 * (true - np.square(offsets, out=offsets) @ precision)
+        return log_fits
+
+
+def laplace_mixture(prediction: Prediction, modes: LikelihoodModes, space: StateSpace) -> LaplaceMixture:
+    """Multiply every prior with every fit.
+
+    In the chart of a fit with height h, gradient g and information H, e = mu + S u, S = sqrt(N):
+
+        B = 1 + S H S,   b = S (g - H mu),   u ~ N(B^-1 b, B^-1)
+        log c = h + g mu - mu H mu / 2 + b B^-1 b / 2 - log det(B) / 2
+
+    B >= 1 even where N is zero or H singular, so nothing is divided by either.
+
+    Raises:
+        FilterError: a fit's information is not positive semi-definite.
+    """
+    centres = space.retract(prediction.poses, prediction.drift)
+    means, sd = space.local(modes.poses[:, None], centres), np.sqrt(prediction.variance)
+    lower = _cholesky(np.eye(sd.size) + sd[:, None] * modes.information * sd)
+    inverse = np.asarray(np.linalg.inv(lower), dtype=np.float64)
+    gradients = modes.gradients[:, None]
+    slopes = gradients - means @ modes.information
+    whitened = slopes @ np.ascontiguousarray(sd[:, None] * np.swapaxes(inverse, 1, 2))
+    heights = modes.log_heights - np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    log_masses = heights[:, None] + 0.5 * np.einsum("kid,kid->ki", means, slopes + gradients)
+    log_masses += 0.5 * np.einsum("kid,kid->ki", whitened, whitened)
+    return LaplaceMixture(prediction, modes, space, means, whitened, inverse, log_masses)
+
+
+def precisions(variance: FloatArray, poses: FloatArray) -> FloatArray:
+    """Return 1 / variance (D,), and 0 for a component of the poses (N, S) that is frozen to within rounding.
+
+    Its density, a quotient of two roundings, then does not count.
+    """
+    smallest = RESOLUTION * max(1.0, float(np.abs(poses).max()))
+    moves = variance > smallest**2
+    precision: FloatArray = np.where(moves, 1.0 / np.where(moves, variance, 1.0), 0.0)
+    return precision
+
+
+def _cholesky(precision: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.cholesky(precision), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise FilterError(
+            "a mode's information cannot be used", found=error, expected="symmetric, positive semi-definite"
+        ) from error

@@ -28,14 +28,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, check_time_step
+from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import VelocityGain, step_noise, velocity_gain
-from posetrack_cli.filtering.laplace import precisions
-from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics, StateSpace
-from posetrack_cli.filtering.particle import ParticleState
-from posetrack_cli.filtering.posterior import pose_moments, velocity_moments
+from posetrack_cli.filtering.modes import precisions
 from posetrack_cli.filtering.resampling import resample
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of, with_velocity
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of
+from posetrack_cli.filtering.step import pose_moments, velocity_moments
 from posetrack_cli.filtering.weights import normalise
 
 SMALLEST_SHARE = 1e-12
@@ -80,9 +79,9 @@ class ParticleSmoother:
         self._count, self._rng = trajectories, rng
         self._later: Trajectories | None = None
 
-    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
+    def remember(self, state: FilterState, step: Step | None = None) -> Memory:
         """Return the particles; see `Smoother`."""
-        return vars(with_velocity(state, self._dynamics.pose_noise.size))
+        return vars(state.with_velocity(self._dynamics.pose_noise.size))
 
     def resume(self, last: Memory) -> None:
         """Nothing is needed of what was remembered before; see `Smoother`."""

@@ -21,12 +21,11 @@ from typing import TypeAlias
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.errors import nearest_name
-from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.errors import FilterError, Registry
 
 Scheme: TypeAlias = Callable[[FloatArray, np.random.Generator, int], IntArray]
 
-_SCHEMES: dict[str, Scheme] = {}
+_SCHEMES: Registry[Scheme] = Registry("resampling scheme")
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Resampling:
     threshold: float = 0.5
 
     def __post_init__(self) -> None:
-        _find(self.scheme)
+        _SCHEMES.find(self.scheme)
         if not self.threshold >= 0.0:
             raise FilterError(
                 "threshold cannot be used", found=self.threshold, expected="0 (never) to 1 (always)"
@@ -80,7 +79,7 @@ def resample(
     Raises:
         FilterError: the scheme is not known, the weights are no weights, or count < 1.
     """
-    draw = _find(scheme)
+    draw = _SCHEMES.find(scheme)
     _check_weights(weights)
     count = weights.size if count is None else count
     if count < 1:
@@ -88,31 +87,25 @@ def resample(
     return draw(weights, rng, count)
 
 
-def _register(scheme: Scheme) -> Scheme:
-    """Make a scheme known by its function's name."""
-    _SCHEMES[scheme.__name__] = scheme
-    return scheme
-
-
-@_register
+@_SCHEMES.register("systematic")
 def systematic(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
     """Invert the cumulative weights at (k + u) / count, k = 0..count-1, one u ~ U[0, 1) (Kitagawa 1996)."""
     return _inverse_cdf(weights, (np.arange(count) + rng.random()) / count)
 
 
-@_register
+@_SCHEMES.register("stratified")
 def stratified(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
     """Invert the cumulative weights at (k + u_k) / count, k = 0..count-1, u_k ~ U[0, 1) independent."""
     return _inverse_cdf(weights, (np.arange(count) + rng.random(count)) / count)
 
 
-@_register
+@_SCHEMES.register("multinomial")
 def multinomial(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
     """Invert the cumulative weights at independent u_k ~ U[0, 1) (Gordon, Salmond and Smith 1993)."""
     return _inverse_cdf(weights, rng.random(count))
 
 
-@_register
+@_SCHEMES.register("residual")
 def residual(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
     """Copy floor(count w_i) times, then draw the rest from what is left over (Liu and Chen 1998)."""
     expected = count * (weights / weights.sum())
@@ -135,14 +128,6 @@ def _inverse_cdf(weights: FloatArray, queries: FloatArray) -> IntArray:
     cumulative /= cumulative[-1]
     cumulative[cumulative >= 1.0] = np.inf
     return np.searchsorted(cumulative, queries, side="right").astype(np.int64, copy=False)
-
-
-def _find(scheme: str) -> Scheme:
-    """Return the registered scheme of that name, or raise with the nearest name."""
-    found = _SCHEMES.get(scheme)
-    if found is None:
-        raise FilterError("no such resampling scheme", found=scheme, hint=nearest_name(scheme, _SCHEMES))
-    return found
 
 
 def _check_weights(weights: FloatArray) -> None:

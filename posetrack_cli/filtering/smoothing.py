@@ -10,9 +10,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.filtering.marginal import MarginalState
+from posetrack_cli.filtering.filters import FilterState
 from posetrack_cli.filtering.model import Dynamics
-from posetrack_cli.filtering.particle import ParticleState
 
 Memory: TypeAlias = Mapping[str, Any]
 """What a smoother keeps of one frame: arrays and numbers of the same names and shapes at every frame."""
@@ -54,7 +53,7 @@ class Step(NamedTuple):
 class Smoother(Protocol):
     """A backward pass: each frame is remembered on the way forward, and smoothed on the way back."""
 
-    def remember(self, state: ParticleState | MarginalState, step: Step | None = None) -> Memory:
+    def remember(self, state: FilterState, step: Step | None = None) -> Memory:
         """Return what to keep of the filter's state after a frame, and of how it came there."""
         ...
 
@@ -82,14 +81,6 @@ class Smoother(Protocol):
             later: what came of the one smoothed last.
         """
         ...
-
-
-def with_velocity(state: ParticleState | MarginalState, dimension: int) -> MarginalState:
-    """Return the state of a filter without velocity as one whose velocity (D,) is known to be 0."""
-    if isinstance(state, MarginalState):
-        return state
-    still = np.zeros((len(state.poses), dimension))
-    return MarginalState(state.poses, still, np.zeros(dimension), state.log_weights)
 
 
 def noise_of(dynamics: Dynamics, moving: bool) -> Dynamics:

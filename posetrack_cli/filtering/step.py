@@ -1,14 +1,15 @@
-"""The verbs of a filter step that the particle filter and the marginalised filter share."""
+"""What every filter step is made of: proposing, weighing, choosing ancestors, and what is believed then."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.model import Constrain, LogLikelihood, StateSpace
+from posetrack_cli.filtering.model import Constrain, FilterModel, LogLikelihood, StateSpace
 from posetrack_cli.filtering.resampling import Resampling, resample
 from posetrack_cli.filtering.weights import effective_count, normalise
 
@@ -20,6 +21,60 @@ class Weighing(NamedTuple):
     log_weights: FloatArray
     log_evidence: float
     effective_sample_size: float
+
+
+class Prediction(NamedTuple):
+    """The belief before a frame, sum_i w_i p_i(x), with x = x_i (+) (d_i + e), e ~ N(0, diag variance).
+
+    Attributes:
+        poses: (N, S) x_i.
+        drift: (N, D) d_i.
+        variance: (D,) the same for all particles.
+        log_weights: (N,) log w_i.
+    """
+
+    poses: FloatArray
+    drift: FloatArray
+    variance: FloatArray
+    log_weights: FloatArray
+
+
+class Proposed(NamedTuple):
+    """Poses drawn for one frame, and weighed.
+
+    Attributes:
+        poses: (N, S).
+        increments: (N, D) from their ancestors' poses.
+        ancestors: (N,) whom each comes from.
+        weighing: their weights, hand paper (24).
+    """
+
+    poses: FloatArray
+    increments: FloatArray
+    ancestors: IntArray
+    weighing: Weighing
+
+
+class Proposer(Protocol):
+    """A proposal that looks at the frame; false if it has nothing to look with."""
+
+    def __bool__(self) -> bool: ...
+
+    def propose(
+        self, prediction: Prediction, model: FilterModel, score: LogLikelihood, rng: np.random.Generator
+    ) -> Proposed:
+        """Draw and weigh as many poses as there are particles.
+
+        Args:
+            prediction: the belief before the frame.
+            model: its space, and the scheme that ancestors are drawn by.
+            score: log p(y_t | x) of poses.
+            rng: source of randomness.
+
+        Raises:
+            FilterError: the likelihood has the wrong shape, a NaN or an infinity, or is zero for all.
+        """
+        ...
 
 
 def equal_log_weights(count: int) -> FloatArray:
@@ -121,3 +176,88 @@ def scatter(
         raise FilterError("initial spread cannot be used", found=sd, expected="finite, >= 0")
     start = np.tile(np.asarray(mean, dtype=np.float64), (count, 1))
     return propose(space, start, None, np.square(sd), None, rng)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Estimate of one frame; u is the component's unit, mm or rad.
+
+    Attributes:
+        pose: (S,) weighted mean pose, hand paper (62).
+        pose_variance: (D,) weighted variance about it in the tangent space, u^2.
+        velocity: (D,) weighted mean velocity, (63), u/s; zeros for the plain particle filter.
+        velocity_variance: (D,) (u/s)^2, by the law of total variance P + weighted variance of the particles'
+            velocities; zeros for the plain particle filter, which has no velocity.
+        effective_sample_size: 1 / sum w^2, in [1, N].
+        log_evidence: log p(y_t | y_1..t-1), up to the likelihood's constant; 0 without an observation.
+        resampled: whether the next state's particles were resampled.
+        best: index of the heaviest particle, before resampling.
+        best_pose: (S,) its pose.
+    """
+
+    pose: FloatArray
+    pose_variance: FloatArray
+    velocity: FloatArray
+    velocity_variance: FloatArray
+    effective_sample_size: float
+    log_evidence: float
+    resampled: bool
+    best: int
+    best_pose: FloatArray
+
+
+def pose_moments(space: StateSpace, poses: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the weighted mean pose (S,) and the variance (D,) of the tangent vectors from it."""
+    mean = space.mean(poses, weights)
+    deviations = space.local(np.broadcast_to(mean, poses.shape), poses)
+    return mean, weights @ np.square(deviations)
+
+
+def velocity_moments(
+    velocities: FloatArray, variance: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance (D,) of the mixture sum_i w_i N(v_i, diag P): total variance P + var v_i.
+
+    Args:
+        velocities: (N, D) v_i.
+        variance: (D,) P.
+        weights: (N,) of sum 1.
+    """
+    mean = weights @ velocities
+    return mean, variance + weights @ np.square(velocities - mean)
+
+
+def summarise(
+    space: StateSpace,
+    poses: FloatArray,
+    velocity: tuple[FloatArray, FloatArray] | None,
+    weighing: Weighing,
+    resampled: bool,
+    weights: FloatArray | None = None,
+) -> Posterior:
+    """Put the posterior together from particles and their weights, before resampling (62)-(63).
+
+    Args:
+        space: the poses' space.
+        poses: (N, S).
+        velocity: mean and variance, each (D,); None for a filter without velocity.
+        weighing: weights of the poses.
+        resampled: whether the next state is resampled.
+        weights: (N,) for mean and variance of the pose, if not those of the weighing.
+    """
+    moments = weighing.weights if weights is None else weights
+    pose, pose_variance = pose_moments(space, poses, moments)
+    if velocity is None:
+        velocity = np.zeros_like(pose_variance), np.zeros_like(pose_variance)
+    best = int(np.argmax(weighing.weights))
+    return Posterior(
+        pose=pose,
+        pose_variance=pose_variance,
+        velocity=velocity[0],
+        velocity_variance=velocity[1],
+        effective_sample_size=weighing.effective_sample_size,
+        log_evidence=weighing.log_evidence,
+        resampled=resampled,
+        best=best,
+        best_pose=poses[best].copy(),
+    )

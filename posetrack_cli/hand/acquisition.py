@@ -3,25 +3,99 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Protocol
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
+from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
 from posetrack_cli.hand.fitting.gauss_newton import Fit
-from posetrack_cli.hand.fitting.starts import fit_starts
 from posetrack_cli.hand.fitting.terms import Tile
-from posetrack_cli.hand.guiding import Guiding
-from posetrack_cli.hand.hypotheses import detected_poses, turned_poses
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.hand.space import HandSpace
+
+_D = np.pi / 180.0
+# Thumb CMC, MCP, abduction; then MCP flexion, abduction, PIP flexion of each finger, degrees.
+_FOLDED = (80.0, 0.0, 95.0)
+_SHAPES: FloatArray = _D * np.array(
+    [
+        (-5, 5, 0, 3, 5, 5, 3, 0, 5, 3, -4, 5, 4, -8, 6),  # open
+        (8, 20, 0, 30, 2, 40, 30, 0, 42, 32, -2, 43, 35, -5, 44),  # half closed
+        (15, 45, -20, *_FOLDED, *_FOLDED, *_FOLDED, *_FOLDED),  # fist
+        (35, 34, -25, 3, 5, 5, 3, -5, 5, *_FOLDED, *_FOLDED),  # two fingers
+    ]
+)
+_TURNS = _D * np.arange(0.0, 360.0, 30.0)  # about the hand's own length
+_TILTS = _D * np.array([-35.0, 0.0, 35.0])  # of the wrist, towards palm and back
+_SURFACE_MM = 12.0  # from the skin to the bones of a palm
+_IN_PLANE = _D * np.arange(0.0, 360.0, 30.0)
+_KNUCKLES = [0, 5, 9, 13, 17]  # joints whose mean is the palm's middle
+
+
+def detected_poses(detection: Detection, anatomy: HandAnatomy) -> FloatArray:
+    """Poses (H, 22) of a detected hand: turned about its length, tilted, open to closed **[ours]**.
+
+    The fingers point away from the elbow; where no forearm is seen, in all directions of the image.
+    """
+    if detection.arm is not None:
+        turns = _turned(detection.arm, _TILTS)
+    else:
+        ways = np.stack([np.sin(_IN_PLANE), -np.cos(_IN_PLANE), np.zeros(len(_IN_PLANE))], axis=1)
+        turns = [rotation for way in ways for rotation in _turned(way, np.zeros(1))]
+    middle = detection.palm + _SURFACE_MM * detection.palm / np.linalg.norm(detection.palm)
+    return _placed(np.array(turns), middle, anatomy)
+
+
+def turned_poses(pose: FloatArray, anatomy: HandAnatomy) -> FloatArray:
+    """Poses (H, 22) that look much like one that was lost: turned about its length, and closed or opened."""
+    palm = joint_positions(anatomy, pose[None])[0, _KNUCKLES].mean(axis=0)
+    about = [rotations.exponential(np.array([0.0, turn, 0.0])) for turn in _TURNS]
+    turns = np.array([rotations.multiply(pose[3:7], turn) for turn in about])
+    return np.concatenate([_placed(turns, palm, anatomy), _placed(turns, palm, anatomy, pose[None, ANGLES])])
+
+
+def _turned(along: FloatArray, tilts: FloatArray) -> list[FloatArray]:
+    """Rotations of a hand whose forearm points along a unit vector."""
+    arm = _pointing(along)
+    return [
+        rotations.multiply(
+            rotations.multiply(arm, rotations.exponential(np.array([0.0, turn, 0.0]))),
+            rotations.exponential(np.array([tilt, 0.0, 0.0])),
+        )
+        for turn, tilt in product(_TURNS, tilts)
+    ]
+
+
+def _pointing(along: FloatArray) -> FloatArray:
+    """The smallest rotation (4,) that points the fingers, -y, along a unit vector."""
+    up = np.array([0.0, -1.0, 0.0])
+    axis, cosine = np.cross(up, along), float(up @ along)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return rotations.exponential(np.array([0.0, 0.0, 0.0 if cosine > 0 else np.pi]))
+    return rotations.exponential(axis / sine * np.arctan2(sine, cosine))
+
+
+def _placed(
+    turns: FloatArray, middle: FloatArray, anatomy: HandAnatomy, shapes: FloatArray = _SHAPES
+) -> FloatArray:
+    """Every rotation (M, 4) with every shape (K, 15), the palm's middle at a point (3,): (M K, 22)."""
+    poses = np.zeros((len(turns) * len(shapes), POSE_SIZE))
+    poses[:, 3:7] = np.repeat(rotations.canonical(turns), len(shapes), axis=0)
+    poses[:, ANGLES] = np.tile(shapes, (len(turns), 1))
+    poses[:, :3] = middle - joint_positions(anatomy, poses)[:, _KNUCKLES].mean(axis=1)
+    return poses
+
 
 _FREE_PRECISION: FloatArray = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
 """(21,) of a pose about a hypothesis, 1 / mm^2 and 1 / rad^2: hypotheses are 30 degrees and a shape apart."""
@@ -71,9 +145,11 @@ class Acquisition:
         config: parameters.
         hand: the model.
         camera: of the depth images.
-        scorer: draws all hypotheses at once.
+        scorer: draws all hypotheses at once; without one the fits' own rasteriser does.
+
+    Attributes:
         observer: cuts out and segments windows.
-        guiding: local fits.
+        local_fitter: makes local fits.
     """
 
     def __init__(
@@ -81,14 +157,13 @@ class Acquisition:
         config: HandConfig,
         hand: HandModel,
         camera: Camera,
-        scorer: Costs,
-        observer: Observer,
-        guiding: Guiding,
+        scorer: Costs | None = None,
     ) -> None:
         self._config, self._settings = config, config.acquisition
-        self._hand, self._camera = hand, camera
-        self._scorer, self._observer, self.guiding = scorer, observer, guiding
-        self._space = HandSpace()
+        self._hand, self._camera, self._space = hand, camera, HandSpace()
+        self.observer = Observer(config, hand.anatomy, camera, segment=True)
+        self.local_fitter = LocalFitter(config, hand, camera)
+        self._scorer = scorer or DrawnCosts(self.local_fitter.fitter)
 
     def search(self, depth: ImageArray) -> Candidate | None:
         """Return the nearest hand in a whole image that fits well enough.
@@ -96,7 +171,7 @@ class Acquisition:
         Args:
             depth: (height, width) mm.
         """
-        detections = detect(depth, self._camera, self._config.detection, self._observer.sampler)
+        detections = detect(depth, self._camera, self._config.detection, self.observer.sampler)
         found = (self._fitted(depth, detection) for detection in detections)  # the nearest first
         worst = self._settings.accept_mm
         return next((one for one in found if one is not None and one.cost <= worst), None)
@@ -108,11 +183,11 @@ class Acquisition:
         return self._best(observation, turned_poses(pose, self._hand.anatomy))
 
     def _fitted(self, depth: ImageArray, detection: Detection) -> Candidate | None:
-        observation = self._observer.observe_detection(depth, detection)
+        observation = self.observer.observe_detection(depth, detection)
         if observation.target_pixels == 0:
             return None
         first = self._best(observation, detected_poses(detection, self._hand.anatomy))
-        again = self._observer.observe(depth, first.pose)  # with the wrist where the fit has it
+        again = self.observer.observe(depth, first.pose)  # with the wrist where the fit has it
         if again.target_pixels == 0:
             return first
         second = self._best(again, first.pose[None])
@@ -122,7 +197,7 @@ class Acquisition:
 
     def _best(self, observation: Observation, poses: FloatArray) -> Candidate:
         """The best fit from the most different of the best hypotheses (H, 22), refined once more."""
-        settings, fitter = self._settings, self.guiding.fitter
+        settings, fitter = self._settings, self.local_fitter.fitter
         tile = fitter.tile(observation)
         poses = fitter.aligned(tile, poses)
         starts = poses[distinct(poses, self._scorer.costs(poses, observation), settings.fitted)]
@@ -139,7 +214,7 @@ class Acquisition:
 
     def _descended(self, tile: Tile, starts: FloatArray) -> list[Fit]:
         """Fits from starts (K, 22), and from the best of them with fingers of the others."""
-        settings, fitter = self._settings, self.guiding.fitter
+        settings, fitter = self._settings, self.local_fitter.fitter
         priors = [PosePrior(start, _FREE_PRECISION) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.iterations)
         swapped = fitter.swapped(tile, sorted(fits, key=lambda fit: float(fit.cost[0]))[: settings.swapped])

@@ -170,7 +170,7 @@ class InitSettings(Settings):
 
 
 class PsoSettings(Settings):
-    """The optimiser of Oikonomidis et al. 2011 (``hand/swarm``); only the filter "pso" asks.
+    """The optimiser of Oikonomidis et al. 2011 (``hand/swarm.py``); only the filter "pso" asks.
 
     ``cognitive`` and ``social`` are c_1 and c_2 of the swarm, ``clamp_mm`` and ``match_mm`` are d_M and d_m
     of the objective, ``overlap_mm`` lambda and ``crossing_mm_per_rad`` lambda_k.

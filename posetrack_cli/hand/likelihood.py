@@ -15,7 +15,7 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import TileSums
+from posetrack_cli.rendering.sums import Comparison, TileSums
 
 Cost = Callable[[TileSums, ObservationSettings], FloatArray]
 
@@ -187,5 +187,5 @@ class RenderedCosts:
         transforms = skinning_transforms(self._anatomy, poses)
         clamp = self._settings.clamp_mm
         return renderer.sums(
-            transforms, self._camera, observation.window, observation.image, clamp, self._model
+            transforms, self._camera, observation.window, Comparison(observation.image, clamp, self._model)
         )

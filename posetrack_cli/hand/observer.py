@@ -1,19 +1,108 @@
-"""What of a frame a tracker looks at, given where it expects the hand."""
+"""What a tracker observes of a frame, given where it expects the hand.
+
+A cost alone cannot tell a hand from a wall: the pixels that it compares a hand with are cut out around the
+hand's own prediction, from a wall as readily as from a body that the hand touches. What a wall lacks is an
+outline, which is looked for here, too.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import cv2
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.config import HandConfig, ObservationSettings
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
-from posetrack_cli.hand.outline import LEAST_BROKEN, LEAST_CONTRAST, outline_of
-from posetrack_cli.hand.segmentation import Detection, Label, PredictedHand, Segmentation
+from posetrack_cli.hand.segmentation import Detection, Label, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
-from posetrack_cli.hand.segmentation.surfaces import points_of, without_pinholes
+from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette, silhouette_of
+from posetrack_cli.hand.segmentation.surfaces import pixel_mm, points_of, without_pinholes
 from posetrack_cli.rendering.window import Window
+
+LEAST_CONTRAST, LEAST_BROKEN = 0.25, 0.15
+"""What a frame must have to show a hand: the first where none was known, the second where one was.
+
+Contrast: a bare wall has 0.0, a noisy one 0.1 at most, a step in a wall 0.15; hands that are tracked have 0.3
+to 1.0, and less where the estimate lies beside them. Broken: walls and steps have 0.05 at most.
+"""
+_VIEW = ObservationSettings(window_mm=300.0)
+"""The window that is looked at: of a hand and its surroundings, whatever the likelihood's own window is."""
+_BESIDE_MM = (8.0, 20.0)
+"""The surroundings: so far outside the bones as they are drawn, where no skin reaches."""
+_CLEAR_STEP_MM, _BREAK_MM = 10.0, 15.0
+"""A step in depth that is as good as any larger one, a finger's height above what it lies on; and one that is
+no noise."""
+_FAR_MM = np.float32(1e9)
+_BLOCK = np.ones((3, 3), np.uint8)
+
+
+class Outline(NamedTuple):
+    """How a frame goes on beside a hand **[ours]**.
+
+    With y_out the readings beside the hand and y_in that of the nearest pixel well on the hand, each; a
+    missing reading counts as far away.
+
+    Attributes:
+        contrast: -1 to 1, the mean of clip((y_out - y_in) / 10 mm, -1, 1): how clearly the hand stands out.
+            Exchanging y_out and y_in changes its sign: on a surface that is alike on both sides of the
+            outline, be it bare, tilted, noisy or full of holes, it is 0.
+        broken: the share at which y_out and y_in differ by more than 15 mm, whichever is nearer: also of an
+            estimate that lies beside the hand, whose fingers may be where the gaps are.
+    """
+
+    contrast: float
+    broken: float
+
+
+def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: PredictedHand) -> Outline:
+    """Look at the outline of a hand in a frame.
+
+    Args:
+        depth: (height, width) the frame, mm, 0 = no reading.
+        sampler: of the camera.
+        camera: its camera.
+        hand: as estimated.
+
+    Returns:
+        The outline; all of it is broken where nothing around the hand lies in the image: that tells nothing.
+    """
+    window = window_around(hand.joints, camera, _VIEW)
+    silhouette = silhouette_of(hand.joints, hand.scale, window, camera)
+    if silhouette is None:
+        return Outline(0.0, 0.0)
+    sampled = sampler.sample(depth, window)
+    readings = np.asarray(cv2.medianBlur(np.where(sampled > 0, sampled, _FAR_MM), 3), dtype=np.float32)
+    distance_px, inside = _nearest_inside(readings, silhouette)
+    distance_mm = distance_px * pixel_mm(float(hand.joints[:, 2].mean()), window, camera) / hand.scale
+    beside = (distance_mm > _BESIDE_MM[0]) & (distance_mm < _BESIDE_MM[1]) & _in_image(window, camera)
+    if not beside.any():
+        return Outline(1.0, 1.0)
+    steps = (readings - inside)[beside]
+    contrast = float(np.clip(steps / _CLEAR_STEP_MM, -1.0, 1.0).mean())
+    return Outline(contrast, float((np.abs(steps) > _BREAK_MM).mean()))
+
+
+def _nearest_inside(readings: Float32Array, silhouette: Silhouette) -> tuple[Float32Array, Float32Array]:
+    """Distance (h, w), pixels, to the nearest pixel well inside a silhouette, and its reading (h, w), mm."""
+    core = cv2.erode(silhouette.mask.astype(np.uint8), _BLOCK) > 0
+    core = core if core.any() else silhouette.mask
+    distance, nearest = cv2.distanceTransformWithLabels(
+        (~core).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
+    of_label[nearest[core]] = readings[core]
+    return distance.astype(np.float32, copy=False), of_label[nearest]
+
+
+def _in_image(window: Window, camera: Camera) -> ImageArray:
+    """(h, w) which pixels of a window lie in the image."""
+    rows, columns = window.rows(), window.columns()
+    return np.outer((rows >= 0) & (rows < camera.height), (columns >= 0) & (columns < camera.width))
+
 
 _FOREARM_MM = 160.0
 """Of a detected arm so much behind the wrist is left out of account, besides what lies beyond the window."""

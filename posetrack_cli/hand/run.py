@@ -17,13 +17,14 @@ from posetrack_cli.filtering.smoothing import NOTHING
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.frame_fits import HandFits
 from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
+from posetrack_cli.hand.protocol import HandTrackerProtocol
 from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import dynamics
-from posetrack_cli.hand.trackers import HandTrackerProtocol, make_tracker
+from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output
 from posetrack_cli.recording.base import Frame

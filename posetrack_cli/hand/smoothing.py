@@ -9,21 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.filtering.filters import FILTERS, FilterState
 from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
-from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics
-from posetrack_cli.filtering.particle import ParticleState
 from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
 from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Smoother, Step
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
+from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.frame_fits import HandFits
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.space import HandSpace, pose_rates, tangent_vector
-from posetrack_cli.hand.tracker import BLOCKS
+from posetrack_cli.hand.proposals import BLOCKS, PROPOSALS
+from posetrack_cli.hand.protocol import hand_estimate
+from posetrack_cli.hand.space import HandSpace, tangent_vector
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import STAMPS_NS, Layout, LayoutError, check_arrays, counts, floats
@@ -45,7 +44,7 @@ class Kept(NamedTuple):
     """
 
     frames: int
-    particles: ParticleState | MarginalState
+    particles: FilterState
     frame: Memory = NOTHING
 
 
@@ -92,7 +91,7 @@ class SmoothedTrack:
 
     def remember(
         self,
-        particles: ParticleState | MarginalState,
+        particles: FilterState,
         estimate: Estimate,
         dt: float,
         cut: bool,
@@ -158,20 +157,16 @@ class SmoothedTrack:
         return {name.removeprefix(KEPT): values for name, values in kept}
 
     def _estimate(self, record: dict[str, Array], smoothed: Smoothed) -> Estimate:
-        pose = smoothed.pose
-        return Estimate(
+        return hand_estimate(
+            self._anatomy,
+            smoothed.pose,
+            smoothed.velocity,
             frame_index=int(record["frame_index"]),
             stamp_ns=int(record["stamp_ns"]),
             status=STATUSES[int(record["status"])],
             confidence=float(record["confidence"]),
-            position=pose[:3],
-            quaternion=pose[3:7],
-            shape=pose[ANGLES],
-            pose_rate=pose_rates(pose, smoothed.velocity),
-            twist=smoothed.velocity,
             pose_variance=smoothed.pose_variance,
             twist_variance=smoothed.velocity_variance,
-            points=joint_positions(self._anatomy, pose[None])[0],
             effective_sample_size=None,
             resampled=False,
         )
@@ -198,7 +193,7 @@ def _layouts(record: Mapping[str, Array]) -> dict[str, Layout]:
 
 def frame_fits(config: HandConfig, hand: HandModel, camera: Camera) -> HandFits | None:
     """Return what looks at frames again; None unless local fits are smoothed."""
-    wanted = config.smoothing.method == "fits" and config.filter.proposal == "guided"
+    wanted = config.smoothing.method == "fits" and PROPOSALS.find(config.filter.proposal).fits_frames
     return HandFits(config, hand, camera) if wanted else None
 
 
@@ -213,10 +208,13 @@ def make_smoother(
         rng: of backward simulation alone, so that filtered estimates do not depend on it.
         fits: of `frame_fits`.
     """
-    moving, space, settings = config.filter.kind == "rbpf", HandSpace(), config.smoothing
+    moving = FILTERS.find(config.filter.kind).has_velocity
+    space, settings = HandSpace(), config.smoothing
     if settings.method == "particles":
         return ParticleSmoother(dynamics, space, settings.trajectories, rng, moving)
     if fits is not None:
         pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
         return FitSmoother(Dynamics(pose**2, velocity**2), space, fits, BLOCKS, settings.freedom)
-    return GaussianSmoother(dynamics, space, moving, guided=config.filter.proposal in ("guided", "annealed"))
+    return GaussianSmoother(
+        dynamics, space, moving, guided=PROPOSALS.find(config.filter.proposal).looks_at_frames
+    )

@@ -3,43 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.filtering.annealed import Annealing
 from posetrack_cli.filtering.errors import check_time_step
-from posetrack_cli.filtering.guided import Guide
-from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, LogLikelihood
+from posetrack_cli.filtering.filters import FILTERS, FilterState, Prior
+from posetrack_cli.filtering.model import Dynamics, FilterModel, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
-from posetrack_cli.filtering.posterior import Posterior, summarise, velocity_moments
-from posetrack_cli.filtering.proposed import Proposer
 from posetrack_cli.filtering.resampling import Resampling
-from posetrack_cli.filtering.step import weigh
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
-from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE, HandAnatomy
+from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.guiding import LocalFits
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer
+from posetrack_cli.hand.local_fits import LocalFits
+from posetrack_cli.hand.monitor import TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, pose_rates, tangent_vector
-from posetrack_cli.hand.watch import Watch
+from posetrack_cli.hand.proposals import PROPOSALS
+from posetrack_cli.hand.protocol import found_pose, hand_estimate
+from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.results.layouts import STAMPS_NS, floats
+from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
 
-FilterState: TypeAlias = ParticleState | MarginalState
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
-# Components of the tangent space that annealing moves together: the palm, then each finger.
-BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -52,7 +45,7 @@ class HandState:
         stamp_ns: of the last frame.
         pose: (22,) last estimate.
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
-        watch: how well frames were fitted.
+        monitor: how well frames were fitted.
         unseen_ns: time since the last frame in which there was something to compare with.
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
@@ -64,7 +57,7 @@ class HandState:
     stamp_ns: int
     pose: FloatArray
     velocity: FloatArray
-    watch: Watch = field(default_factory=Watch)
+    monitor: TrackMonitor = field(default_factory=TrackMonitor)
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
@@ -72,8 +65,8 @@ class HandState:
     observation: Observation | None = None
 
 
-class Look(NamedTuple):
-    """What is seen in a frame before the filter takes it in.
+class FrameObservation(NamedTuple):
+    """What is known of a frame before the filter takes it in.
 
     Attributes:
         state: before the frame; another one if the hand was found to be elsewhere.
@@ -96,7 +89,6 @@ class HandTracker:
     Args:
         config: parameters.
         anatomy: the hand.
-        camera: of the depth images.
         scorer: the likelihood.
         observer: cuts out and segments windows.
         finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it
@@ -107,44 +99,38 @@ class HandTracker:
         self,
         config: HandConfig,
         anatomy: HandAnatomy,
-        camera: Camera,
         scorer: PoseScorer,
         observer: Observer,
         finder: Acquisition | None = None,
     ) -> None:
-        self.config, self.anatomy, self.camera = config, anatomy, camera
+        self.config, self.anatomy = config, anatomy
         self.scorer, self._observer, self._start_finder = scorer, observer, finder
-        self._finder = finder if config.filter.proposal == "guided" else None
-        plausible = finder is not None and config.filter.proposal in ("guided", "annealed")
-        self._fitter = finder.guiding.fitter if finder is not None and plausible else None
-        self._space = HandSpace()
-        self._resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
-        self.dynamics = dynamics(config)
+        self._proposal = PROPOSALS.find(config.filter.proposal)
+        self._finder = finder if self._proposal.fits_frames else None
+        plausible = finder is not None and self._proposal.looks_at_frames
+        self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
+        self._space, self.dynamics = HandSpace(), dynamics(config)
+        resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
+        self._model = FilterModel(self.dynamics, self._space, resampling, self._proposal.sampling)
         self.codec = state_codec(config)
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> HandState:
         """Return the prior about a pose (22,): one usual frame before the first frame's stamp."""
-        settings, space = self.config, self._space
-        spread, count = tangent_vector(settings.init.spread), settings.filter.particles
-        velocity_sd = tangent_vector(settings.init.velocity)
-        particles: FilterState
-        if settings.filter.kind == "rbpf":
-            particles = initialise_marginal(pose, spread, velocity_sd, count, space, rng)
-        else:
-            particles = initialise_particle(pose, spread, count, space, rng)
-        return HandState(particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros_like(spread))
+        settings, init = self.config.filter, self.config.init
+        prior = Prior(pose, tangent_vector(init.spread), tangent_vector(init.velocity))
+        particles = FILTERS.find(settings.kind).initial(prior, settings.particles, self._space, rng)
+        return HandState(particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros(TANGENT_SIZE))
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> HandState:
         """Return the state before a first frame in which the hand has yet to be found.
 
-        Until it is, it is said to be lost at a pose (22,). Proposals that do not look at frames find it in
-        the first frame or start at the pose.
+        Until it is, it is reported as lost at a pose (22,). Proposals that fit no frames find it in the first
+        frame or start at the pose.
         """
         if self._finder is not None:
-            lost = Watch(lost=True, found=False)
-            return replace(self.start(pose, frame.stamp_ns, rng), watch=lost)
-        found = None if self._start_finder is None else self._start_finder.search(frame.depth)
-        return self.start(pose if found is None else found.pose, frame.stamp_ns, rng)
+            lost = TrackMonitor(lost=True, found=False)
+            return replace(self.start(pose, frame.stamp_ns, rng), monitor=lost)
+        return self.start(found_pose(self._start_finder, frame, pose), frame.stamp_ns, rng)
 
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
         """Advance by one frame; the state given is left as it is.
@@ -155,81 +141,88 @@ class HandTracker:
         ``gap_max_s``, whether frames are missing or have nothing to compare with: the velocity's random walk
         would else spread the hand over metres. Particles then stay where they are until something is seen.
 
-        Args:
-            state: after the frame before.
-            frame: depth, mm.
-            rng: source of randomness.
-
         Raises:
             FilterError: stamps do not increase.
         """
         elapsed_ns = frame.stamp_ns - state.stamp_ns
         check_time_step(elapsed_ns * 1e-9)
-        look = self._look(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
-        particles, posterior, drawn = self._filter(look, rng)
+        seen = self._observe(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
+        particles, posterior, drawn = self._filter(seen, rng)
         scores = (
-            None if look.observation is None else self.scorer.costs(posterior.pose[None], look.observation)
+            None if seen.observation is None else self.scorer.costs(posterior.pose[None], seen.observation)
         )
         cost = None if scores is None else float(scores[0])
         shown = cost is not None and self._observer.shows_hand(
-            frame.depth, posterior.pose, is_known=look.state.watch.is_believed
+            frame.depth, posterior.pose, is_known=seen.state.monitor.is_believed
         )
         confidence = self._confidence(cost) if shown else 0.0
-        watch = self._watched(look, cost if shown else None, confidence)
-        unseen_ns = look.state.unseen_ns + elapsed_ns if look.observation is None else 0
+        monitor = self._monitored(seen, cost if shown else None, confidence)
+        unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
-        following = HandState(
-            particles, frame.stamp_ns, pose, velocity, watch, unseen_ns, max(look.dt, 0.0), look.restarted
+        new_state = HandState(
+            particles, frame.stamp_ns, pose, velocity, monitor, unseen_ns, max(seen.dt, 0.0), seen.restarted
         )
-        modes = None if look.fits is None else look.fits.modes
-        following = replace(following, modes=modes, observation=look.observation)
-        again = look.restarted and state.watch.found
-        status = Status.TRACKING if shown and watch.is_believed else Status.LOST
+        modes = None if seen.fits is None else seen.fits.modes
+        new_state = replace(new_state, modes=modes, observation=seen.observation)
+        again = seen.restarted and state.monitor.found
+        status = Status.TRACKING if shown and monitor.is_believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
-        return following, replace(estimate, evaluations=_evaluations(look, drawn))
+        return new_state, replace(estimate, evaluations=_evaluations(seen, drawn))
 
-    def _look(self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator) -> Look:
-        """What the frame shows; where the hand is gone or doubtful, it is looked for elsewhere."""
-        if self._finder is not None and state.watch.lost:
+    def _observe(
+        self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator
+    ) -> FrameObservation:
+        """What the frame shows; where the hand is lost or doubtful, it is searched for elsewhere."""
+        if self._finder is not None and state.monitor.lost:
             return self._search(self._finder, state, frame, rng)
         predicted = self.predict(state, dt)
         observation = self._observer.observe(frame.depth, predicted)
         if observation.target_pixels == 0:
-            return Look(state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None)
+            return FrameObservation(
+                state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None
+            )
         if self._finder is None or dt <= 0.0:
-            return Look(state, dt, observation)
-        enough = state.watch.enough_mm
-        fits = self._finder.guiding.fit(observation, predicted, state.pose[None], dt, rng, enough)
-        look = Look(state, dt, observation, fits)
-        return self._reconsidered(self._finder, look, frame, rng)
+            return FrameObservation(state, dt, observation)
+        enough = state.monitor.sufficient_mm
+        fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough)
+        seen = FrameObservation(state, dt, observation, fits)
+        return self._reconsidered(self._finder, seen, frame, rng)
 
-    def _search(self, finder: Acquisition, state: HandState, frame: Frame, rng: np.random.Generator) -> Look:
-        """Look for a lost hand in the whole image, ever more seldom while it is not there."""
-        if state.watch.wait > 0:
-            return Look(replace(state, watch=state.watch.waiting()), 0.0, None)
+    def _search(
+        self, finder: Acquisition, state: HandState, frame: Frame, rng: np.random.Generator
+    ) -> FrameObservation:
+        """Search the whole image for a lost hand, with ever longer pauses while it is not there."""
+        if state.monitor.wait > 0:
+            return FrameObservation(replace(state, monitor=state.monitor.after_wait()), 0.0, None)
         found = finder.search(frame.depth)
         if found is None:
-            watch = state.watch.refused(np.inf, self.config.status)
-            return Look(replace(state, watch=watch), 0.0, None)
-        return self._restarted(finder, found, state.watch, frame, rng)
+            monitor = state.monitor.after_failed_search(np.inf, self.config.status)
+            return FrameObservation(replace(state, monitor=monitor), 0.0, None)
+        return self._restarted(finder, found, state.monitor, frame, rng)
 
-    def _reconsidered(self, finder: Acquisition, look: Look, frame: Frame, rng: np.random.Generator) -> Look:
-        """The look, or that at a hand which looks alike and fits far better where this one fits badly."""
-        state, settings = look.state, self.config.status
-        if look.fits is None or look.observation is None or not state.watch.doubts(look.fits.cost, settings):
-            return look
-        if state.watch.waits(look.fits.cost, settings):
-            return look._replace(state=replace(state, watch=state.watch.waiting()))
-        found = finder.reconsider(look.observation, look.fits.modes.poses[0])
-        if found is None or state.watch.doubts(found.cost, settings):
+    def _reconsidered(
+        self, finder: Acquisition, seen: FrameObservation, frame: Frame, rng: np.random.Generator
+    ) -> FrameObservation:
+        """Where the fit is bad, search for a hand that looks alike and fits far better."""
+        state, settings = seen.state, self.config.status
+        if (
+            seen.fits is None
+            or seen.observation is None
+            or not state.monitor.is_doubtful(seen.fits.cost, settings)
+        ):
+            return seen
+        if state.monitor.postpones_search(seen.fits.cost, settings):
+            return seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
+        found = finder.reconsider(seen.observation, seen.fits.modes.poses[0])
+        if found is None or state.monitor.is_doubtful(found.cost, settings):
             found = better_of(found, finder.search(frame.depth))  # the window may be misled, too
-        if found is not None and state.watch.is_replaced(look.fits.cost, found.cost, settings):
-            if self._is_near(found.pose, look.fits.modes.poses[0]):
-                return self._refined(finder, found, look, frame, rng)
-            return self._restarted(finder, found, state.watch, frame, rng)
-        refused = state.watch.refused(look.fits.cost, settings)
-        return look._replace(state=replace(state, watch=refused))
+        if found is not None and state.monitor.prefers(seen.fits.cost, found.cost, settings):
+            if self._is_near(found.pose, seen.fits.modes.poses[0]):
+                return self._refined(finder, found, seen, frame, rng)
+            return self._restarted(finder, found, state.monitor, frame, rng)
+        refused = state.monitor.after_failed_search(seen.fits.cost, settings)
+        return seen._replace(state=replace(state, monitor=refused))
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
         """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
@@ -237,38 +230,48 @@ class HandTracker:
         return float(np.linalg.norm(joints[0] - joints[1], axis=1).mean()) < NEAR_MM
 
     def _refined(
-        self, finder: Acquisition, found: Candidate, look: Look, frame: Frame, rng: np.random.Generator
-    ) -> Look:
+        self,
+        finder: Acquisition,
+        found: Candidate,
+        seen: FrameObservation,
+        frame: Frame,
+        rng: np.random.Generator,
+    ) -> FrameObservation:
         """The same track, fitted once more from a hand that was found near it."""
         observation = self._observer.observe(frame.depth, found.pose)
         if observation.target_pixels == 0:
-            return look
-        fits = finder.guiding.fit(observation, found.pose, look.state.pose[None], look.dt, rng)
-        return look._replace(observation=observation, fits=fits)
+            return seen
+        fits = finder.local_fitter.fit(observation, found.pose, seen.state.pose[None], seen.dt, rng)
+        return seen._replace(observation=observation, fits=fits)
 
     def _restarted(
-        self, finder: Acquisition, found: Candidate, watch: Watch, frame: Frame, rng: np.random.Generator
-    ) -> Look:
-        """Begin anew about a hand that was found."""
+        self,
+        finder: Acquisition,
+        found: Candidate,
+        monitor: TrackMonitor,
+        frame: Frame,
+        rng: np.random.Generator,
+    ) -> FrameObservation:
+        """Restart the track at a hand that was found."""
         state = self.start(found.pose, frame.stamp_ns, rng)
-        state = replace(state, watch=watch.restarted(found.cost))
+        state = replace(state, monitor=monitor.after_restart(found.cost))
         dt = FIRST_STEP_NS * 1e-9
         observation = self._observer.observe(frame.depth, found.pose)
         if observation.target_pixels == 0:
-            return Look(state, dt, None, restarted=True)
-        fits = finder.guiding.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
-        return Look(state, dt, observation, fits, restarted=True)
+            return FrameObservation(state, dt, None, restarted=True)
+        fits = finder.local_fitter.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
+        return FrameObservation(state, dt, observation, fits, restarted=True)
 
     def _confidence(self, cost: float | None) -> float:
         return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
 
-    def _watched(self, look: Look, cost: float | None, confidence: float) -> Watch:
-        """What is remembered of the track's quality after a frame."""
-        watch, settings = look.state.watch, self.config.status
+    def _monitored(self, seen: FrameObservation, cost: float | None, confidence: float) -> TrackMonitor:
+        """The record of the track's quality after a frame."""
+        monitor, settings = seen.state.monitor, self.config.status
         if cost is None:
-            return watch.missed(settings)
-        fitted = cost if look.fits is None else look.fits.cost
-        return watch.seen(fitted, confidence, settings)
+            return monitor.after_miss(settings)
+        fitted = cost if seen.fits is None else seen.fits.cost
+        return monitor.after_fit(fitted, confidence, settings)
 
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""
@@ -287,51 +290,29 @@ class HandTracker:
             lambda poses: self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses)
         )
 
-    def _proposer(self, look: Look) -> Proposer | None:
-        """What looks at the frame before particles are drawn; None if nothing does."""
-        if self.config.filter.proposal == "annealed":
-            return Annealing(BLOCKS)
-        return None if look.fits is None else Guide(look.fits.modes, self.config.fit.prior_share)
-
-    def _filter(self, look: Look, rng: np.random.Generator) -> tuple[FilterState, Posterior, int]:
+    def _filter(self, seen: FrameObservation, rng: np.random.Generator) -> tuple[FilterState, Posterior, int]:
         """Advance; also how many poses were drawn for it."""
-        particles = look.state.particles
-        if look.dt <= 0.0:
-            return particles, self._standing_still(particles), 0
-        guide = self._proposer(look)
-        score = self._log_likelihood(look.observation)
-        common = (look.dt, self.dynamics, self._space, score, self._resampling, rng)
-        if isinstance(particles, MarginalState):
-            proposal = "paper" if self.config.filter.proposal == "paper" else "marginal"
-            advanced = marginal_step(particles, *common, proposal=proposal, guide=guide)
-            return *advanced, 0 if score is None else score.count
-        moved = particle_step(particles, *common, guide=guide)
-        return *moved, 0 if score is None else score.count
-
-    def _standing_still(self, particles: FilterState) -> Posterior:
-        """What is known of the hand when neither time nor an observation moves it."""
-        weighing, velocity = weigh(particles.log_weights, particles.poses, None), None
-        if isinstance(particles, MarginalState):
-            velocity = velocity_moments(particles.velocities, particles.velocity_variance, weighing.weights)
-        return summarise(self._space, particles.poses, velocity, weighing, resampled=False)
+        particles = seen.state.particles
+        if seen.dt <= 0.0:
+            return particles, particles.summary(self._space), 0
+        guide = self._proposal.proposer(seen.fits, self.config.fit)
+        score = self._log_likelihood(seen.observation)
+        advanced = particles.step(seen.dt, self._model, score, rng, guide)
+        return *advanced, 0 if score is None else score.count
 
     def _estimate(
         self, frame: Frame, posterior: Posterior, cost: float | None, confidence: float, status: Status
     ) -> Estimate:
-        pose = posterior.pose
-        return Estimate(
+        return hand_estimate(
+            self.anatomy,
+            posterior.pose,
+            posterior.velocity,
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=status,
             confidence=confidence,
-            position=pose[:3],
-            quaternion=pose[3:7],
-            shape=pose[ANGLES],
-            pose_rate=pose_rates(pose, posterior.velocity),
-            twist=posterior.velocity,
             pose_variance=posterior.pose_variance,
             twist_variance=posterior.velocity_variance,
-            points=joint_positions(self.anatomy, pose[None])[0],
             effective_sample_size=posterior.effective_sample_size,
             resampled=posterior.resampled,
             cost=cost,
@@ -349,17 +330,17 @@ class _Counted:
         return self._log_likelihood(poses)
 
 
-def _evaluations(look: Look, drawn: int) -> int:
+def _evaluations(seen: FrameObservation, drawn: int) -> int:
     """How many poses were drawn for a frame: the filter's, local fits, and the estimate itself."""
-    if look.observation is None:
+    if seen.observation is None:
         return 0
-    return drawn + 1 + (0 if look.fits is None else look.fits.renders)
+    return drawn + 1 + (0 if seen.fits is None else seen.fits.renders)
 
 
 def dynamics(config: HandConfig) -> Dynamics:
     """The motion model of eq. (44) with the configuration's noise densities."""
     settings = config.motion
-    pose = settings.pose if config.filter.kind == "rbpf" else settings.pose_alone
+    pose = settings.pose if FILTERS.find(config.filter.kind).has_velocity else settings.pose_alone
     return Dynamics(
         pose_noise=tangent_vector(pose) ** 2,
         velocity_noise=tangent_vector(settings.velocity) ** 2,
@@ -370,24 +351,17 @@ def dynamics(config: HandConfig) -> Dynamics:
 
 def state_codec(config: HandConfig) -> Codec[HandState]:
     """Return how the tracker's states are kept; local fits and what was seen of a frame are not."""
-    count = config.filter.particles
-    weighted: dict[str, Codec[FloatArray]] = {
-        "poses": Value(pose_layout(count)),
-        "log_weights": Value(floats(count, least=-np.inf)),
-    }
-    particles: Codec[Any] = Fields(ParticleState, **weighted)
-    if config.filter.kind == "rbpf":
-        weighted["velocities"] = Value(floats(count, TANGENT_SIZE))
-        weighted["velocity_variance"] = Value(floats(TANGENT_SIZE, least=0.0))
-        particles = Fields(MarginalState, **weighted)
-    watch = Fields(
-        Watch,
+    kind, count = FILTERS.find(config.filter.kind), config.filter.particles
+    layouts = _particle_layouts(count)
+    particles = Fields(kind, **{name: Value[FloatArray](layouts[name]) for name in kind.shapes})
+    monitor = Fields(
+        TrackMonitor,
         lost=flag(),
         found=flag(),
         misses=whole(),
         usual_mm=real(floats(least=0.0)),
         wait=whole(),
-        pause=whole(),
+        next_wait=whole(),
     )
     return Fields(
         HandState,
@@ -395,6 +369,16 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         stamp_ns=stamp(),
         pose=Value(pose_layout()),
         velocity=Value(floats(TANGENT_SIZE)),
-        watch=watch,
+        monitor=monitor,
         unseen_ns=whole((0, STAMPS_NS[1])),
     )
+
+
+def _particle_layouts(count: int) -> dict[str, Layout]:
+    """What the arrays of so many particles must be, whatever filter has them."""
+    return {
+        "poses": pose_layout(count),
+        "velocities": floats(count, TANGENT_SIZE),
+        "velocity_variance": floats(TANGENT_SIZE, least=0.0),
+        "log_weights": floats(count, least=-np.inf),
+    }

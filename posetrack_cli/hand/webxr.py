@@ -19,7 +19,7 @@ from posetrack_cli.hand.anatomy import BONE_COUNT, FINGERS, MIRROR, HandAnatomy,
 from posetrack_cli.rendering.gltf import damage_named, read_glb
 from posetrack_cli.rendering.gltf_skin import GltfSkin, read_skin
 from posetrack_cli.rendering.mesh import SkinnedMesh, edges_of
-from posetrack_cli.rendering.repair import closed, welded
+from posetrack_cli.rendering.simplify import closed, welded
 
 _PHALANGES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
 _THUMB = ("metacarpal", "phalanx-proximal", "phalanx-distal", "tip")

@@ -11,6 +11,7 @@ from posetrack_cli.arrays import Float32Array
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.sums import Comparison
 from posetrack_cli.rendering.window import Window
 
 KINECT2 = Camera(512, 424, 365.0, 365.0, 255.5, 211.5, name="kinect2")
@@ -34,4 +35,6 @@ def scoring_milliseconds(
     renderer = device.depth_renderer(mesh, (tile, tile), len(transforms))
     window = Window.around(np.array([KINECT2.cx, KINECT2.cy]), tile, step)
     observed = renderer.depth(transforms[:1], KINECT2, window)[0]
-    return median_milliseconds(lambda: renderer.sums(transforms, KINECT2, window, observed, 40.0), repeats)
+    return median_milliseconds(
+        lambda: renderer.sums(transforms, KINECT2, window, Comparison(observed, 40.0)), repeats
+    )

@@ -13,8 +13,7 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.pixel_model import PixelMixture
-from posetrack_cli.rendering.sums import TileSums
+from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.rendering.window import Window
 
 MOST_TILES = 512
@@ -95,14 +94,7 @@ class DepthRenderer(Protocol):
         """
 
     def sums(
-        self,
-        transforms: Float32Array,
-        camera: Camera,
-        window: Window,
-        observed: Float32Array,
-        clamp_mm: float,
-        model: PixelMixture | None = None,
-        match_mm: float = 0.0,
+        self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
         """Return the sums over the depth of N poses that ``sums.sums_in_numpy`` defines.
 
@@ -110,11 +102,7 @@ class DepthRenderer(Protocol):
             transforms: (N, B, 3, 4) rigid camera_T_rest of every bone, mm.
             camera: pinhole intrinsics.
             window: what the tiles and the observed image show.
-            observed: (height, width) float32: depth of a target pixel, mm; negative where the reading
-                is of something else; 0 where there is none.
-            clamp_mm: c_max of eq. (4).
-            model: of a pixel, for the misfits; without one they are 0.
-            match_mm: depths that differ by less agree; at 0 none do.
+            comparison: the observed image, and how depth is compared with it.
 
         Raises:
             RenderingError: transforms, window or observed image do not fit.

@@ -10,11 +10,29 @@ pixels of r and o agree; the relief of o \\ r. Every cost of the papers and of o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy
+
+
+class Comparison(NamedTuple):
+    """What rendered depth is compared with, and how.
+
+    Attributes:
+        observed: (h, w) float32: depth of a target pixel, mm; negative where the reading is of something
+            else; 0 where there is none.
+        clamp_mm: c_max of eq. (4).
+        model: of a pixel, for the misfits; without one they are 0.
+        match_mm: depths that differ by less agree; at 0 none do.
+    """
+
+    observed: Float32Array
+    clamp_mm: float
+    model: PixelMixture | None = None
+    match_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,24 +69,15 @@ class TileSums:
         return cls(error, both, rendered_only, unread, misfit, occluded, matched, relief, observed)
 
 
-def sums_in_numpy(
-    depth: Float32Array,
-    observed: Float32Array,
-    clamp_mm: float,
-    model: PixelMixture | None = None,
-    match_mm: float = 0.0,
-    slope: float = 0.0,
-) -> TileSums:
+def sums_in_numpy(depth: Float32Array, comparison: Comparison, slope: float = 0.0) -> TileSums:
     """The reference for the device's sums.
 
     Args:
         depth: (N, h, w) rendered depth, mm, 0 where nothing is drawn.
-        observed: (h, w) depth of target pixels, mm; negative other reading; 0 no reading.
-        clamp_mm: c_max.
-        model: of a pixel, for the misfits.
-        match_mm: depths that differ by less agree.
+        comparison: what it is compared with.
         slope: a pixel's width, mm, per mm of depth, for the misfits.
     """
+    observed, clamp_mm, model, match_mm = comparison
     r = depth > 0
     o, other, unread = observed > 0, observed < 0, observed == 0
     apart = np.abs(depth.astype(np.float64) - observed)

@@ -17,10 +17,10 @@ from benchmarking.rows import Row, median_ms, median_of_pairs
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.local_fits import LocalFitter
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.swarm.objective import RenderedObjective
+from posetrack_cli.hand.swarm import RenderedObjective
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.port import RenderingDevice
 from stepping import Walker, in_turn
@@ -30,7 +30,7 @@ TARGETS_MS = {"hand": 50.0, "hand-fast": 25.0, "hand-pso": None}
 WARM_UP = 5
 PARTS = {
     "search": ((Acquisition, ("search", "reconsider")),),
-    "local fits": ((Guiding, ("fit",)),),
+    "local fits": ((LocalFitter, ("fit",)),),
     "GL (kinematics, draw, reduce)": (
         (RenderedCosts, ("costs", "log_likelihood", "scores")),
         (RenderedObjective, ("evaluate",)),

@@ -97,4 +97,4 @@ def test_a_recording_too_short_to_say_anything(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert calibrate(recording, tmp_path / "hand.toml", "--hand-side", "right", "--seconds", "0.05") == 1
-    assert "no hand that can be followed" in one_line(capsys)
+    assert "no hand that can be tracked" in one_line(capsys)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.kalman import (
     Gaussian,
@@ -20,12 +21,10 @@ from posetrack_cli.filtering.kalman import (
     kalman_update,
     velocity_gain,
 )
-from posetrack_cli.filtering.marginal import initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, Euclidean
+from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.particle import initialise_particle, particle_step
-from posetrack_cli.filtering.posterior import Posterior
 from posetrack_cli.filtering.resampling import Resampling
+from posetrack_cli.filtering.step import Posterior
 
 POSE_NOISE, VELOCITY_NOISE, OBSERVATION_VARIANCE = 4.0, 400.0, 1.0
 START_SD, START_VELOCITY_SD = 1.0, 10.0
@@ -129,14 +128,14 @@ class World:
         guide: Callable[[np.ndarray], Guide | None] = lambda y: None,
     ) -> list[Posterior]:
         rng, ones = np.random.default_rng(seed), np.ones(self.dimension)
-        state = initialise_marginal(
-            0.0 * ones, self.start_sd * ones, START_VELOCITY_SD * ones, count, self.space, rng
+        state = MarginalState.initial(
+            Prior(0.0 * ones, self.start_sd * ones, START_VELOCITY_SD * ones), count, self.space, rng
         )
         posteriors = []
         for dt, y in zip(self.steps, observations, strict=True):
             score = self.log_likelihood(y)
-            state, posterior = marginal_step(
-                state, dt, self.dynamics, self.space, score, resampling, rng, proposal, guide(y)
+            state, posterior = state.step(
+                dt, FilterModel(self.dynamics, self.space, resampling, proposal), score, rng, guide(y)
             )
             posteriors.append(posterior)
         return posteriors
@@ -150,12 +149,14 @@ class World:
         guide: Callable[[np.ndarray], Guide | None] = lambda y: None,
     ) -> list[Posterior]:
         rng, ones = np.random.default_rng(seed), np.ones(self.dimension)
-        state = initialise_particle(0.0 * ones, self.start_sd * ones, count, self.space, rng)
+        state = ParticleState.initial(
+            Prior(0.0 * ones, self.start_sd * ones, np.zeros(0)), count, self.space, rng
+        )
         posteriors = []
         for dt, y in zip(self.steps, observations, strict=True):
             score = self.log_likelihood(y)
-            state, posterior = particle_step(
-                state, dt, self.dynamics, self.space, score, resampling, rng, guide(y)
+            state, posterior = state.step(
+                dt, FilterModel(self.dynamics, self.space, resampling), score, rng, guide(y)
             )
             posteriors.append(posterior)
         return posteriors

@@ -7,11 +7,10 @@ import pytest
 
 from posetrack_cli.filtering.annealed import Annealing, next_step
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.laplace import Prediction
-from posetrack_cli.filtering.marginal import initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, Euclidean
-from posetrack_cli.filtering.particle import initialise_particle, particle_step
+from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
+from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.resampling import Resampling
+from posetrack_cli.filtering.step import Prediction
 from posetrack_cli.geometry import rotations as rot
 
 SPACE, RESAMPLING, DT = Euclidean(), Resampling(), 1.0 / 30.0
@@ -75,12 +74,13 @@ def test_both_modes_keep_their_true_mass(kind: str) -> None:
     for seed in range(30):
         rng, mean, sd = np.random.default_rng(seed), np.zeros(1), np.full(1, 0.1)
         if kind == "particle":
-            state = initialise_particle(mean, sd, 500, SPACE, rng)
-            dynamics, advance = Dynamics(np.full(1, 0.25 / DT), np.zeros(1)), particle_step
+            state = ParticleState.initial(Prior(mean, sd, np.zeros(0)), 500, SPACE, rng)
+            dynamics = Dynamics(np.full(1, 0.25 / DT), np.zeros(1))
         else:
-            state = initialise_marginal(mean, sd, np.full(1, 0.4 / DT), 500, SPACE, rng)
-            dynamics, advance = Dynamics(np.full(1, 0.09 / DT), np.zeros(1)), marginal_step
-        after, _ = advance(state, DT, dynamics, SPACE, score, RESAMPLING, rng, guide=Annealing())
+            state = MarginalState.initial(Prior(mean, sd, np.full(1, 0.4 / DT)), 500, SPACE, rng)
+            dynamics = Dynamics(np.full(1, 0.09 / DT), np.zeros(1))
+        model = FilterModel(dynamics, SPACE, RESAMPLING)
+        after, _ = state.step(DT, model, score, rng, Annealing())
         masses.append(np.exp(after.log_weights)[after.poses[:, 0] > 0.0].sum())
     assert abs(np.mean(masses) - truth) < 4.0 * np.std(masses, ddof=1) / np.sqrt(30.0)
     assert np.std(masses) < 0.1
@@ -115,7 +115,12 @@ def test_rotations_meet_brute_force() -> None:
         np.square(spread),
         np.full(count, -np.log(count)),
     )
-    found = Annealing().propose(prediction, space, score, "systematic", rng)
+    found = Annealing().propose(
+        prediction,
+        FilterModel(Dynamics(prediction.variance, np.zeros_like(prediction.variance)), space, RESAMPLING),
+        score,
+        rng,
+    )
     np.testing.assert_allclose(space.local(identity, found.poses), found.increments, atol=1e-9)
     truth = weights @ space.local(seen, turns) / weights.sum()
     mean = found.weighing.weights @ space.local(seen, found.poses)
@@ -150,9 +155,11 @@ def test_likelihood_evaluations_are_as_many_as_stated() -> None:
         asked.append(len(poses))
         return np.zeros(len(poses))
 
-    state = initialise_particle(np.zeros(2), np.ones(2), 30, SPACE, np.random.default_rng(0))
+    state = ParticleState.initial(
+        Prior(np.zeros(2), np.ones(2), np.zeros(0)), 30, SPACE, np.random.default_rng(0)
+    )
     dynamics = Dynamics(np.ones(2), np.zeros(2))
-    particle_step(state, DT, dynamics, SPACE, score, RESAMPLING, np.random.default_rng(1), guide=Annealing())
+    state.step(DT, FilterModel(dynamics, SPACE, RESAMPLING), score, np.random.default_rng(1), Annealing())
     assert asked == [30]  # one step: nothing to anneal
 
 
@@ -164,18 +171,12 @@ def test_a_nan_on_the_way_is_told() -> None:
         values = -1e3 * np.square(poses[:, 0])
         return np.where(np.arange(len(poses)) == 3, np.nan, values) if len(calls) > 1 else values
 
-    state = initialise_particle(np.zeros(1), np.ones(1), 50, SPACE, np.random.default_rng(0))
+    state = ParticleState.initial(
+        Prior(np.zeros(1), np.ones(1), np.zeros(0)), 50, SPACE, np.random.default_rng(0)
+    )
     with pytest.raises(FilterError, match="NaN"):
-        particle_step(
-            state,
-            DT,
-            Dynamics(np.ones(1), np.zeros(1)),
-            SPACE,
-            score,
-            RESAMPLING,
-            np.random.default_rng(1),
-            guide=Annealing(),
-        )
+        model = FilterModel(Dynamics(np.ones(1), np.zeros(1)), SPACE, RESAMPLING)
+        state.step(DT, model, score, np.random.default_rng(1), Annealing())
     assert len(calls) > 1
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from posetrack_cli.filtering.fit_choice import doubted, likeliest, log_evidence, only
+from posetrack_cli.filtering.fit_smoothing import doubted, likeliest, log_evidence, only
 from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.kalman import Gaussian, kalman_update
 from posetrack_cli.filtering.model import Euclidean

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.filters import MarginalState
 from posetrack_cli.filtering.fit_smoothing import FitSmoother, fitted, predicted
 from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_smooth, kalman_update
-from posetrack_cli.filtering.marginal import MarginalState
 from posetrack_cli.filtering.model import Dynamics, Euclidean
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Step

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.guided import Guide, draw_guided
-from posetrack_cli.filtering.laplace import Prediction
-from posetrack_cli.filtering.marginal import initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, Euclidean
+from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
-from posetrack_cli.filtering.posterior import Posterior
 from posetrack_cli.filtering.resampling import Resampling
+from posetrack_cli.filtering.step import Posterior, Prediction
 from posetrack_cli.geometry import rotations as rot
 
 PARTICLES = 2000
@@ -186,13 +184,14 @@ def test_both_modes_keep_their_true_mass(guide: Guide, kind: str) -> None:
 def one_frame(guide: Guide, kind: str) -> tuple[np.ndarray, np.ndarray, Posterior]:
     """Weights, poses and posterior after a frame that starts from Gaussian particles."""
     rng, space, spread = np.random.default_rng(11), Euclidean(), np.full(2, PRIOR_SD)
-    state = initialise_particle(PRIOR_MEAN, spread, DRAWS, space, rng)
-    advance, dynamics = particle_step, Dynamics(PRIOR_NOISE, np.zeros(2))
+    state = ParticleState.initial(Prior(PRIOR_MEAN, spread, np.zeros(0)), DRAWS, space, rng)
+    dynamics = Dynamics(PRIOR_NOISE, np.zeros(2))
     if kind == "marginal":  # dt^2 P + dt Q^n is the same variance
         velocity_sd = np.sqrt(0.5 * PRIOR_NOISE / DT)
-        state = initialise_marginal(PRIOR_MEAN, spread, velocity_sd, DRAWS, space, rng)
-        advance, dynamics = marginal_step, Dynamics(0.5 * PRIOR_NOISE, np.zeros(2))
-    after, posterior = advance(state, DT, dynamics, space, ambiguous, RESAMPLING, rng, guide=guide)
+        state = MarginalState.initial(Prior(PRIOR_MEAN, spread, velocity_sd), DRAWS, space, rng)
+        dynamics = Dynamics(0.5 * PRIOR_NOISE, np.zeros(2))
+    model = FilterModel(dynamics, space, RESAMPLING)
+    after, posterior = state.step(DT, model, ambiguous, rng, guide)
     return np.exp(after.log_weights), after.poses, posterior
 
 
@@ -214,11 +213,11 @@ def test_both_modes_keep_their_mass_from_frame_to_frame() -> None:
     space, masses, truth = Euclidean(), [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        state = initialise_particle(np.array([0.6]), np.array([0.2]), 500, space, rng)
+        state = ParticleState.initial(Prior(np.array([0.6]), np.array([0.2]), np.zeros(0)), 500, space, rng)
         masses.append([])
         for _ in range(10):
             dynamics = Dynamics(noise, np.zeros(1))
-            state, _ = particle_step(state, DT, dynamics, space, score, RESAMPLING, rng, Guide(modes))
+            state, _ = state.step(DT, FilterModel(dynamics, space, RESAMPLING), score, rng, Guide(modes))
             masses[-1].append(np.exp(state.log_weights)[state.poses[:, 0] > 0.6].sum())
     for _ in range(10):
         density = transition @ density * np.exp(score(side[:, None]))
@@ -305,9 +304,11 @@ def test_without_modes_a_step_is_the_plain_one(kind: str) -> None:
 
 def test_nothing_observed_is_predicted_whatever_the_guide() -> None:
     space, dynamics = Euclidean(), Dynamics(PRIOR_NOISE, np.ones(2))
-    state = initialise_marginal(PRIOR_MEAN, np.ones(2), np.ones(2), 10, space, np.random.default_rng(0))
+    state = MarginalState.initial(
+        Prior(PRIOR_MEAN, np.ones(2), np.ones(2)), 10, space, np.random.default_rng(0)
+    )
     after = [
-        marginal_step(state, DT, dynamics, space, None, RESAMPLING, np.random.default_rng(1), guide=guide)[0]
+        state.step(DT, FilterModel(dynamics, space, RESAMPLING), None, np.random.default_rng(1), guide)[0]
         for guide in (Guide(fits()), None)
     ]
     np.testing.assert_array_equal(after[0].poses, after[1].poses)

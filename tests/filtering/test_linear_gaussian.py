@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.filtering.posterior import Posterior
 from posetrack_cli.filtering.resampling import Resampling, resampling_schemes
+from posetrack_cli.filtering.step import Posterior
 
 PARTICLES = 4000
 ALWAYS = Resampling(threshold=1.0)

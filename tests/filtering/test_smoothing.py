@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.filters import FILTERS, MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother, shrunk
 from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_smooth
-from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, Euclidean
-from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
+from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
-from posetrack_cli.filtering.posterior import Posterior
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.smoothing import Smoothed, Smoother
+from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.geometry import rotations as rot
 
 SPACE, RESAMPLING, DT = Euclidean(), Resampling(), 1.0 / 30.0
@@ -45,13 +44,13 @@ def backward(smoother: Smoother, states: list[State], steps: np.ndarray) -> list
 def filtered(world, observations: np.ndarray, seed: int, count: int = 800) -> list[State]:
     """States of the filter with exact fits, which has the least error of its own."""
     rng, ones, states = np.random.default_rng(seed), np.ones(world.dimension), []
-    if world.moving:
-        state, advance = initialise_marginal(0.0 * ones, ones, 10.0 * ones, count, SPACE, rng), marginal_step
-    else:
-        state, advance = initialise_particle(0.0 * ones, ones, count, SPACE, rng), particle_step
+    state = FILTERS["rbpf" if world.moving else "pf"].initial(
+        Prior(0.0 * ones, ones, 10.0 * ones), count, SPACE, rng
+    )
+    model = FilterModel(world.dynamics, SPACE, RESAMPLING)
     for dt, y in zip(world.steps, observations, strict=True):
         guide, score = Guide(world.exact_modes(y, y[None]), 0.0), world.log_likelihood(y)
-        state, _ = advance(state, dt, world.dynamics, SPACE, score, RESAMPLING, rng, guide=guide)
+        state, _ = state.step(dt, model, score, rng, guide)
         states.append(state)
     return states
 
@@ -147,13 +146,13 @@ def test_last_frame_is_the_filter_s(make_world, method: str, kind: str) -> None:
     moving = kind == "marginal"
     world = make_world(np.full(5, DT), dimension=2, moving=moving)
     rng, ones = np.random.default_rng(0), np.ones(2)
-    state = initialise_marginal(0.0 * ones, ones, ones, 50, SPACE, rng)
-    advance = marginal_step
+    state = MarginalState.initial(Prior(0.0 * ones, ones, ones), 50, SPACE, rng)
     if not moving:
-        state, advance = ParticleState(state.poses, state.log_weights), particle_step
+        state = ParticleState(state.poses, state.log_weights)
     never = Resampling(threshold=0.0)  # so that the state is what the estimate was taken from
     for y in world.observations(1):
-        state, posterior = advance(state, DT, world.dynamics, SPACE, world.log_likelihood(y), never, rng)
+        model = FilterModel(world.dynamics, SPACE, never)
+        state, posterior = state.step(DT, model, world.log_likelihood(y), rng)
     way = smoother(method, world.dynamics, 0, moving=moving)
     assert_equal(way.begin(way.remember(state)), posterior)
 
@@ -162,13 +161,11 @@ def test_last_frame_is_that_of_guided_steps_too(make_world) -> None:
     """Their estimates take truncated weights: with fits this wide, few particles have most of the weight."""
     world = make_world(np.full(3, DT), dimension=2)
     rng, ones = np.random.default_rng(0), np.ones(2)
-    state = initialise_marginal(0.0 * ones, ones, ones, 50, SPACE, rng)
+    state = MarginalState.initial(Prior(0.0 * ones, ones, ones), 50, SPACE, rng)
     for y in world.observations(1):
         guide = Guide(world.exact_modes(y, y[None]), 0.3, inflation=50.0)
         score = world.log_likelihood(y)
-        state, posterior = marginal_step(
-            state, DT, world.dynamics, SPACE, score, RESAMPLING, rng, guide=guide
-        )
+        state, posterior = state.step(DT, FilterModel(world.dynamics, SPACE, RESAMPLING), score, rng, guide)
     way = GaussianSmoother(world.dynamics, SPACE, guided=True)
     assert_equal(way.begin(way.remember(state)), posterior)
 
@@ -207,10 +204,13 @@ def test_the_future_decides_between_two_modes(method: str) -> None:
     means, filter_means = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        state, states = initialise_particle(np.array([0.5]), np.array([0.3]), 300, SPACE, rng), []
+        state, states = (
+            ParticleState.initial(Prior(np.array([0.5]), np.array([0.3]), np.zeros(0)), 300, SPACE, rng),
+            [],
+        )
         for frame in range(frames):
-            state, posterior = particle_step(
-                state, DT, dynamics, SPACE, lambda x, frame=frame: score(x, frame), RESAMPLING, rng
+            state, posterior = state.step(
+                DT, FilterModel(dynamics, SPACE, RESAMPLING), lambda x, frame=frame: score(x, frame), rng
             )
             states.append(state)
             filter_means.append(posterior.pose[0])
@@ -252,19 +252,18 @@ def test_a_steady_turn_is_smoother_than_it_was_filtered(method: str) -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
         state, states = (
-            initialise_marginal(np.array(rot.IDENTITY), np.full(3, sd), np.full(3, 2.0), 600, space, rng),
+            MarginalState.initial(
+                Prior(np.array(rot.IDENTITY), np.full(3, sd), np.full(3, 2.0)), 600, space, rng
+            ),
             [],
         )
         truth = rot.exponential(rate * DT * np.arange(1, frames + 1)[:, None])
         for frame in range(frames):
             seen = space.retract(truth[frame : frame + 1], sd * rng.standard_normal((1, 3)))[0]
-            state, posterior = marginal_step(
-                state,
+            state, posterior = state.step(
                 DT,
-                dynamics,
-                space,
+                FilterModel(dynamics, space, RESAMPLING),
                 lambda x, seen=seen: -0.5 * np.square(rot.angle_between(seen, x) / sd),
-                RESAMPLING,
                 rng,
             )
             states.append(state)
@@ -304,7 +303,7 @@ def test_a_pass_begins_with_the_last_frame(method: str) -> None:
     dynamics = Dynamics(np.ones(1), np.ones(1))
     way = smoother(method, dynamics, 0)
     kept = way.remember(
-        initialise_marginal(np.zeros(1), np.ones(1), np.ones(1), 5, SPACE, np.random.default_rng(0))
+        MarginalState.initial(Prior(np.zeros(1), np.ones(1), np.ones(1)), 5, SPACE, np.random.default_rng(0))
     )
     with pytest.raises(FilterError, match="begins with the last frame"):
         way.back(kept, DT)
@@ -318,13 +317,13 @@ def test_frozen_components_stay(method: str) -> None:
     """No noise, no spread, no velocity: nothing to smooth, and nothing to divide by."""
     dynamics = Dynamics(np.array([1.0, 0.0]), np.array([1.0, 0.0]))
     rng = np.random.default_rng(0)
-    state = initialise_marginal(
-        np.array([0.0, 7.0]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), 80, SPACE, rng
+    state = MarginalState.initial(
+        Prior(np.array([0.0, 7.0]), np.array([1.0, 0.0]), np.array([1.0, 0.0])), 80, SPACE, rng
     )
     states = []
     for _ in range(4):
-        state, _ = marginal_step(
-            state, DT, dynamics, SPACE, lambda x: -0.5 * np.square(x[:, 0]), RESAMPLING, rng
+        state, _ = state.step(
+            DT, FilterModel(dynamics, SPACE, RESAMPLING), lambda x: -0.5 * np.square(x[:, 0]), rng
         )
         states.append(state)
     for smoothed in backward(smoother(method, dynamics, 1), states, np.full(4, DT)):

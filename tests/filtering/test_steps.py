@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, Euclidean
-from posetrack_cli.filtering.particle import ParticleState, initialise_particle, particle_step
-from posetrack_cli.filtering.posterior import velocity_moments
+from posetrack_cli.filtering.filters import FILTERS, MarginalState, ParticleState, Prior
+from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.resampling import Resampling
+from posetrack_cli.filtering.step import velocity_moments
 from posetrack_cli.geometry import rotations as rot
 
 SPACE = Euclidean()
@@ -31,14 +30,13 @@ both = pytest.mark.parametrize("kind", ["particle", "marginal"])
 def start(kind: str, count: int = 50, seed: int = 0) -> State:
     rng, mean, sd = np.random.default_rng(seed), np.arange(3.0), np.array([1.0, 0.5, 2.0])
     if kind == "particle":
-        return initialise_particle(mean, sd, count, SPACE, rng)
-    return initialise_marginal(mean, sd, np.array([3.0, 2.0, 1.0]), count, SPACE, rng)
+        return ParticleState.initial(Prior(mean, sd, np.zeros(0)), count, SPACE, rng)
+    return MarginalState.initial(Prior(mean, sd, np.array([3.0, 2.0, 1.0])), count, SPACE, rng)
 
 
 def step(state: State, score, resampling=ALWAYS, seed: int = 1, dynamics=DYNAMICS, dt: float = DT, **options):
-    advance = particle_step if isinstance(state, ParticleState) else marginal_step
-    rng = np.random.default_rng(seed)
-    return advance(state, dt, dynamics, SPACE, score, resampling, rng, **options)
+    model = FilterModel(dynamics, SPACE, resampling, **options)
+    return state.step(dt, model, score, np.random.default_rng(seed))
 
 
 def towards_one(poses: np.ndarray) -> np.ndarray:
@@ -142,7 +140,7 @@ def test_velocity_follows_the_increment_also_without_an_observation() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "options"),
-    [("particle", {}), ("marginal", {"proposal": "marginal"}), ("marginal", {"proposal": "paper"})],
+    [("particle", {}), ("marginal", {"sampling": "marginal"}), ("marginal", {"sampling": "paper"})],
 )
 def test_frozen_component_does_not_move(kind: str, options: dict[str, str]) -> None:
     dynamics = Dynamics(np.array([4.0, 0.0, 2.0]), np.array([400.0, 0.0, 50.0]))
@@ -233,23 +231,22 @@ def test_limits_hold_and_the_velocity_learns_from_what_was_left(kind: str) -> No
 
 def test_unknown_proposal_names_the_nearest() -> None:
     with pytest.raises(FilterError, match="did you mean 'marginal'"):
-        step(start("marginal"), towards_one, proposal="marginl")
+        step(start("marginal"), towards_one, sampling="marginl")
 
 
 @pytest.mark.parametrize(("count", "sd"), [(0, 1.0), (3, -1.0), (3, np.nan)])
 def test_initial_spread_is_checked(count: int, sd: float) -> None:
     rng, spread = np.random.default_rng(0), np.full(3, sd)
     with pytest.raises(FilterError):
-        initialise_particle(np.zeros(3), spread, count, SPACE, rng)
+        ParticleState.initial(Prior(np.zeros(3), spread, np.zeros(0)), count, SPACE, rng)
     with pytest.raises(FilterError):
-        initialise_marginal(np.zeros(3), spread, np.ones(3), count, SPACE, rng)
+        MarginalState.initial(Prior(np.zeros(3), spread, np.ones(3)), count, SPACE, rng)
 
 
 def test_initial_state_has_the_moments_asked_for() -> None:
     count, sd = 20_000, np.array([1.0, 0.5, 0.0])
-    state = initialise_marginal(
-        np.array([1.0, 2.0, 3.0]), sd, np.array([4.0, 5.0, 0.0]), count, SPACE, np.random.default_rng(0)
-    )
+    prior = Prior(np.array([1.0, 2.0, 3.0]), sd, np.array([4.0, 5.0, 0.0]))
+    state = MarginalState.initial(prior, count, SPACE, np.random.default_rng(0))
     assert np.all(np.abs(state.poses.mean(axis=0) - [1.0, 2.0, 3.0]) <= 4.0 * sd / np.sqrt(count))
     assert np.all(np.abs(state.poses.std(axis=0) - sd) <= 4.0 * sd / np.sqrt(2.0 * count))
     np.testing.assert_array_equal(state.velocity_variance, [16.0, 25.0, 0.0])
@@ -281,17 +278,25 @@ def test_velocity_of_a_steady_turn_through_half_a_turn_and_the_sign_flip() -> No
     space, rng, sd = Turning(), np.random.default_rng(0), 0.03
     rate = np.array([1.2, -1.6, 0.0])
     dynamics = Dynamics(np.full(3, 1e-4), np.full(3, 0.05))
-    state = initialise_marginal(np.array(rot.IDENTITY), np.full(3, sd), np.full(3, 2.0), 2000, space, rng)
+    state = MarginalState.initial(
+        Prior(np.array(rot.IDENTITY), np.full(3, sd), np.full(3, 2.0)), 2000, space, rng
+    )
     for frame in range(1, 91):
         seen = rot.exponential(rate * frame * DT)
 
         def score(poses: np.ndarray, seen: np.ndarray = seen) -> np.ndarray:
             return -0.5 * np.square(rot.angle_between(seen, poses) / sd)
 
-        state, posterior = marginal_step(state, DT, dynamics, space, score, ALWAYS, rng)
+        state, posterior = state.step(DT, FilterModel(dynamics, space, ALWAYS), score, rng)
         assert posterior.pose[3] >= 0.0
     assert posterior.pose_variance.shape == (3,)
     # noise-free observations: what is left is the posterior's own spread, four of its sd per component
     assert np.all(np.abs(posterior.velocity - rate) < 4.0 * np.sqrt(posterior.velocity_variance))
     assert np.all(np.sqrt(posterior.velocity_variance) < 0.3)
     assert rot.angle_between(posterior.pose, seen) < 4.0 * np.sqrt(posterior.pose_variance.max())
+
+
+def test_filters_are_found_by_the_names_that_configurations_use() -> None:
+    assert (FILTERS.find("pf"), FILTERS.find("rbpf")) == (ParticleState, MarginalState)
+    with pytest.raises(FilterError, match="no such filter, found rpbf; did you mean 'rbpf'"):
+        FILTERS.find("rpbf")

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_predict
-from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
-from posetrack_cli.filtering.model import Dynamics, Euclidean
-from posetrack_cli.filtering.particle import initialise_particle, particle_step
+from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 
 COUNT = 40_000
@@ -24,9 +23,9 @@ DT = 1.0 / 15.0
 
 def predict_marginal(parts: int, dynamics: Dynamics, seed: int) -> MarginalState:
     rng = np.random.default_rng(seed)
-    state = initialise_marginal(np.zeros(2), SD, VELOCITY_SD, COUNT, SPACE, rng)
+    state = MarginalState.initial(Prior(np.zeros(2), SD, VELOCITY_SD), COUNT, SPACE, rng)
     for _ in range(parts):
-        state, posterior = marginal_step(state, 2 * DT / parts, dynamics, SPACE, None, RESAMPLING, rng)
+        state, posterior = state.step(2 * DT / parts, FilterModel(dynamics, SPACE, RESAMPLING), None, rng)
         assert not posterior.resampled
         assert posterior.log_evidence == 0.0
     return state
@@ -73,9 +72,9 @@ def test_euler_prediction_depends_on_the_number_of_steps() -> None:
 @pytest.mark.parametrize("parts", [1, 2, 4])
 def test_plain_prediction_is_the_exact_gaussian_in_any_number_of_steps(parts: int) -> None:
     rng = np.random.default_rng(parts)
-    state = initialise_particle(np.zeros(2), SD, COUNT, SPACE, rng)
+    state = ParticleState.initial(Prior(np.zeros(2), SD, np.zeros(0)), COUNT, SPACE, rng)
     for _ in range(parts):
-        state, _ = particle_step(state, 2 * DT / parts, DYNAMICS, SPACE, None, RESAMPLING, rng)
+        state, _ = state.step(2 * DT / parts, FilterModel(DYNAMICS, SPACE, RESAMPLING), None, rng)
     variance = SD**2 + 2 * DT * DYNAMICS.pose_noise
     assert np.all(np.abs(state.poses.mean(axis=0)) < SIGMAS * np.sqrt(variance / COUNT))
     assert np.all(np.abs(state.poses.var(axis=0) - variance) < SIGMAS * variance * np.sqrt(2.0 / COUNT))
@@ -84,9 +83,9 @@ def test_plain_prediction_is_the_exact_gaussian_in_any_number_of_steps(parts: in
 @pytest.mark.parametrize("dt", [0.0, -1.0 / 30.0, np.nan, np.inf])
 def test_steps_refuse_time_that_does_not_move_forward(dt: float) -> None:
     rng = np.random.default_rng(0)
-    plain = initialise_particle(np.zeros(2), SD, 3, SPACE, rng)
-    marginal = initialise_marginal(np.zeros(2), SD, VELOCITY_SD, 3, SPACE, rng)
+    plain = ParticleState.initial(Prior(np.zeros(2), SD, np.zeros(0)), 3, SPACE, rng)
+    marginal = MarginalState.initial(Prior(np.zeros(2), SD, VELOCITY_SD), 3, SPACE, rng)
     with pytest.raises(FilterError, match="time does not move forward"):
-        particle_step(plain, dt, DYNAMICS, SPACE, None, RESAMPLING, rng)
+        plain.step(dt, FilterModel(DYNAMICS, SPACE, RESAMPLING), None, rng)
     with pytest.raises(FilterError, match="time does not move forward"):
-        marginal_step(marginal, dt, DYNAMICS, SPACE, None, RESAMPLING, rng)
+        marginal.step(dt, FilterModel(DYNAMICS, SPACE, RESAMPLING), None, rng)

@@ -14,8 +14,14 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.calibration import bundle
-from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, calibrate, spread
-from posetrack_cli.hand.calibration.hand_file import hand_text, write_hand_file
+from posetrack_cli.hand.calibration.calibrate import (
+    Calibration,
+    CalibrationOptions,
+    calibrate,
+    hand_text,
+    spread,
+    write_hand_file,
+)
 from posetrack_cli.hand.calibration.residuals import (
     LEAST_SHARE,
     POSE_STEPS,
@@ -240,7 +246,7 @@ def test_a_recording_without_a_hand_is_told(tmp_path: Path) -> None:
     for k in range(6):
         (source / f"{k:06d}.png").write_bytes(encode_png(np.full((424, 512), 2500, np.uint16), 1))
     (source / "camera.toml").write_text("fx = 365.0\nfy = 365.0\ncx = 255.5\ncy = 211.5\n")
-    with pytest.raises(RecordingError, match=r"no hand that can be followed.*0 of 6 frames"):
+    with pytest.raises(RecordingError, match=r"no hand that can be tracked.*0 of 6 frames"):
         calibrate(open_recording(source, fps=30.0), HandConfig(), CalibrationOptions())
 
 

@@ -11,7 +11,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.frame_fits import HandFits
+from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.space import HandSpace

@@ -7,8 +7,8 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.acquisition import detected_poses, turned_poses
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, HandAnatomy, make_anatomy
-from posetrack_cli.hand.hypotheses import detected_poses, turned_poses
 from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.segmentation import Detection
 from posetrack_cli.rendering.window import Window

@@ -8,8 +8,8 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import MIRROR, HandAnatomy, make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.lean_mesh import LEAN_TRIANGLES, bent_hands, lean_mesh
 from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model import LEAN_TRIANGLES, bent_hands, lean_mesh
 from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
 from support.hand import random_poses

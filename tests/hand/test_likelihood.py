@@ -15,7 +15,7 @@ from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, paper_cost, 
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import sums_in_numpy
+from posetrack_cli.rendering.sums import Comparison, sums_in_numpy
 from support.hand import KINECT, REST, bent
 
 ROUNDING = 1e-9
@@ -50,7 +50,7 @@ def test_costs_are_the_sums_over_pixels(
     depth: np.ndarray, image: np.ndarray, c_max: float, unread: float
 ) -> None:
     options = ObservationSettings(clamp_mm=c_max, unread_weight=unread)
-    sums = sums_in_numpy(depth, image, c_max)
+    sums = sums_in_numpy(depth, Comparison(image, c_max))
     # all readings of the paper's observation are targets: it has no negative ones
     expected = [paper_by_pixels(d, image, c_max) for d in depth]
     np.testing.assert_allclose(paper_cost(sums, options), expected, atol=ROUNDING)
@@ -60,7 +60,7 @@ def test_costs_are_the_sums_over_pixels(
 
 def test_a_hand_on_no_pixel_costs_c_max() -> None:
     options = ObservationSettings(clamp_mm=35.0)
-    nothing = sums_in_numpy(np.zeros((2, 3, 4), np.float32), np.zeros((3, 4), np.float32), 35.0)
+    nothing = sums_in_numpy(np.zeros((2, 3, 4), np.float32), Comparison(np.zeros((3, 4), np.float32), 35.0))
     for cost in (paper_cost, union_cost):
         np.testing.assert_array_equal(cost(nothing, options), [35.0, 35.0])
 
@@ -139,7 +139,7 @@ def test_a_folded_finger_costs_the_union_but_not_the_paper(device: RenderingDevi
 def test_the_union_sees_what_is_missing_where_the_paper_sees_a_perfect_fit() -> None:
     image = np.full((1, 10), 600.0, np.float32)
     narrow = np.where(np.arange(10) < 4, 600.0, 0.0).astype(np.float32)[None, None]  # 4 of 10 pixels, exact
-    sums = sums_in_numpy(narrow, image, 40.0)
+    sums = sums_in_numpy(narrow, Comparison(image, 40.0))
     assert paper_cost(sums, ObservationSettings()) == 0.0
     assert union_cost(sums, ObservationSettings()) == pytest.approx(0.6 * 40.0)
 

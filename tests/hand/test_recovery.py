@@ -130,7 +130,7 @@ def test_a_hand_that_leaves_is_lost_and_found_again_elsewhere(
     away = estimates[6:16]
     assert {e.confidence for e in away} == {0.0}
     assert max(np.linalg.norm(e.position - there[-1][:3]) for e in away) < 150.0
-    lost = [state.watch.lost for state in states]
+    lost = [state.monitor.lost for state in states]
     assert lost.index(True) == 6 + LOST_AFTER - 1
 
 
@@ -203,7 +203,7 @@ def test_a_checkpoint_goes_on_bit_by_bit_also_while_lost(
 ) -> None:
     frames, states, estimates = story
     restored = assert_lawful(tracking.codec, states[at])
-    assert restored.watch == states[at].watch
+    assert restored.monitor == states[at].monitor
     for frame in frames[at + 1 :]:
         restored, estimate = tracking.step(restored, frame, np.random.default_rng(frame.index))
         same(estimate, estimates[frame.index])

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from posetrack_cli.filtering.marginal import MarginalState, initialise_marginal, marginal_step
-from posetrack_cli.filtering.particle import ParticleState
+from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
+from posetrack_cli.filtering.model import FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.smoothing import Smoothed
 from posetrack_cli.hand.anatomy import make_anatomy
@@ -41,16 +41,13 @@ def smoother(method: str, kind: str = "rbpf"):
 def tracked(frames: int, seed: int = 0) -> list[MarginalState]:
     """The filter's states after frames that each show the rest pose, more or less."""
     rng, model = np.random.default_rng(seed), dynamics(configured("gaussian"))
-    state, states = initialise_marginal(START, SD, 2.0 * SD, 40, SPACE, rng), []
+    state, states = MarginalState.initial(Prior(START, SD, 2.0 * SD), 40, SPACE, rng), []
     for _ in range(frames):
         seen = SPACE.retract(START[None], SD * rng.standard_normal((1, 21)))[0]
-        state, _ = marginal_step(
-            state,
+        state, _ = state.step(
             DT,
-            model,
-            SPACE,
+            FilterModel(model, SPACE, Resampling()),
             lambda x, seen=seen: -0.5 * np.square(SPACE.local(seen, x) / (10.0 * SD)).sum(axis=1),
-            Resampling(),
             rng,
         )
         states.append(state)

@@ -76,7 +76,7 @@ def observing(config: HandConfig) -> Observer:
 
 def tracker_with(scorer: Any, kind: str = "rbpf", **tables: Any) -> HandTracker:
     config = configured(kind, **tables)
-    return HandTracker(config, ANATOMY, KINECT, scorer, observing(config))
+    return HandTracker(config, ANATOMY, scorer, observing(config))
 
 
 def seen(index: int, stamp_ns: int | None = None) -> Frame:
@@ -234,7 +234,7 @@ def test_confidence_that_stays_low_is_lost_and_comes_back() -> None:
     for k in range(6):
         scorer.scale = 0.1 if k in (0, 4) else 1e9  # everywhere c_max, but in these frames
         state, estimate = tracker.step(state, seen(k), rng)
-        statuses.append((str(estimate.status), state.watch.misses))
+        statuses.append((str(estimate.status), state.monitor.misses))
     assert statuses == [
         ("tracking", 0),
         ("tracking", 1),
@@ -266,16 +266,16 @@ def same(first: Estimate, second: Estimate) -> None:
 def test_a_state_taken_apart_and_put_together_goes_on_bit_by_bit(kind: str) -> None:
     tracker = tracker_with(DistanceScorer(START[:3]), kind, status={"lost_below": 0.99})
     state, _ = run(tracker, [seen(k) for k in range(4)])
-    assert state.watch.misses > 0
+    assert state.monitor.misses > 0
     restored = assert_lawful(tracker.codec, state)
-    assert restored.watch == state.watch
+    assert restored.monitor == state.monitor
     np.testing.assert_array_equal(restored.velocity, state.velocity)
     np.testing.assert_array_equal(restored.pose, state.pose)
     for k in range(4, 7):
         state, expected = tracker.step(state, seen(k), np.random.default_rng(k))
         restored, found = tracker.step(restored, seen(k), np.random.default_rng(k))
         same(expected, found)
-    assert restored.watch == state.watch
+    assert restored.monitor == state.monitor
 
 
 @both_filters
@@ -342,10 +342,10 @@ def test_annealing_takes_the_anatomy_s_potential_and_counts_every_pose(kind: str
         return 0.5 * np.square((poses[:, joint] - held) / sd)
 
     fitter = SimpleNamespace(potentials=potentials)
-    finder: Any = SimpleNamespace(guiding=SimpleNamespace(fitter=fitter))
+    finder: Any = SimpleNamespace(local_fitter=SimpleNamespace(fitter=fitter))
     config = configured(filter={"kind": kind, "particles": 64, "proposal": "annealed"})
     scorer = DistanceScorer(START[:3])
-    tracker = HandTracker(config, ANATOMY, KINECT, scorer, observing(config), finder)
+    tracker = HandTracker(config, ANATOMY, scorer, observing(config), finder)
     state, estimates = run(tracker, [seen(k) for k in range(4)])
     assert sum(scorer.asked) == sum(e.evaluations or 0 for e in estimates)
     assert scorer.asked[0] == 64 and len(scorer.asked) > 4 * (1 + 6)
@@ -376,7 +376,7 @@ def test_a_drawn_hand_is_followed_within_millimetres(device: RenderingDevice, ki
     )
     scorer = RenderedCosts(device, average_hand(), KINECT, config.observation, 512)
     frames, poses = translating_hand(device, 15)
-    _, estimates = run(HandTracker(config, ANATOMY, KINECT, scorer, observing(config)), frames)
+    _, estimates = run(HandTracker(config, ANATOMY, scorer, observing(config)), frames)
     truth = joint_positions(ANATOMY, poses)
     found = np.array([e.points for e in estimates])
     # where the hand is; single fingers wander more with so few particles

@@ -15,7 +15,7 @@ from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import sums_in_numpy
+from posetrack_cli.rendering.sums import Comparison, sums_in_numpy
 from posetrack_cli.rendering.window import Window
 from support.rendering import CAMERA, STILL, plane, rays
 
@@ -160,14 +160,14 @@ def test_sums_on_the_device_are_those_in_numpy(device: RenderingDevice) -> None:
     image[10:20] = np.where(image[10:20] > 0, -450.0, image[10:20])
     image[rng.random(image.shape) < 0.1] = 0.0
     for model in (MODEL, DBOT):
-        found = drawing.sums(transforms, kinect, window, image, 40.0, model)
-        expected = sums_in_numpy(depth, image, 40.0, model, slope=window.step / kinect.fx)
+        found = drawing.sums(transforms, kinect, window, Comparison(image, 40.0, model))
+        expected = sums_in_numpy(depth, Comparison(image, 40.0, model), window.step / kinect.fx)
         assert expected.relief.max() > 0
         assert expected.occluded.max() > 0
         np.testing.assert_allclose(found.misfit, expected.misfit, rtol=SUM_RELATIVE)
         np.testing.assert_allclose(found.relief, expected.relief, rtol=SUM_RELATIVE, atol=0.02)
         np.testing.assert_array_equal(found.occluded, expected.occluded)
-    plain = drawing.sums(transforms, kinect, window, image, 40.0)
+    plain = drawing.sums(transforms, kinect, window, Comparison(image, 40.0))
     assert not plain.misfit.any()  # nobody asked
     assert not plain.relief.any()
     np.testing.assert_allclose(plain.error, found.error, rtol=1e-6)  # added up in another order
@@ -181,7 +181,10 @@ def test_a_plane_is_as_many_misfits_as_pixels(device: RenderingDevice, error: fl
     directions = rays(CAMERA, window)
     depth = 600.0 / (1.0 - 0.1 * directions[..., 0] + 0.2 * directions[..., 1])
     found = drawing.sums(
-        STILL[None, None].astype(np.float32), CAMERA, window, (depth + error).astype("f4"), 40.0, MODEL
+        STILL[None, None].astype(np.float32),
+        CAMERA,
+        window,
+        Comparison((depth + error).astype("f4"), 40.0, MODEL),
     )
     expected = MODEL.misfit(depth, depth + error).sum()
     # of a slope of .2 the next pixels are some mm off in depth, so they explain nothing better

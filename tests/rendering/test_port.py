@@ -16,6 +16,7 @@ from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.sums import Comparison
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.reader import read_result
 from support.hand import KINECT
@@ -74,7 +75,8 @@ def test_hands_are_summed_alike(device: RenderingDevice, hands: np.ndarray) -> N
     observed = np.where(depth > 0, depth + 4.0, -1500.0).astype(np.float32)
     observed[:3] = 0.0
     first, second = (
-        one.sums(hands, KINECT, window(), observed, 40.0, PixelMixture(), match_mm=10.0) for one in drawing
+        one.sums(hands, KINECT, window(), Comparison(observed, 40.0, PixelMixture(), match_mm=10.0))
+        for one in drawing
     )
     assert first.observed == second.observed > 100
     for name in ("both", "rendered_only", "unread", "occluded", "matched"):
@@ -95,7 +97,9 @@ def test_both_refuse_what_does_not_fit(any_device: RenderingDevice) -> None:
         drawing.depth(moved((0, 0, 400)), CAMERA, Window(0, 0, 1, 16, 17))
     for asked, image in ((seen, (16, 17)), (seen, (256,)), (Window(0, 0, 1, 8, 32), (32, 8))):
         with pytest.raises(RenderingError, match="does not fit"):
-            drawing.sums(moved((0, 0, 400)), CAMERA, asked, np.zeros(image, dtype=np.float32), 40.0)
+            drawing.sums(
+                moved((0, 0, 400)), CAMERA, asked, Comparison(np.zeros(image, dtype=np.float32), 40.0)
+            )
 
 
 def test_a_hand_run_needs_nothing_but_the_port(device: RenderingDevice, tmp_path: Path) -> None:

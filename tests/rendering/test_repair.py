@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
-from posetrack_cli.rendering.repair import closed, rims, welded
-from posetrack_cli.rendering.simplify import simplified
+from posetrack_cli.rendering.simplify import closed, rims, simplified, welded
 from support.rendering import octahedron
 
 

@@ -15,7 +15,7 @@ from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.rendering.gl import tiled
 from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
+from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
 from posetrack_cli.rendering.window import Window
 from support.rendering import CAMERA, STILL, moved, rigid, sphere
 
@@ -83,8 +83,8 @@ def test_an_atlas_too_small_for_all_is_drawn_in_passes(
     expected = at_once.depth(some, KINECT, window())
     np.testing.assert_allclose(small.depth(some, KINECT, window()), expected, atol=DEPTH_MM)
     image = observed_image(expected[0])
-    found = small.sums(some, KINECT, window(), image, 40.0)
-    check_sums(found, sums_in_numpy(small.depth(some, KINECT, window()), image, 40.0))
+    found = small.sums(some, KINECT, window(), Comparison(image, 40.0))
+    check_sums(found, sums_in_numpy(small.depth(some, KINECT, window()), Comparison(image, 40.0)))
 
 
 @pytest.mark.parametrize("clamp", [10.0, 40.0])
@@ -94,11 +94,11 @@ def test_sums_on_the_device_are_those_in_numpy(
     drawing = renderer(device, 100)
     depth = drawing.depth(hands[:100], KINECT, window())
     image = observed_image(depth[3])
-    expected = sums_in_numpy(depth, image, clamp)
+    expected = sums_in_numpy(depth, Comparison(image, clamp))
     for sums in (expected.both, expected.rendered_only, expected.unread, expected.error):
         assert sums.min() > 0  # all four sums have something in them
     assert expected.both[0] * clamp > expected.error[0]  # and the clamp does not hold everywhere
-    check_sums(drawing.sums(hands[:100], KINECT, window(), image, clamp), expected)
+    check_sums(drawing.sums(hands[:100], KINECT, window(), Comparison(image, clamp)), expected)
 
 
 def test_depths_that_agree_are_counted_alike_on_the_device(
@@ -107,21 +107,21 @@ def test_depths_that_agree_are_counted_alike_on_the_device(
     drawing = renderer(device, 100)
     depth = drawing.depth(hands[:100], KINECT, window())
     image = observed_image(depth[3])
-    expected = sums_in_numpy(depth, image, 40.0, match_mm=10.0).matched
-    found = drawing.sums(hands[:100], KINECT, window(), image, 40.0, match_mm=10.0)
+    expected = sums_in_numpy(depth, Comparison(image, 40.0, match_mm=10.0)).matched
+    found = drawing.sums(hands[:100], KINECT, window(), Comparison(image, 40.0, match_mm=10.0))
     np.testing.assert_allclose(found.matched, expected, atol=2.0)  # a difference of 10 mm but for rounding
     assert expected.min() > 0 and (found.matched < found.both).all()
     pixels = (zip(one.flat, image.flat, strict=True) for one in depth[:3])
     by_loop = [sum(d > 0 and y > 0 and abs(d - y) < 10.0 for d, y in pairs) for pairs in pixels]
     assert expected[:3].tolist() == by_loop
-    assert not drawing.sums(hands[:100], KINECT, window(), image, 40.0).matched.any()
+    assert not drawing.sums(hands[:100], KINECT, window(), Comparison(image, 40.0)).matched.any()
 
 
 def test_sums_in_numpy_against_a_loop_over_pixels() -> None:
     rng = np.random.default_rng(0)
     depth = rng.choice([0.0, 500.0, 520.0], (3, 4, 5)).astype(np.float32)
     image = rng.choice([0.0, -900.0, 505.0, 600.0], (4, 5)).astype(np.float32)
-    found = sums_in_numpy(depth, image, 40.0)
+    found = sums_in_numpy(depth, Comparison(image, 40.0))
     for n in range(3):
         error = both = other = unread = 0.0
         for d, y in zip(depth[n].ravel(), image.ravel(), strict=True):
@@ -147,9 +147,9 @@ def test_tiles_that_are_not_square(device: RenderingDevice) -> None:
     both = (depth > 0) & (part > 0)
     np.testing.assert_allclose(depth[both], part[both], atol=DEPTH_MM)
     image = observed_image(depth[3])
-    expected = sums_in_numpy(depth, image, 40.0)
+    expected = sums_in_numpy(depth, Comparison(image, 40.0))
     offsets = moved(*[(8.0 * k - 20.0, 0.0, 400.0) for k in range(7)])
-    check_sums(wide.sums(offsets, CAMERA, seen, image, 40.0), expected)
+    check_sums(wide.sums(offsets, CAMERA, seen, Comparison(image, 40.0)), expected)
 
 
 @pytest.mark.parametrize(
@@ -203,9 +203,9 @@ def test_a_single_long_tile(device: RenderingDevice, tile: tuple[int, int]) -> N
 def test_drawing_twice_gives_the_same_bytes(device: RenderingDevice, hands: np.ndarray) -> None:
     drawing = renderer(device, 64)
     image = observed_image(drawing.depth(hands[:1], KINECT, window())[0])
-    first = drawing.sums(hands[:64], KINECT, window(), image, 40.0)
+    first = drawing.sums(hands[:64], KINECT, window(), Comparison(image, 40.0))
     drawing.depth(hands[64:70], KINECT, window())  # fewer tiles, other poses in between
-    second = drawing.sums(hands[:64], KINECT, window(), image, 40.0)
+    second = drawing.sums(hands[:64], KINECT, window(), Comparison(image, 40.0))
     np.testing.assert_array_equal(first.error, second.error)
     np.testing.assert_array_equal(first.both, second.both)
 

@@ -16,11 +16,9 @@ from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.guiding import Guiding
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel, average_hand
-from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
@@ -120,8 +118,7 @@ def acquisition(device: RenderingDevice, hand: HandModel, config: HandConfig | N
     """What looks for a hand without a prediction."""
     config = config or HandConfig()
     scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
-    observer = Observer(config, hand.anatomy, KINECT, segment=True)
-    return Acquisition(config, hand, KINECT, scorer, observer, Guiding(config, hand, KINECT))
+    return Acquisition(config, hand, KINECT, scorer)
 
 
 def tracker(device: RenderingDevice, hand: HandModel, config: HandConfig | None = None) -> HandTracker:
@@ -129,5 +126,4 @@ def tracker(device: RenderingDevice, hand: HandModel, config: HandConfig | None 
     config = config or HandConfig()
     finder = acquisition(device, hand, config)
     scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
-    observer = Observer(config, hand.anatomy, KINECT, segment=True)
-    return HandTracker(config, hand.anatomy, KINECT, scorer, observer, finder)
+    return HandTracker(config, hand.anatomy, scorer, finder.observer, finder)

@@ -13,7 +13,6 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import (
     MOST_TILES,
     Lighting,
@@ -22,7 +21,7 @@ from posetrack_cli.rendering.port import (
     check_observed,
     check_poses,
 )
-from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
+from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
 from posetrack_cli.rendering.window import Window
 from support.rendering import rays
 
@@ -87,18 +86,11 @@ class NumpyDepthRenderer:
         return np.array(images, dtype=np.float32).reshape(-1, window.height, window.width)
 
     def sums(
-        self,
-        transforms: Float32Array,
-        camera: Camera,
-        window: Window,
-        observed: Float32Array,
-        clamp_mm: float,
-        model: PixelMixture | None = None,
-        match_mm: float = 0.0,
+        self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
-        check_observed(observed, window)
+        check_observed(comparison.observed, window)
         depth = self.depth(transforms, camera, window)
-        return sums_in_numpy(depth, observed, clamp_mm, model, match_mm, window.step / camera.fx)
+        return sums_in_numpy(depth, comparison, window.step / camera.fx)
 
 
 class NumpySurfaceRenderer:

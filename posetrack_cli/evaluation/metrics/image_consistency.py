@@ -28,7 +28,7 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import TileSums
+from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 
@@ -72,7 +72,7 @@ class HandConsistency:
             frame.depth, self._sampler, window, self._camera, hand, self._segmentation
         ).observation
         transforms = skinning_transforms(self._anatomy, pose[None])
-        return self._renderer.sums(transforms, self._camera, window, observed.image, NO_CLAMP_MM)
+        return self._renderer.sums(transforms, self._camera, window, Comparison(observed.image, NO_CLAMP_MM))
 
 
 def residual_mm(sums: TileSums) -> float:

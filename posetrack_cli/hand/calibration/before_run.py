@@ -21,7 +21,7 @@ from posetrack_cli.hand.calibration.calibrate import (
     CalibrationOptions,
     calibrate,
 )
-from posetrack_cli.hand.calibration.following import Follower
+from posetrack_cli.hand.calibration.sequence import SequenceFitter
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.segmentation import detect
@@ -66,7 +66,7 @@ def find_hand(
         report: called with what is being done.
 
     Raises:
-        RecordingError: a shape is asked for, and no hand can be followed.
+        RecordingError: a shape is asked for, and no hand can be tracked.
         UsageError: the configuration's mesh is no hand that can be used.
     """
     if config.init.calibrate:
@@ -112,10 +112,10 @@ def _readable(frames: Iterator[Frame]) -> Iterator[Frame]:
 
 
 def _mean_cost(frames: Sequence[Frame], config: HandConfig, camera: Camera, side: str, seed: int) -> float:
-    """At which mean cost frames are followed with a hand of a side, mm; a lost one costs the clamp."""
+    """At which mean cost frames are tracked with a hand of a side, mm; a lost one costs the clamp."""
     hand = hand_maker(config.hand.mesh)(side, config.hand.shape)
-    followed = Follower(config, hand, camera).follow(frames, np.random.default_rng(seed))
-    return float(np.minimum(followed.costs, config.observation.clamp_mm).mean())
+    fitted = SequenceFitter(config, hand, camera).fit(frames, np.random.default_rng(seed))
+    return float(np.minimum(fitted.costs, config.observation.clamp_mm).mean())
 
 
 def _with_shape(config: HandConfig, found: Calibration) -> HandConfig:

@@ -1,11 +1,12 @@
-"""Calibration of a recording's hand: follow it, choose frames, adjust its shape; twice.
+"""Calibration of a recording's hand: track it, choose frames, adjust its shape; twice.
 
-No truth is used. The first time the hand is followed with an average shape; the second time with that which
-was found, so that frames count that could not be followed before.
+No truth is used. The first time the hand is tracked with an average shape; the second time with that which
+was found, so that frames count that could not be tracked before.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -15,16 +16,18 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.files import write_output
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
-from posetrack_cli.hand.calibration.following import Followed, Follower
+from posetrack_cli.hand.calibration.sequence import SequenceFit, SequenceFitter
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.raster import View
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandMaker, HandModel, hand_maker
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape
+from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
@@ -37,6 +40,7 @@ _FEWEST_FRAMES = 4
 _ROTATION_WEIGHT = 2.0  # of a quaternion's distance beside angles, rad
 
 Report = Callable[[str], None]
+_DECIMALS = 4  # of the factors in a hand file
 
 
 @dataclass(frozen=True)
@@ -91,20 +95,20 @@ def calibrate(
         report: called with what is being done.
 
     Raises:
-        RecordingError: no frame, or no hand that can be followed in at least four frames.
+        RecordingError: no frame, or no hand that can be tracked in at least four frames.
         UsageError: the configuration's mesh is no hand that can be used.
     """
     frames = _first_seconds(recording, options.seconds, options.start)
     maker, camera = hand_maker(config.hand.mesh), recording.cameras[0]
-    work = _Work(config, camera, maker, recording.path, options)
+    calibrator = _Calibrator(config, camera, maker, recording.path, options)
     report("which hand, and about how large")
-    side, shape = work.best_start(frames)
+    side, shape = calibrator.best_start(frames)
     for attempt in range(ROUNDS):
-        report(f"following the {side} hand, {attempt + 1} of {ROUNDS}")
-        followed = work.follow(frames, side, shape)
-        chosen = work.chosen(followed)
+        report(f"tracking the {side} hand, {attempt + 1} of {ROUNDS}")
+        fitted = calibrator.fit(frames, side, shape)
+        chosen = calibrator.chosen(fitted)
         report(f"adjusting its shape to {len(chosen)} frames")
-        bundle = work.adjust([frames[k] for k in chosen], followed.poses[chosen], side, shape)
+        bundle = calibrator.adjust([frames[k] for k in chosen], fitted.poses[chosen], side, shape)
         shape = bundle.shape
     sd = shape.factors * np.sqrt(np.diag(bundle.covariance))
     return Calibration(side, shape, sd, len(frames), len(chosen), bundle.residual_mm)
@@ -119,7 +123,7 @@ def _first_seconds(recording: Recording, seconds: float, start: int = 0) -> list
     return [first, *takewhile(lambda frame: frame.stamp_ns <= last, frames)]
 
 
-class _Work:
+class _Calibrator:
     """The parts of a calibration."""
 
     def __init__(
@@ -129,41 +133,41 @@ class _Work:
         self._options = options
 
     def best_start(self, frames: Sequence[Frame]) -> tuple[str, HandShape]:
-        """The side and scale with which the first frames are followed at the least mean cost."""
+        """The side and scale with which the first frames are tracked at the least mean cost."""
         sides = (self._options.side,) if self._options.side else SIDES
         tried = {}
         for side in sides:
             for scale in TRIED_SCALES:
-                followed = self.follow(frames[:TRIAL_FRAMES], side, HandShape(scale=scale))
-                clamped = np.minimum(followed.costs, self._config.observation.clamp_mm)
+                fitted = self.fit(frames[:TRIAL_FRAMES], side, HandShape(scale=scale))
+                clamped = np.minimum(fitted.costs, self._config.observation.clamp_mm)
                 tried[side, scale] = float(clamped.mean())
         side, scale = min(tried, key=lambda key: tried[key])
         return side, HandShape(scale=scale)
 
-    def follow(self, frames: Sequence[Frame], side: str, shape: HandShape) -> Followed:
+    def fit(self, frames: Sequence[Frame], side: str, shape: HandShape) -> SequenceFit:
         """The poses of a hand in frames."""
-        follower = Follower(self._config, self._maker(side, shape), self._camera)
-        return follower.follow(frames, np.random.default_rng(self._options.seed))
+        fitter = SequenceFitter(self._config, self._maker(side, shape), self._camera)
+        return fitter.fit(frames, np.random.default_rng(self._options.seed))
 
-    def chosen(self, followed: Followed) -> IntArray:
+    def chosen(self, fitted: SequenceFit) -> IntArray:
         """Frames that fit well and differ in pose.
 
         Raises:
             RecordingError: there are too few.
         """
-        found = followed.costs[np.isfinite(followed.costs)]
+        found = fitted.costs[np.isfinite(fitted.costs)]
         few = np.sort(found)[: max(_FEWEST_FRAMES, -(-found.size // 2))]  # a hand upside down fits worse
         limit = float(few[-1]) if few.size else 0.0
-        good = np.flatnonzero(followed.costs <= limit)
+        good = np.flatnonzero(fitted.costs <= limit)
         if good.size < _FEWEST_FRAMES:
             raise RecordingError(
-                "no hand that can be followed",
+                "no hand that can be tracked",
                 where=self._path,
-                found=f"{good.size} of {len(followed.costs)} frames",
+                found=f"{good.size} of {len(fitted.costs)} frames",
                 expected=f"{_FEWEST_FRAMES} or more",
                 hint="choose a recording, or with --seconds a part, that shows one hand well",
             )
-        return good[spread(followed.poses[good], self._options.frames)]
+        return good[spread(fitted.poses[good], self._options.frames)]
 
     def adjust(self, frames: Sequence[Frame], poses: FloatArray, side: str, shape: HandShape) -> Bundle:
         """The shape and the poses that fit the frames best."""
@@ -209,3 +213,56 @@ def spread(poses: FloatArray, count: int) -> IntArray:
         nearest = np.minimum(nearest, angles + _ROTATION_WEIGHT * turned)
         chosen.append(int(nearest.argmax()))
     return np.array(sorted(set(chosen)))
+
+
+def write_hand_file(path: Path, calibration: Calibration, mesh: str | None, source: str) -> None:
+    """Write a TOML file that ``--config`` reads beside others.
+
+    Args:
+        path: the file.
+        calibration: side and shape.
+        mesh: the GLB file that the shape is of, None for the average hand.
+        source: name of the recording, for the comment.
+
+    Raises:
+        ResultError: it cannot be written.
+    """
+    with whole_or_nothing(path) as part:
+        write_output(part, hand_text(calibration, mesh, source, path.parent).encode())
+
+
+def hand_text(calibration: Calibration, mesh: str | None, source: str, folder: Path) -> str:
+    """The file's text; a mesh is named relative to the file's folder where it lies in it, else in full."""
+    shape = calibration.shape
+    sd = dict(zip(SHAPE_NAMES, calibration.sd.tolist(), strict=True))
+    lines = [
+        f"# Calibrated from {json.dumps(source)}: {calibration.frames_used} frames,"
+        f" residual {calibration.residual_mm:.2f} mm. Standard deviations beside the numbers.",
+        "[hand]",
+        f'side = "{calibration.side}"',
+        f"scale = {_number(shape.scale)}  # {sd['scale']:.3f}",
+        f"finger_lengths = {_row(shape.finger_lengths)}  # {_deviations(sd, 'length')}",
+        f"finger_widths = {_row(shape.finger_widths)}  # {_deviations(sd, 'width')}",
+        *(f"{name} = {_number(getattr(shape, name))}  # {sd[name]:.3f}" for name in SHAPE_NAMES[11:]),
+    ]
+    if mesh is not None:
+        lines.append(f"mesh = {json.dumps(_reachable(Path(mesh), folder))}")
+    return "\n".join(lines) + "\n"
+
+
+def _reachable(mesh: Path, folder: Path) -> str:
+    mesh, folder = mesh.resolve(), folder.resolve()
+    return str(mesh.relative_to(folder) if mesh.is_relative_to(folder) else mesh)
+
+
+def _deviations(sd: dict[str, float], what: str) -> str:
+    fingers = [value for name, value in sd.items() if name.endswith(what) and not name.startswith("palm")]
+    return " ".join(f"{value:.3f}" for value in fingers)
+
+
+def _row(values: tuple[float, ...]) -> str:
+    return f"[{', '.join(map(_number, values))}]"
+
+
+def _number(value: float) -> str:
+    return f"{value:.{_DECIMALS}f}"

@@ -160,7 +160,7 @@ def add_anatomy(
     Args:
         about: constants.
         pose, posed: the pose and its bones.
-        spheres: (5, SPHERES, 3) room.
+        spheres: (5, SPHERES, 3), is written to.
         equations: to add to.
     """
     value = _add_limits(about, pose[7:], equations)

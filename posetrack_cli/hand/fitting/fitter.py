@@ -1,10 +1,11 @@
-"""Fits of a hand's pose to one observation from several starts."""
+"""Fits of a hand's pose to one observation from several starts: what is expected, and hands like it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import cv2
@@ -12,18 +13,19 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
 from posetrack_cli.hand.fitting.gauss_newton import (
     Fit,
     Hand,
     Steps,
-    Work,
+    Workspace,
     align,
     assess,
     cost_of,
     descend,
     empty_fit,
-    make_work,
+    make_workspace,
 )
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.raster import View, skin_of
@@ -31,6 +33,52 @@ from posetrack_cli.hand.fitting.skeleton import pose_bones, skeleton_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.space import HandSpace
+
+# MCP and PIP flexion, rad, of a straight, curled, half-bent, hooked and flat-bent finger.
+_FOLDS = np.array([(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)])
+_REFOLDED = 0.5  # probability that a finger of a scattered start takes another fold
+_FINGER_SD = (0.3, 0.08, 0.36)  # MCP flexion, abduction, PIP flexion, rad
+SCATTER: FloatArray = np.array([8.0] * 3 + [0.15] * 3 + [0.3, 0.3, 0.08] + list(_FINGER_SD) * 4)
+"""(21,) standard deviations of a scattered start, mm and rad (hand-findings.md)."""
+
+
+def fit_starts(
+    expected: FloatArray, others: FloatArray, count: int, space: HandSpace, rng: np.random.Generator
+) -> FloatArray:
+    """Return start poses (count, 22): the expected pose, others, then scattered ones about all of these.
+
+    A finger that moved between two frames is mostly found from another fold, not from a nearby angle.
+
+    Args:
+        expected: (22,) the prediction.
+        others: (M, 22) further poses worth a try.
+        count: how many starts.
+        space: of poses.
+        rng: draws the scatter.
+    """
+    given = np.concatenate([expected[None], others])[:count]
+    more = count - len(given)
+    if more <= 0:
+        return given
+    about = given[np.arange(more) % len(given)]
+    scattered = space.retract(about, SCATTER * rng.standard_normal((more, TANGENT_SIZE)))
+    fold = _FOLDS[rng.integers(len(_FOLDS), size=(more, 4))]
+    refolded = rng.random((more, 4)) < _REFOLDED
+    for finger in range(1, 5):
+        rows = refolded[:, finger - 1]
+        scattered[rows, 7 + 3 * finger] = fold[rows, finger - 1, 0]
+        scattered[rows, 9 + 3 * finger] = fold[rows, finger - 1, 1]
+    return np.concatenate([given, scattered])
+
+
+def refolds(pose: FloatArray) -> FloatArray:
+    """Return a pose (22,) with each finger in each fold, one at a time: (20, 22)."""
+    poses = np.tile(pose, (4 * len(_FOLDS), 1))
+    for row, (finger, fold) in enumerate(product(range(1, 5), _FOLDS)):
+        poses[row, [7 + 3 * finger, 9 + 3 * finger]] = fold
+    return poses
+
 
 FINGER_ANGLES = tuple(slice(7 + 3 * f, 10 + 3 * f) for f in range(5))  # of a pose
 THREADS = 2
@@ -75,7 +123,7 @@ class HandFitter:
         anatomy = model.anatomy
         self.hand = Hand(skeleton_of(anatomy), skin_of(model.smooth), plausibility_of(anatomy))
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
-        self._free = [make_work(self.hand, tile_px, tile_px) for _ in range(THREADS)]
+        self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(THREADS)]
         self._threads = ThreadPoolExecutor(THREADS)
 
     def tile(self, observation: Observation) -> Tile:
@@ -96,7 +144,7 @@ class HandFitter:
     ) -> list[Fit]:
         """Return a fit from each start (K, 22), with a prior of its own."""
 
-        def one(start: FloatArray, prior: PosePrior, work: Work) -> Fit:
+        def one(start: FloatArray, prior: PosePrior, workspace: Workspace) -> Fit:
             fit = empty_fit()
             descend(
                 self.hand,
@@ -107,7 +155,7 @@ class HandFitter:
                 self._terms,
                 self._steps,
                 iterations,
-                work,
+                workspace,
                 fit,
             )
             return fit
@@ -135,36 +183,42 @@ class HandFitter:
 
     def anatomy(self, pose: FloatArray) -> NormalEquations:
         """Return gradient and information of exp(-U) at a pose (22,), U the anatomical potential."""
-        equations, work = empty_equations(), self._free[0]
-        pose_bones(self.hand.skeleton, pose, work.posed)
-        add_anatomy(self.hand.plausibility, pose, work.posed, work.spheres, equations)
+        equations, workspace = empty_equations(), self._free[0]
+        pose_bones(self.hand.skeleton, pose, workspace.posed)
+        add_anatomy(self.hand.plausibility, pose, workspace.posed, workspace.spheres, equations)
         return equations
 
     def costs(self, tile: Tile, poses: FloatArray) -> FloatArray:
         """Return union costs (N,), mm, of poses (N, 22)."""
 
-        def one(pose: FloatArray, work: Work) -> float:
-            return float(cost_of(self.hand, tile, pose, self._terms, work))
+        def one(pose: FloatArray, workspace: Workspace) -> float:
+            return float(cost_of(self.hand, tile, pose, self._terms, workspace))
 
         return np.array(self._each(one, poses))
 
     def potentials(self, poses: FloatArray) -> FloatArray:
         """Return the anatomical potential U (N,) of poses (N, 22); exp(-U) is a factor of the likelihood."""
-        out, work = np.empty(len(poses)), self._free[0]
+        out, workspace = np.empty(len(poses)), self._free[0]
         potentials(
-            self.hand.plausibility, self.hand.skeleton, poses, work.posed, work.spheres, work.whole, out
+            self.hand.plausibility,
+            self.hand.skeleton,
+            poses,
+            workspace.posed,
+            workspace.spheres,
+            workspace.whole,
+            out,
         )
         return out
 
     def _each(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """Call a compiled function for every item, on all threads; each has room of its own."""
+        """Call a compiled function for every item, on all threads; each has a workspace of its own."""
         count = len(arguments[0])
         parts = [range(first, count, THREADS) for first in range(THREADS)]
         results: list[Any] = [None] * count
 
-        def run(part: range, work: Work) -> None:
+        def run(part: range, workspace: Workspace) -> None:
             for k in part:
-                results[k] = function(*(a[k] for a in arguments), work)
+                results[k] = function(*(a[k] for a in arguments), workspace)
 
         list(self._threads.map(run, parts, self._free))
         return results

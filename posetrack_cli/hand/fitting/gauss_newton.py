@@ -14,7 +14,7 @@ from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, copy, empty_equations, gather
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View, draw, empty_drawing
 from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, empty_posed, pose_bones
-from posetrack_cli.hand.fitting.terms import Scratch, Terms, Tile, add_terms, empty_scratch, union_cost
+from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
 
 WIDENING = 1.3  # factor on the robust scales per iteration left
 
@@ -35,12 +35,12 @@ class Steps(NamedTuple):
     angle_rad: float = 0.5
 
 
-class Work(NamedTuple):
-    """Room for one fit at a time."""
+class Workspace(NamedTuple):
+    """What one fit at a time writes to."""
 
     posed: Posed
     drawing: Drawing
-    scratch: Scratch
+    buffers: TermBuffers
     spheres: FloatArray
     data: NormalEquations
     whole: NormalEquations
@@ -60,12 +60,12 @@ class Fit(NamedTuple):
     cost: FloatArray
 
 
-def make_work(hand: Hand, height: int, width: int) -> Work:
-    """Return room for fits to images of one size."""
-    return Work(
+def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
+    """Return the workspace of fits to images of one size."""
+    return Workspace(
         empty_posed(),
         empty_drawing(hand.skin, height, width),
-        empty_scratch(hand.skin, height, width),
+        empty_buffers(hand.skin, height, width),
         np.zeros((5, SPHERES, 3)),
         empty_equations(),
         empty_equations(),
@@ -73,7 +73,7 @@ def make_work(hand: Hand, height: int, width: int) -> Work:
 
 
 def empty_fit() -> Fit:
-    """Return room for a fit."""
+    """Return a fit to be filled in."""
     return Fit(np.zeros(POSE_SIZE), empty_equations(), np.zeros(1))
 
 
@@ -114,16 +114,21 @@ def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
 
 @kernel
 def _solve(
-    hand: Hand, pose: FloatArray, mean: FloatArray, precision: FloatArray, work: Work, delta: FloatArray
+    hand: Hand,
+    pose: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
+    workspace: Workspace,
+    delta: FloatArray,
 ) -> None:
     """Write the Gauss-Newton step (21,) for image, prior N(mean, 1 / precision) and anatomy."""
-    whole = work.whole
-    copy(work.data, whole)
+    whole = workspace.whole
+    copy(workspace.data, whole)
     _difference(mean, pose, delta)
     for i in range(TANGENT_SIZE):
         whole.matrix[i, i] += precision[i]
         whole.vector[i] += precision[i] * delta[i]
-    add_anatomy(hand.plausibility, pose, work.posed, work.spheres, whole)
+    add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
     step = np.linalg.solve(whole.matrix, whole.vector)
     for i in range(TANGENT_SIZE):
         delta[i] = step[i]
@@ -147,7 +152,7 @@ def descend(
     terms: Terms,
     most: Steps,
     iterations: int,
-    work: Work,
+    workspace: Workspace,
     out: Fit,
 ) -> None:
     """Descend from a start pose and keep the pose of least union cost on the way.
@@ -159,60 +164,69 @@ def descend(
         mean, precision: (22,), (21,) prior of the pose, in the tangent space.
         terms, most: weights, step sizes.
         iterations: Gauss-Newton steps; one more pose is drawn.
-        work: room.
+        workspace: is written to.
         out: the fit. Its cost is c_max if the hand cannot be drawn.
     """
     pose, delta = start.copy(), np.empty(TANGENT_SIZE)
-    _keep(pose, work.data, np.inf, out)
+    _keep(pose, workspace.data, np.inf, out)
     for k in range(iterations + 1):
-        pose_bones(hand.skeleton, pose, work.posed)
-        clear(work.data)
+        pose_bones(hand.skeleton, pose, workspace.posed)
+        clear(workspace.data)
         cost = terms.clamp_mm
-        if draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+        if draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
             widening = WIDENING ** (iterations - k)
             cost = add_terms(
-                tile, work.posed, hand.skin, work.drawing, terms, widening, work.scratch, work.data
+                tile,
+                workspace.posed,
+                hand.skin,
+                workspace.drawing,
+                terms,
+                widening,
+                workspace.buffers,
+                workspace.data,
             )
-            gather(work.data)
+            gather(workspace.data)
         if cost < out.cost[0]:
-            _keep(pose, work.data, cost, out)
+            _keep(pose, workspace.data, cost, out)
         if k < iterations:
-            _solve(hand, pose, mean, precision, work, delta)
+            _solve(hand, pose, mean, precision, workspace, delta)
             _step(pose, delta, most)
 
 
 @kernel
-def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, work: Work) -> float:
+def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
     """The union cost D, mm, of a pose (22,)."""
-    pose_bones(hand.skeleton, pose, work.posed)
-    if not draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+    pose_bones(hand.skeleton, pose, workspace.posed)
+    if not draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
         return terms.clamp_mm
-    return union_cost(tile, work.drawing, terms)
+    return union_cost(tile, workspace.drawing, terms)
 
 
 @kernel
-def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, work: Work, out: Fit) -> None:
+def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
     """Make the fit of a pose as it is, without a step."""
-    pose_bones(hand.skeleton, pose, work.posed)
-    clear(work.data)
+    pose_bones(hand.skeleton, pose, workspace.posed)
+    clear(workspace.data)
     cost = terms.clamp_mm
-    if draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
-        cost = add_terms(tile, work.posed, hand.skin, work.drawing, terms, 1.0, work.scratch, work.data)
-        gather(work.data)
-    _keep(pose, work.data, cost, out)
+    if draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
+        cost = add_terms(
+            tile, workspace.posed, hand.skin, workspace.drawing, terms, 1.0, workspace.buffers, workspace.data
+        )
+        gather(workspace.data)
+    _keep(pose, workspace.data, cost, out)
 
 
 @kernel
-def align(hand: Hand, tile: Tile, pose: FloatArray, work: Work) -> bool:
+def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> bool:
     """Shift a pose (22,) so that the middle of what is drawn meets the middle of the hand's pixels.
 
     The middles are means of column, row and depth. False, and nothing moved, if either shows nothing.
     """
-    pose_bones(hand.skeleton, pose, work.posed)
-    if tile.observed == 0 or not draw(hand.skin, work.posed.bones, tile.projection, work.drawing):
+    pose_bones(hand.skeleton, pose, workspace.posed)
+    if tile.observed == 0 or not draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
         return False
     drawn, target = np.zeros(3), np.zeros(3)
-    count = _add_middle(work.drawing.inverse, True, drawn)
+    count = _add_middle(workspace.drawing.inverse, True, drawn)
     if count == 0:
         return False
     _place_middle(drawn, count, tile.projection)

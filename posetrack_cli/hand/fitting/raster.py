@@ -100,7 +100,7 @@ def _strongest(outwards: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def empty_drawing(skin: Skin, height: int, width: int) -> Drawing:
-    """Return room for one drawing."""
+    """Return a drawing to be filled in."""
     count = len(skin.vertices)
     return Drawing(
         np.zeros((count, 3)),

@@ -65,7 +65,7 @@ def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
 
 
 def empty_posed() -> Posed:
-    """Return room for one pose's bones."""
+    """Return the bones of one pose, to be filled in."""
     return Posed(np.zeros((BONE_COUNT, 3, 4)), np.zeros((5, 3, 3)), np.zeros((5, 3, 3)), np.zeros((5, 3)))
 
 

@@ -70,16 +70,16 @@ Pull: TypeAlias = tuple[float, float, float, float, float]
 """Of a residual: the direction of the point (3), mm that it is off, the weight, 1 / mm^2 (0 for none)."""
 
 
-class Scratch(NamedTuple):
-    """Room for ``add_terms``: unexplained points (h w, 3), vertices that face the camera (V,)."""
+class TermBuffers(NamedTuple):
+    """Buffers of ``add_terms``: unexplained points (h w, 3), vertices that face the camera (V,)."""
 
     points: FloatArray
     vertices: IntArray
 
 
-def empty_scratch(skin: Skin, height: int, width: int) -> Scratch:
-    """Return room for one image."""
-    return Scratch(np.zeros((height * width, 3)), np.zeros(len(skin.vertices), dtype=np.int64))
+def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
+    """Return the buffers for one image."""
+    return TermBuffers(np.zeros((height * width, 3)), np.zeros(len(skin.vertices), dtype=np.int64))
 
 
 @inlined
@@ -97,7 +97,7 @@ def add_terms(
     drawing: Drawing,
     terms: Terms,
     widening: float,
-    scratch: Scratch,
+    buffers: TermBuffers,
     equations: NormalEquations,
 ) -> float:
     """Add all residuals of a drawn pose, and return its union cost D, mm (hand.md, observation model).
@@ -108,10 +108,10 @@ def add_terms(
         skin: the mesh.
         terms: weights.
         widening: factor on the robust scales.
-        scratch: room.
+        buffers: are written to.
         equations: residuals are added to its blocks.
     """
-    view, row, points = tile.projection, np.empty(ROW), scratch.points
+    view, row, points = tile.projection, np.empty(ROW), buffers.points
     fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
     error, both, missed, unexplained = 0.0, 0, 0.0, 0
     for j in range(tile.image.shape[0]):
@@ -139,7 +139,7 @@ def add_terms(
                 points[unexplained, 0], points[unexplained, 1] = x * observed, y * observed
                 points[unexplained, 2] = observed
                 unexplained += 1
-    _add_closest(posed, skin, drawing, terms, widening, scratch, unexplained, equations)
+    _add_closest(posed, skin, drawing, terms, widening, buffers, unexplained, equations)
     return _union(error, both, missed, tile.observed, terms.clamp_mm)
 
 
@@ -193,19 +193,19 @@ def _add_closest(
     drawing: Drawing,
     terms: Terms,
     widening: float,
-    scratch: Scratch,
+    buffers: TermBuffers,
     count: int,
     equations: NormalEquations,
 ) -> None:
     """Pull the nearest vertices that face the camera to the unexplained points."""
-    facing = _note_facing(drawing.facing, scratch.vertices)
+    facing = _note_facing(drawing.facing, buffers.vertices)
     if facing == 0 or count == 0:
         return
     stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
     row, vertices = np.empty(ROW), drawing.vertices
     for k in range(0, count, stride):
-        x, y, z = scratch.points[k, 0], scratch.points[k, 1], scratch.points[k, 2]
-        v = _nearest_vertex(vertices, scratch.vertices, facing, x, y, z)
+        x, y, z = buffers.points[k, 0], buffers.points[k, 1], buffers.points[k, 2]
+        v = _nearest_vertex(vertices, buffers.vertices, facing, x, y, z)
         px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         dx, dy, dz = x - px, y - py, z - pz
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)

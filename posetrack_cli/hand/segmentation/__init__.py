@@ -5,9 +5,8 @@
 of depth between them. A missing reading is of no surface, and no background either.
 """
 
-from posetrack_cli.hand.segmentation.around_prediction import segment
+from posetrack_cli.hand.segmentation.around_prediction import Label, Segmentation, segment
 from posetrack_cli.hand.segmentation.detection import Detection, detect
-from posetrack_cli.hand.segmentation.labels import Label, Segmentation
 from posetrack_cli.hand.segmentation.prediction import PredictedHand
 
 __all__ = ["Detection", "Label", "PredictedHand", "Segmentation", "detect", "segment"]

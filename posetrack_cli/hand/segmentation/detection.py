@@ -10,10 +10,9 @@ from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.observation import PixelSampler
-from posetrack_cli.hand.segmentation.likeness import arm_exit, likeness
+from posetrack_cli.hand.segmentation.arm import BIN_MM, extents, slice_areas
 from posetrack_cli.hand.segmentation.palms import Surfaces, palm_pixels, surfaces_of
-from posetrack_cli.hand.segmentation.region import Region, region_around
-from posetrack_cli.hand.segmentation.slices import BIN_MM, extents, slice_areas
+from posetrack_cli.hand.segmentation.region import Region, arm_exit, likeness, region_around
 from posetrack_cli.rendering.window import Window
 
 _APART_MM, _MOST_ACROSS = 3.5, 240

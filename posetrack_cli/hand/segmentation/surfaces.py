@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -107,3 +109,28 @@ def nearest_around(depth: Float32Array, size: int) -> Float32Array:
     """The nearest reading (h, w) in a square of so many pixels around each; far away where there is none."""
     read = np.where(depth > 0, depth, _FAR_MM)
     return np.asarray(cv2.erode(read, np.ones((size, size), np.uint8)), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a window shows.
+
+    Attributes:
+        window: which pixels.
+        camera: whose.
+        depth: (h, w) readings, mm, 0 = none.
+        points: (h, w, 3) mm, camera axes.
+        apart: (h, w) distance of neighbouring pixels that face the camera, mm.
+    """
+
+    window: Window
+    camera: Camera
+    depth: Float32Array
+    points: Float32Array
+    apart: Float32Array
+
+    @classmethod
+    def of(cls, depth: Float32Array, window: Window, camera: Camera) -> View:
+        """A window of a camera with its readings (h, w), mm."""
+        apart = pixel_mm(depth, window, camera).astype(np.float32)
+        return cls(window, camera, depth, points_of(depth, window, camera), apart)

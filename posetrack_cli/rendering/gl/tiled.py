@@ -13,9 +13,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.gl.bounds import BoneSpheres
 from posetrack_cli.rendering.gl.shader_source import shader_source
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.pixel_model import PixelMixture, outline_distances
+from posetrack_cli.rendering.pixel_model import outline_distances
 from posetrack_cli.rendering.port import check_observed, check_poses
-from posetrack_cli.rendering.sums import TileSums
+from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.rendering.window import Window
 
 NEAR_MM = 50.0
@@ -105,16 +105,10 @@ class TiledDepthRenderer:
         return np.divide(NEAR_MM, inverse, out=np.zeros_like(inverse), where=drawn)
 
     def sums(
-        self,
-        transforms: Float32Array,
-        camera: Camera,
-        window: Window,
-        observed: Float32Array,
-        clamp_mm: float,
-        model: PixelMixture | None = None,
-        match_mm: float = 0.0,
+        self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
         """Render and reduce on the device."""
+        observed, clamp_mm, model, match_mm = comparison
         check_observed(observed, window)
         check_poses(self, transforms, window)  # before anything is written to the device
         self._readings[..., 0] = observed

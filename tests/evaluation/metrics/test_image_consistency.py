@@ -20,7 +20,7 @@ from posetrack_cli.hand.model import average_hand
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import TileSums, sums_in_numpy
+from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.synthesis.hand.options import Switches
 from support.viewing import lost_from, make_recording, make_result, moved, truth_of
@@ -138,7 +138,7 @@ def test_sums_by_hand() -> None:
     """Rendered 2 x 3 pixels of 600 mm; observed 1: 590, 2: 640, 1 other, 1 unread inside, 1 hand beside."""
     rendered = np.array([[[600, 600, 600, 600, 600, 0]]], np.float32)
     observed = np.array([[590, 640, 640, -900, 0, 650]], np.float32)
-    sums = sums_in_numpy(rendered, observed, 1e6)
+    sums = sums_in_numpy(rendered, Comparison(observed, 1e6))
     assert residual_mm(sums) == pytest.approx((10 + 40 + 40) / 3)
     assert region_overlap(sums) == pytest.approx(3 / 5), "3 both, 1 rendered only, 1 observed only"
 

@@ -9,9 +9,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.fitting.fitter import FINGER_ANGLES, HandFitter, PosePrior
+from posetrack_cli.hand.fitting.fitter import FINGER_ANGLES, SCATTER, HandFitter, PosePrior, fit_starts
 from posetrack_cli.hand.fitting.gauss_newton import Fit, Steps
-from posetrack_cli.hand.fitting.starts import SCATTER, fit_starts
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation

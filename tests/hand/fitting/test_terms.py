@@ -19,7 +19,7 @@ from posetrack_cli.hand.fitting.normal_equations import (
 )
 from posetrack_cli.hand.fitting.raster import Skin, View, draw, empty_drawing, skin_of
 from posetrack_cli.hand.fitting.skeleton import PALM, Skeleton, empty_posed, pose_bones, skeleton_of
-from posetrack_cli.hand.fitting.terms import Terms, Tile, add_terms, empty_scratch, union_cost
+from posetrack_cli.hand.fitting.terms import Terms, Tile, add_terms, empty_buffers, union_cost
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel
@@ -211,7 +211,7 @@ def added(s: Scene, widening: float, terms: Terms = SETTINGS) -> tuple[NormalEqu
     posed, drawing = empty_posed(), empty_drawing(s.skin, TILE_PX, TILE_PX)
     pose_bones(s.skeleton, s.pose, posed)
     assert draw(s.skin, posed.bones, s.tile.projection, drawing)
-    equations, room = empty_equations(), empty_scratch(s.skin, TILE_PX, TILE_PX)
+    equations, room = empty_equations(), empty_buffers(s.skin, TILE_PX, TILE_PX)
     cost = add_terms(s.tile, posed, s.skin, drawing, terms, widening, room, equations)
     gather(equations)
     return equations, cost

@@ -1,0 +1,277 @@
+"""What a frame says about where the hand is: local fits, as approximations of the likelihood.
+
+`LocalFitter` makes them for the filter, from several starts; `HandFits` for the smoother, with what all other
+frames expect as their prior. What a smoother's fit is worth is told by what it leaves (**[ours]**): the
+filter, which has to try all poses by one measure, takes a pixel's noise from the sensor; here it is taken
+from the fit's own union cost D, the mean absolute residual, so sigma = sqrt(pi / 2) D. Where a hand is seen
+well, information is some ten times that of the filter's fits, and where half of it is hidden or cut off, a
+tenth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.smoothing import Memory
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.anatomy import POSE_SIZE
+from posetrack_cli.hand.config import FitSettings, HandConfig
+from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
+from posetrack_cli.hand.fitting.gauss_newton import Fit
+from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.likelihood import pixel_mixture, reading_share
+from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.space import HandSpace, tangent_vector
+from posetrack_cli.rendering.window import Window
+
+USUAL_STEP_S = 1.0 / 30.0
+THUMB_SD = (0.25, 0.25, 0.15)  # rad; a thumb moves less than a finger (hand-findings.md)
+
+
+class LocalFits(NamedTuple):
+    """The fits of one frame.
+
+    Attributes:
+        modes: approximations of log p(y | x), the best first.
+        cost: union cost D of the best, mm, with the smooth skin.
+        renders: how many poses were drawn for it.
+    """
+
+    modes: LikelihoodModes
+    cost: float
+    renders: int
+
+
+class FrameReading(NamedTuple):
+    """An observation as fits read it.
+
+    Attributes:
+        tile: the observation.
+        depth_mm: of its target pixels, their median.
+        share: how much of an independent reading a pixel is.
+        height: log p that all target pixels cost together where nothing explains them.
+    """
+
+    tile: Tile
+    depth_mm: float
+    share: float
+    height: float
+
+
+class LocalFitter:
+    """Fits a hand to frames from several starts.
+
+    Args:
+        config: parameters.
+        hand: the model.
+        camera: of the depth images.
+    """
+
+    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
+        self._config, self._settings, self._camera = config, config.fit, camera
+        self._anatomy, self._space = hand.anatomy, HandSpace()
+        terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
+        self.sigma_mm = terms.sigma_mm
+        self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
+        self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
+
+    def fit(
+        self,
+        observation: Observation,
+        expected: FloatArray,
+        others: FloatArray,
+        dt: float,
+        rng: np.random.Generator,
+        enough_mm: float = np.inf,
+    ) -> LocalFits:
+        """Return the fits of one frame.
+
+        Args:
+            observation: with at least one target pixel.
+            expected: (22,) prediction, the prior's mean but for its position.
+            others: (M, 22) further starts.
+            dt: time since the frame before, s.
+            rng: of the starts' scatter.
+            enough_mm: a best fit that costs more is tried with each finger folded otherwise.
+        """
+        settings, fitter = self._settings, self.fitter
+        reading = self.read(observation)
+        tile = reading.tile
+        starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
+        prior = PosePrior(expected, motion_precision(settings, dt))
+        priors = [prior.about(start[:3]) for start in starts]
+        fits = fitter.descend(tile, starts, priors, settings.iterations)
+        best = fitter.swapped(tile, fits)
+        fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
+        renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
+        first = min(fits, key=_cost)
+        if _cost(first) > enough_mm:
+            refolded, more = self._refolded(tile, first.pose, prior)
+            fits, renders = fits + refolded, renders + more
+        modes = self._likelihood(reading, fits)
+        return LocalFits(modes, min(_cost(fit) for fit in fits), renders + len(modes))
+
+    def _refolded(self, tile: Tile, pose: FloatArray, prior: PosePrior) -> tuple[list[Fit], int]:
+        """Fits from a pose (22,) with one finger at a time in another fold, and how many poses they drew."""
+        settings, fitter = self._settings, self.fitter
+        starts = refolds(pose)
+        priors = [PosePrior(start, prior.precision) for start in starts]
+        fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
+        likeliest = sorted(fits, key=_cost)[: settings.starts]
+        best = fitter.swapped(tile, likeliest)
+        fits += fitter.descend(tile, best[None], [PosePrior(best, prior.precision)], settings.iterations)
+        drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
+        return fits, drawn + settings.iterations + 1
+
+    def _likelihood(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
+        chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self._distinct(fits)]
+        noise_sd = float(self._mixture.noise_sd(np.array(reading.depth_mm)))
+        scale = reading.share * self._settings.sharpening * (self.sigma_mm / noise_sd) ** 2
+        clamp = self._config.observation.clamp_mm
+        heights = np.array([-reading.height * fit.cost[0] / clamp for fit in chosen])
+        return self.modes(chosen, np.full(len(chosen), scale), heights)
+
+    def read(self, observation: Observation) -> FrameReading:
+        """Return an observation with at least one target pixel as fits read it."""
+        tile, depth = (
+            self.fitter.tile(observation),
+            float(np.median(observation.image[observation.image > 0])),
+        )
+        correlation = self._config.observation.mixture.correlation_mm
+        share = reading_share(depth, observation.window.step, self._camera, correlation)
+        height = share * tile.observed * float(self._mixture.unexplained(np.array(depth)))
+        return FrameReading(tile, depth, share, height)
+
+    def modes(self, fits: Sequence[Fit], scales: FloatArray, log_heights: FloatArray) -> LikelihoodModes:
+        """Return the likelihood about fits, its sharpness (K,) times theirs, with the anatomy's factor."""
+        parts = [
+            (scale, fit.data, self.fitter.anatomy(fit.pose)) for scale, fit in zip(scales, fits, strict=True)
+        ]
+        return LikelihoodModes(
+            np.array([fit.pose for fit in fits]),
+            np.array([scale * data.vector + own.vector for scale, data, own in parts]),
+            np.array([scale * data.matrix + own.matrix for scale, data, own in parts]),
+            log_heights,
+        )
+
+    def _distinct(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The best fit, and others nearly as good whose joints lie elsewhere."""
+        order = sorted(fits, key=lambda fit: float(fit.cost[0]))
+        limit = float(order[0].cost[0]) + self._settings.alternative_mm
+        chosen: list[Fit] = []
+        joints: list[FloatArray] = []
+        for fit in order:
+            here = joint_positions(self._anatomy, fit.pose[None])[0]
+            apart = [np.linalg.norm(here - there, axis=1).max() for there in joints]
+            if fit.cost[0] <= limit and min(apart, default=np.inf) > self._settings.apart_mm:
+                chosen.append(fit)
+                joints.append(here)
+        return chosen[: self._settings.most_modes]
+
+
+def _cost(fit: Fit) -> float:
+    return float(fit.cost[0])
+
+
+def motion_precision(settings: FitSettings, dt: float) -> FloatArray:
+    """1 / variance (21,) of a pose after dt seconds about its prediction, for the fits alone."""
+    sd = tangent_vector(settings.prior)
+    sd[6:9] = np.minimum(sd[6:9], THUMB_SD)
+    precision: FloatArray = USUAL_STEP_S / dt / np.square(sd)
+    return precision
+
+
+LEAST_COST_MM = 0.5
+"""The readings' own steps: no fit leaves less."""
+SD_PER_COST = float(np.sqrt(np.pi / 2.0))
+"""Standard deviation over mean absolute value of a normal distribution."""
+STEP = np.concatenate([np.full(3, 30.0), np.full(3, 0.4), np.full(15, 0.5)])
+"""(21,) as far as one iteration goes, mm and rad."""
+
+
+class HandFits:
+    """The local fits of frames, made from what is kept of them (`filtering.fit_smoothing.FrameFits`).
+
+    Args:
+        config: parameters.
+        hand: the model.
+        camera: of the depth images.
+    """
+
+    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
+        self._local, self._space = LocalFitter(config, hand, camera), HandSpace()
+        self._settings, self._clamp_mm = config.smoothing, config.observation.clamp_mm
+        self._most, self._size = config.fit.most_modes, config.observation.tile_px
+
+    def keep(self, observation: Observation | None, modes: LikelihoodModes | None) -> dict[str, Any]:
+        """Return what is kept of a frame: its window and where the filter's fits are."""
+        poses, count = np.zeros((self._most, POSE_SIZE)), 0
+        image, place = np.zeros((self._size, self._size), dtype=np.float32), np.zeros(3, dtype=np.int64)
+        if observation is not None and modes is not None:
+            count = len(modes)
+            poses[:count], image = modes.poses, observation.image
+            place[:] = observation.window.left, observation.window.top, observation.window.step
+        return {"image": image, "place": place, "fits": poses, "count": count}
+
+    def known(self, frame: Memory) -> LikelihoodModes | None:
+        """Return the filter's fits, assessed anew; None where it had none."""
+        if not frame["count"]:
+            return None
+        return self._assessed(self._reading(frame), frame["fits"][: int(frame["count"])])
+
+    def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
+        """Return these and one more, fitted from a belief's mean with the belief as its prior."""
+        if not self._settings.refit_iterations:
+            return known
+        found = self._refitted(self._reading(frame), belief)
+        return LikelihoodModes(
+            np.concatenate([known.poses, found.poses]),
+            np.concatenate([known.gradients, found.gradients]),
+            np.concatenate([known.information, found.information]),
+            np.concatenate([known.log_heights, found.log_heights]),
+        )
+
+    def _refitted(self, reading: FrameReading, belief: StateGaussian) -> LikelihoodModes:
+        """The likelihood about the best pose on the way from a belief's mean to the posterior's maximum.
+
+        Gauss-Newton: (1 + C H)^-1 (C g + off), C the belief's covariance, off from the pose to its mean.
+        """
+        size = belief.velocity.size
+        C = belief.covariance[:size, :size]
+        precision = np.linalg.pinv(C, hermitian=True)  # what is known for sure may not vary at all
+        pose = belief.pose
+        best = here = self._assessed(reading, pose[None])
+        highest = float(here.log_heights[0])
+        for _ in range(self._settings.refit_iterations):
+            off = self._space.local(pose, belief.pose)
+            step = np.linalg.solve(np.eye(size) + C @ here.information[0], C @ here.gradients[0] + off)
+            pose = self._space.retract(pose[None], np.clip(step, -STEP, STEP)[None])[0]
+            here, off = self._assessed(reading, pose[None]), self._space.local(pose, belief.pose)
+            height = float(here.log_heights[0] - 0.5 * off @ precision @ off)
+            if height > highest:
+                best, highest = here, height
+        return best
+
+    def _assessed(self, reading: FrameReading, poses: FloatArray) -> LikelihoodModes:
+        """The likelihood about poses (K, 22), noise taken from what each leaves, and the anatomy's factor."""
+        fitter = self._local.fitter
+        fits = [fitter.assessed(reading.tile, pose) for pose in poses]
+        cost = np.array([fit.cost[0] for fit in fits])
+        noise_sd = SD_PER_COST * np.maximum(cost, LEAST_COST_MM)
+        scales = reading.share * self._settings.sharpening * (self._local.sigma_mm / noise_sd) ** 2
+        height = self._settings.height_share * reading.height / self._clamp_mm
+        return self._local.modes(fits, scales, -height * cost - fitter.potentials(poses))
+
+    def _reading(self, frame: Memory) -> FrameReading:
+        image = np.asarray(frame["image"])
+        left, top, step = (int(value) for value in frame["place"])
+        window = Window(left, top, step, self._size, self._size)
+        return self._local.read(Observation(window, image, int(np.count_nonzero(image > 0))))

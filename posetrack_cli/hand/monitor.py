@@ -1,0 +1,103 @@
+"""Whether a track can be trusted: a record of how well frames were fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from posetrack_cli.hand.config import StatusSettings
+
+_MEMORY = 0.1  # share of a new frame in the running mean of costs
+_ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
+_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 16  # frames
+
+
+@dataclass(frozen=True)
+class TrackMonitor:
+    """The record of a track's quality.
+
+    Attributes:
+        lost: whether the hand is gone and has to be found in the whole image.
+        found: whether it was ever found; before, a first find is no re-initialisation.
+        misses: frames in a row without confidence.
+        usual_mm: running mean of the fits' costs, 0 before the first.
+        wait: frames to skip before the next costly search.
+        next_wait: frames to skip after the next search that fails.
+    """
+
+    lost: bool = False
+    found: bool = True
+    misses: int = 0
+    usual_mm: float = 0.0
+    wait: int = 0
+    next_wait: int = 1
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether the track was confirmed by a frame and is not lost."""
+        return self.usual_mm > 0.0 and not self.lost
+
+    @property
+    def sufficient_mm(self) -> float:
+        """The cost at which a fit is good enough; infinite before the first fit."""
+        return _ENOUGH_FACTOR * self.usual_mm + _ENOUGH_MM if self.usual_mm > 0.0 else float("inf")
+
+    def is_worse(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a fit's cost is far above the usual."""
+        limit = settings.doubt_factor * self.usual_mm + settings.doubt_mm
+        return self.usual_mm > 0.0 and cost_mm > limit
+
+    def is_doubtful(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a fit is worse than usual, or poor for a hand whose shape is known."""
+        return self.is_worse(cost_mm, settings) or cost_mm > settings.sure_mm
+
+    def prefers(self, cost_mm: float, other_mm: float, settings: StatusSettings) -> bool:
+        """Whether another fit is so much better that it replaces a fit.
+
+        A ratio decides where the model is the hand's; where it is not, all costs are high, and a
+        difference decides.
+        """
+        return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
+
+    def postpones_search(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a search is postponed; a long wait is cut short when fits get worse."""
+        most = _MOST_WAIT if self.is_worse(cost_mm, settings) else _MOST_WAIT_AS_USUAL
+        return 0 < self.wait <= most
+
+    def after_wait(self) -> TrackMonitor:
+        """Return the record after a frame without a search."""
+        return replace(self, wait=max(0, self.wait - 1))
+
+    def after_failed_search(self, cost_mm: float, settings: StatusSettings) -> TrackMonitor:
+        """Return the record after a search that found nothing better: each such search doubles the wait.
+
+        The limit is higher where the cost is as usual: the hand then has another shape than the model.
+        """
+        worse = self.lost or self.is_worse(cost_mm, settings)
+        most = _MOST_WAIT if worse else _MOST_WAIT_AS_USUAL
+        return replace(
+            self, wait=min(self.next_wait, most), next_wait=min(2 * self.next_wait, _MOST_WAIT_AS_USUAL)
+        )
+
+    def after_restart(self, cost_mm: float) -> TrackMonitor:
+        """Return the record after the hand was found, or found elsewhere; the usual cost is kept."""
+        usual = cost_mm if self.usual_mm == 0.0 else min(self.usual_mm, cost_mm)
+        return replace(self, lost=False, found=True, misses=0, usual_mm=usual)
+
+    def after_fit(self, cost_mm: float, confidence: float, settings: StatusSettings) -> TrackMonitor:
+        """Return the record after a frame in which the hand was fitted."""
+        if confidence < settings.lost_below:
+            return self.after_miss(settings)
+        usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
+        back = replace(self, misses=0, lost=False)
+        if self.is_worse(cost_mm, settings):
+            return back
+        usual += _MEMORY * (cost_mm - usual)
+        if cost_mm > settings.sure_mm:
+            return replace(back, usual_mm=usual)
+        return replace(back, usual_mm=usual, wait=0, next_wait=1)
+
+    def after_miss(self, settings: StatusSettings) -> TrackMonitor:
+        """Return the record after a frame without confidence."""
+        misses = self.misses + 1
+        lost = self.lost or misses >= settings.lost_after_frames
+        return replace(self, misses=misses, lost=lost)

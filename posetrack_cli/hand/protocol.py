@@ -1,0 +1,56 @@
+"""What hand trackers have in common: how they begin, and what their estimates say of a pose."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.acquisition import Acquisition
+from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.space import pose_rates
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.tracking.protocol import Tracker
+
+State = TypeVar("State")
+
+
+class HandTrackerProtocol(Tracker[State], Protocol[State]):
+    """A hand tracker: begins at a pose, or without one."""
+
+    def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> State:
+        """Return the state about a pose (22,) before the first frame, whose stamp is given."""
+
+    def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> State:
+        """Return the state before a first frame in which the hand is not found yet, else at a pose (22,)."""
+
+
+def found_pose(finder: Acquisition | None, frame: Frame, otherwise: FloatArray) -> FloatArray:
+    """Return the pose (22,) of the hand that is found in a frame, else the one given."""
+    found = None if finder is None else finder.search(frame.depth)
+    return otherwise if found is None else found.pose
+
+
+def hand_estimate(
+    anatomy: HandAnatomy, pose: FloatArray, velocity: FloatArray | None, **others: Any
+) -> Estimate:
+    """Return the estimate of a hand at a pose.
+
+    Args:
+        anatomy: the hand.
+        pose: (22,).
+        velocity: (21,) in the tangent space; None where it is not known.
+        others: the estimate's further fields.
+    """
+    return Estimate(
+        position=pose[:3],
+        quaternion=pose[3:7],
+        shape=pose[ANGLES],
+        pose_rate=None if velocity is None else pose_rates(pose, velocity),
+        twist=velocity,
+        points=joint_positions(anatomy, pose[None])[0],
+        **others,
+    )

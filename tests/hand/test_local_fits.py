@@ -1,0 +1,175 @@
+"""Local fits as approximations of the likelihood, on drawn hands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.config import FitSettings, HandConfig
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.likelihood import RenderedCosts
+from posetrack_cli.hand.local_fits import LocalFits, LocalFitter, motion_precision
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.rendering.port import RenderingDevice
+from support.hand import KINECT
+from support.hand_scene import HANDS, Stage, relaxed, turned_about_its_length
+
+FRAME_S = 1.0 / 30.0
+HAND, SPACE = HANDS["right"], HandSpace()
+FOUND_MM = 2.0
+
+
+@pytest.fixture(scope="module")
+def stage(device: RenderingDevice) -> Stage:
+    return Stage(device, HAND)
+
+
+def local_fitter(**fit: object) -> LocalFitter:
+    return LocalFitter(HandConfig.model_validate({"fit": fit}), HAND, KINECT)
+
+
+def observation_of(depth: np.ndarray, expected: FloatArray) -> Observation:
+    return Observer(HandConfig(), HAND.anatomy, KINECT, segment=True).observe(depth, expected)
+
+
+def fitted(guide: LocalFitter, observation: Observation, expected: FloatArray, seed: int = 0) -> LocalFits:
+    return guide.fit(observation, expected, expected[None], FRAME_S, np.random.default_rng(seed))
+
+
+def moved(pose: FloatArray, seed: int) -> FloatArray:
+    """A usual frame's motion farther: 12 mm, 7 degrees, 11 degrees of the bends."""
+    sd = np.concatenate([[7.0] * 3, [0.07] * 3, np.tile([0.2, 0.05, 0.2], 5)])
+    return SPACE.retract(pose[None], sd * np.random.default_rng(seed).standard_normal((1, 21)))[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_first_mode_is_the_hand_and_modes_are_sound(stage: Stage, seed: int) -> None:
+    truth = relaxed()
+    expected = moved(truth, seed)
+    found = fitted(local_fitter(), observation_of(stage.depth(truth), expected), expected, seed)
+    modes = found.modes
+    assert stage.error(expected, truth) > 8.0
+    assert stage.error(modes.poses[0], truth) < FOUND_MM
+    assert found.cost < 1.5
+    assert (np.diff(modes.log_heights) <= 0.0).all()
+    assert (modes.log_heights <= 0.0).all()
+    for information in modes.information:
+        np.testing.assert_allclose(information, information.T, rtol=1e-9, atol=1e-9)
+        assert np.linalg.eigvalsh(information)[0] > -1e-9 * np.abs(information).max()
+        # a whole hand's place is told to better than a millimetre, and worse than a hundredth
+        sd = np.sqrt(np.diag(np.linalg.inv(information))[:3])
+        assert (sd < 3.0).all()
+        assert (sd > 0.01).all()
+
+
+def test_the_same_seed_gives_the_same_modes(stage: Stage) -> None:
+    truth = relaxed()
+    expected = moved(truth, 1)
+    observation = observation_of(stage.depth(truth), expected)
+    first, second = (fitted(local_fitter(), observation, expected, seed=7) for _ in range(2))
+    for name in vars(first.modes):
+        assert getattr(first.modes, name).tobytes() == getattr(second.modes, name).tobytes()
+    assert (first.cost, first.renders) == (second.cost, second.renders)
+
+
+def test_the_likelihood_falls_about_as_the_modes_say(stage: Stage, device: RenderingDevice) -> None:
+    """Steps of one stated standard deviation along each translation lose 1/2, to a factor of 4.
+
+    The mixture's likelihood is no parabola, and residuals of a fit know nothing of its outline.
+    """
+    truth, config = relaxed(), HandConfig()
+    observation = observation_of(stage.depth(truth), truth)
+    modes = fitted(local_fitter(), observation, truth).modes
+    scorer = RenderedCosts(device, HAND, KINECT, config.observation, 64)
+    for k in range(3):
+        step = np.eye(21)[k] / np.sqrt(modes.information[0, k, k])
+        poses = SPACE.retract(
+            np.tile(modes.poses[0], (3, 1)), np.stack([0.0 * step, 3.0 * step, -3.0 * step])
+        )
+        score = scorer.log_likelihood(poses, observation)
+        lost = score[0] - 0.5 * (score[1] + score[2])
+        assert 0.25 * 4.5 < lost < 4.0 * 4.5
+
+
+def test_alternatives_are_fits_nearly_as_good_that_lie_elsewhere(stage: Stage) -> None:
+    truth = relaxed()
+    expected = moved(truth, 2)
+    observation = observation_of(stage.depth(truth), expected)
+    one = fitted(local_fitter(alternative_mm=0.0), observation, expected).modes
+    assert len(one) == 1
+    many = fitted(local_fitter(alternative_mm=40.0, apart_mm=3.0, most_modes=5), observation, expected).modes
+    assert 2 <= len(many) <= 5
+    np.testing.assert_array_equal(many.poses[0], one.poses[0])
+    joints = joint_positions(HAND.anatomy, many.poses)
+    for k in range(1, len(many)):
+        assert np.linalg.norm(joints[k] - joints[:k], axis=2).max(axis=1).min() > 3.0
+    assert (
+        len(
+            fitted(local_fitter(alternative_mm=40.0, apart_mm=3.0, most_modes=2), observation, expected).modes
+        )
+        == 2
+    )
+
+
+def test_what_is_hidden_is_told_by_anatomy_alone(stage: Stage) -> None:
+    """A finger behind the palm: its information is that of the relaxed hand, far below what is seen."""
+    truth = turned_about_its_length(relaxed(), np.pi)  # the back of the hand
+    truth[7 + 3 * 2], truth[9 + 3 * 2] = 1.4, 1.6  # the middle finger is bent behind it
+    observation = observation_of(stage.depth(truth), truth)
+    modes = fitted(local_fitter(), observation, truth).modes
+    hidden, seen = 6 + 3 * 2 + 2, 6 + 3 * 1 + 2  # PIP flexion of the middle and of the index finger
+    information = np.diag(modes.information[0])
+    assert information[hidden] < 0.1 * information[seen]
+    assert information[hidden] >= 0.5  # the pull of a relaxed hand
+
+
+def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> None:
+    """A fit's residuals count as much as the likelihood's readings; anatomy counts once."""
+    truth = relaxed()
+    truth[7 + 3 * 1] = 1.7  # the index finger is bent beyond its limit
+    config, guide = HandConfig(), local_fitter()
+    observation = observation_of(stage.depth(truth), truth)
+    modes, fitter = fitted(guide, observation, truth).modes, guide.fitter
+    z = float(np.median(observation.image[observation.image > 0]))
+    noise_sd = (
+        config.observation.mixture.near_sd_mm + config.observation.mixture.sd_mm_per_m2 * (z / 1e3) ** 2
+    )
+    scale = guide.read(observation).share * config.fit.sharpening * (4.0 / noise_sd) ** 2
+    for k, pose in enumerate(modes.poses):
+        data, own = fitter.assessed(fitter.tile(observation), pose).data, fitter.anatomy(pose)
+        assert own.matrix.any()
+        np.testing.assert_allclose(modes.information[k], scale * data.matrix + own.matrix)
+        np.testing.assert_allclose(modes.gradients[k], scale * data.vector + own.vector)
+
+
+def test_every_pose_that_is_drawn_is_counted(stage: Stage) -> None:
+    """Aligning, descending, swapping fingers, polishing, assessing the modes."""
+    truth = relaxed()
+    observation = observation_of(stage.depth(truth), truth)
+    found = fitted(local_fitter(starts=3, iterations=4, polish=2), observation, truth)
+    assert found.renders == 3 * 1 + 3 * 5 + 5 * 2 + 3 + len(found.modes)
+
+
+def test_a_prior_widens_with_time_and_a_thumb_moves_less() -> None:
+    settings = FitSettings()
+    usual, twice = motion_precision(settings, FRAME_S), motion_precision(settings, 2.0 * FRAME_S)
+    np.testing.assert_allclose(twice, 0.5 * usual)
+    np.testing.assert_allclose(usual[:3], 1.0 / settings.prior.position_mm**2)
+    np.testing.assert_allclose(usual[3:6], 1.0 / settings.prior.rotation_rad**2)
+    np.testing.assert_allclose(usual[[9, 11]], 1.0 / settings.prior.flexion_rad**2)
+    np.testing.assert_allclose(usual[10], 1.0 / settings.prior.abduction_rad**2)
+    assert (usual[6:8] > usual[9]).all()
+
+
+def test_a_few_pixels_are_no_error(stage: Stage) -> None:
+    truth = relaxed()
+    observation = observation_of(stage.depth(truth), truth)
+    image = np.zeros_like(observation.image)
+    image[30, 30] = 650.0
+    found = fitted(local_fitter(), Observation(observation.window, image, 1), truth)
+    assert np.isfinite(found.modes.poses).all()
+    assert np.isfinite(found.modes.information).all()
+    assert np.isfinite(found.cost)

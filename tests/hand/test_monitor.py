@@ -1,0 +1,141 @@
+"""Laws of doubt, loss and patience."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from posetrack_cli.hand.config import StatusSettings
+from posetrack_cli.hand.monitor import TrackMonitor
+
+SETTINGS = StatusSettings(doubt_factor=1.5, doubt_mm=2.0, sure_mm=6.0, lost_below=0.5, lost_after_frames=3)
+costs = st.floats(0.01, 40.0)
+watches = st.builds(
+    TrackMonitor,
+    lost=st.booleans(),
+    misses=st.integers(0, 10),
+    usual_mm=st.one_of(st.just(0.0), costs),
+    wait=st.integers(0, 200),
+    next_wait=st.integers(1, 16),
+)
+
+
+def refusals(monitor: TrackMonitor, cost: float, count: int) -> list[int]:
+    """How many frames pass between searches of which none finds anything."""
+    waits = []
+    for _ in range(count):
+        monitor = monitor.after_failed_search(cost, SETTINGS)
+        waits.append(monitor.wait)
+        for _ in range(monitor.wait):
+            monitor = monitor.after_wait()
+        assert monitor.wait == 0
+    return waits
+
+
+def test_a_hand_is_lost_after_so_many_frames_and_not_before() -> None:
+    monitor, lost = TrackMonitor(usual_mm=3.0), []
+    for _ in range(4):
+        monitor = monitor.after_fit(30.0, 0.2, SETTINGS)
+        lost.append(monitor.lost)
+    assert lost == [False, False, True, True]
+    unsteady = TrackMonitor(usual_mm=3.0)
+    for confidence in (0.2, 0.2, 0.9, 0.2, 0.2, 0.9):
+        unsteady = unsteady.after_fit(3.0, confidence, SETTINGS)
+        assert not unsteady.lost
+
+
+@given(watches, costs)
+def test_what_is_seen_well_is_not_lost(monitor: TrackMonitor, cost: float) -> None:
+    after = monitor.after_fit(cost, 0.5, SETTINGS)
+    assert (after.misses, after.lost) == (0, False)
+
+
+@given(watches)
+def test_missing_frames_tell_nothing_of_costs(monitor: TrackMonitor) -> None:
+    after = monitor.after_miss(SETTINGS)
+    assert after.misses == monitor.misses + 1
+    assert after.lost == (monitor.lost or after.misses >= 3)
+    assert replace(after, misses=monitor.misses, lost=monitor.lost) == monitor
+
+
+@given(watches, costs)
+def test_the_usual_cost_follows_good_frames_and_no_bad_ones(monitor: TrackMonitor, cost: float) -> None:
+    after = monitor.after_fit(cost, 0.9, SETTINGS)
+    if monitor.usual_mm == 0.0:
+        assert after.usual_mm == pytest.approx(cost)
+    elif monitor.is_worse(cost, SETTINGS):
+        assert after.usual_mm == monitor.usual_mm
+    else:
+        assert after.usual_mm == pytest.approx(0.9 * monitor.usual_mm + 0.1 * cost)
+
+
+def test_doubt_begins_where_stated() -> None:
+    monitor = TrackMonitor(usual_mm=2.0)  # 1.5 * 2 + 2 = 5
+    assert [monitor.is_doubtful(cost, SETTINGS) for cost in (4.9, 5.1)] == [False, True]
+    assert [TrackMonitor(usual_mm=10.0).is_doubtful(cost, SETTINGS) for cost in (5.9, 6.1)] == [False, True]
+    assert [TrackMonitor().is_doubtful(cost, SETTINGS) for cost in (5.9, 6.1)] == [
+        False,
+        True,
+    ]  # nothing is usual yet
+    assert not TrackMonitor().is_worse(1e9, SETTINGS)
+
+
+@given(watches, costs, costs)
+def test_a_dearer_fit_is_doubted_no_less(monitor: TrackMonitor, first: float, second: float) -> None:
+    cheap, dear = sorted((first, second))
+    assert monitor.is_doubtful(cheap, SETTINGS) <= monitor.is_doubtful(dear, SETTINGS)
+
+
+def test_searches_come_ever_more_seldom_but_soon_enough() -> None:
+    assert refusals(TrackMonitor(usual_mm=3.0), 30.0, 6) == [1, 2, 4, 4, 4, 4]
+    assert refusals(TrackMonitor(lost=True), float("inf"), 6) == [1, 2, 4, 4, 4, 4]
+    # a hand that always fits badly is reconsidered every half second
+    assert refusals(TrackMonitor(usual_mm=12.0), 12.0, 10) == [1, 2, 4, 8, 16, 16, 16, 16, 16, 16]
+
+
+@given(watches)
+def test_waiting_ends(monitor: TrackMonitor) -> None:
+    after = monitor.after_wait()
+    assert after.wait == max(0, monitor.wait - 1)
+    assert replace(after, wait=monitor.wait) == monitor
+
+
+def test_a_sure_frame_ends_the_patience() -> None:
+    tired = TrackMonitor(usual_mm=3.0, wait=4, next_wait=8)
+    assert (tired.after_fit(3.0, 0.9, SETTINGS).wait, tired.after_fit(3.0, 0.9, SETTINGS).next_wait) == (0, 1)
+    doubtful = tired.after_fit(7.0, 0.9, SETTINGS)
+    assert (doubtful.wait, doubtful.next_wait) == (4, 8)
+
+
+@given(watches, costs)
+def test_what_was_found_is_found_and_its_usual_cost_does_not_rise(monitor: TrackMonitor, cost: float) -> None:
+    """A bad find would else be what is usual, and never be doubted."""
+    after = monitor.after_restart(cost)
+    assert (after.lost, after.found, after.misses) == (False, True, 0)
+    assert after.usual_mm == (cost if monitor.usual_mm == 0.0 else min(cost, monitor.usual_mm))
+
+
+def test_another_fit_takes_the_place_of_one_that_costs_a_share_more_or_millimetres() -> None:
+    monitor, settings = TrackMonitor(usual_mm=2.0), StatusSettings(better=0.7, better_mm=2.0)
+    assert monitor.prefers(3.0, 2.0, settings)  # by the share: below 2.1
+    assert not monitor.prefers(3.0, 2.2, settings)
+    assert monitor.prefers(12.0, 9.9, settings)  # by the difference, where the model is not the hand
+    assert not monitor.prefers(12.0, 10.1, settings)
+
+
+def test_a_fit_is_replaced_by_one_that_is_better_by_a_share_or_by_millimetres() -> None:
+    settings = StatusSettings(better=0.7, better_mm=2.0)
+    for cost, limit in ((2.0, 1.4), (10.0, 8.0)):  # 0.7 * 2; 10 - 2
+        assert TrackMonitor().prefers(cost, limit - 0.01, settings)
+        assert not TrackMonitor().prefers(cost, limit + 0.01, settings)
+
+
+def test_a_search_that_was_to_come_late_comes_at_once_when_fits_get_worse() -> None:
+    late, soon = TrackMonitor(usual_mm=12.0, wait=10), TrackMonitor(usual_mm=12.0, wait=3)
+    assert late.postpones_search(12.0, SETTINGS)
+    assert not late.postpones_search(35.0, SETTINGS)  # above 1.5 x 12 + 2
+    assert soon.postpones_search(35.0, SETTINGS)  # the last search of a bad track was a moment ago
+    assert not replace(soon, wait=0).postpones_search(12.0, SETTINGS)
