@@ -17,7 +17,7 @@ from posetrack_cli.results.reader import read_result
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.viewing.view import OpenDevice, Panels
-    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.recording.recording import Recording
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,16 +13,15 @@ from typing import Any
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
-from posetrack_cli.recording.opening import open_images, open_recording
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.pixels import PixelKind
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.records import camera_from_json
-from posetrack_cli.results.subject_kind import Pixels, kind_of
+from posetrack_cli.results.subject_kind import kind_of
 
-_OF_IMAGES = frozenset({"camera_file", "cameras", "fps", "guess", "mirror", "tolerance_ms"})
 MEANT = ("fps", "mirror")
 """Options that frames and estimates depend on: those of the run must not be replaced by others."""
 
@@ -78,7 +77,7 @@ def search_recording(
     if given is None:
         return _found_beside(result, opening)
     if any_recording:
-        return Search(_opened(given, pixels_of(result), opening))
+        return Search(open_recording(given, pixels_of(result), **opening))
     return Search(_same(given, result, opening))
 
 
@@ -110,7 +109,7 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
     return search.recording
 
 
-def pixels_of(result: Result) -> Pixels:
+def pixels_of(result: Result) -> PixelKind:
     """Return what images a result was made from: as its run record states, else as usual for its subject."""
     if "input.cameras" in result.run:
         return "grey"
@@ -143,22 +142,12 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
         options.pop("camera_topic", None)
     with _camera_file(path, result, given) as camera:
         try:
-            recording = _opened(path, pixels_of(result), options | camera | given)
+            recording = open_recording(path, pixels_of(result), **(options | camera | given))
         except RecordingError:
             check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise
     check_identity(recording, run)
     return recording
-
-
-def _opened(path: Path, pixels: Pixels, options: Mapping[str, Any]) -> Recording:
-    given = {name: value for name, value in options.items() if value is not None}
-    if pixels == "depth":
-        return open_recording(path, **given)
-    for name in given.keys() - _OF_IMAGES:
-        option = f"--{name.replace('_', '-')}"
-        raise UsageError(f"{option} does not apply to images", found=f"'{given[name]}'", hint="leave it out")
-    return open_images(path, **given)
 
 
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:

@@ -28,10 +28,11 @@ from posetrack_cli.evaluation.viewing.layers import (
 )
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.pixels import PixelKind
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import Result
-from posetrack_cli.results.subject_kind import Pixels
 
 OpenDevice: TypeAlias = Callable[[], RenderingDevice]
 DrawerOf: TypeAlias = Callable[[Result, OpenDevice], Drawer]
@@ -64,7 +65,7 @@ class _Style:
     panels: Callable[[Sequence[Result], Sequence[Camera], Drawing, ViewOptions], Panels]
 
 
-_STYLES: Mapping[Pixels, _Style] = {
+_STYLES: Mapping[PixelKind, _Style] = {
     "depth": _Style(depth_layout, depth_panels),
     "grey": _Style(image_layout, image_panels),
 }
