@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.evaluation.metrics.catalogue import metric_of
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.losses import LossLog
 from posetrack_cli.results.reader import read_result
@@ -75,13 +74,13 @@ def worst_frame_pictures(
 
 def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
     """Return the error (N,) of every frame, NaN without truth, and its name; None where there is none."""
-    worst_by = KINDS[evaluation.subject].worst_by
-    found = next((name for name in worst_by if name in evaluation.series), None)
+    kind = KINDS[evaluation.subject]
+    found = next((name for name in kind.worst_by if name in evaluation.series), None)
     if found is None or evaluation.pairs is None:
         return None, ""
     errors = np.full(len(evaluation.track), np.nan)
     errors[evaluation.pairs.estimate] = evaluation.series[found]
-    return errors, metric_of(found).label
+    return errors, next(metric.label for metric in kind.metrics if metric.name == found)
 
 
 def _drawn(
