@@ -3,3 +3,4 @@
 from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
+METRES_PER_MM = 1e-3

@@ -146,7 +146,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     """Everything that can be refused is refused here, before the first result is read."""
     from posetrack_cli.evaluation.assessment import Request
     from posetrack_cli.evaluation.baseline import read_baseline
-    from posetrack_cli.evaluation.comparing.group_patterns import expand_groups
+    from posetrack_cli.evaluation.comparing.groups import expand_groups
     from posetrack_cli.evaluation.evaluate import EvalOptions
     from posetrack_cli.evaluation.gates import parse_gate, read_gates
 
@@ -206,8 +206,7 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
     """Write what was asked for, also when a gate failed."""
     from posetrack_cli.evaluation.assessment import stated_options
-    from posetrack_cli.evaluation.reports.csv_report import csv_report
-    from posetrack_cli.evaluation.reports.curve_report import curve_report
+    from posetrack_cli.evaluation.reports.csv_report import csv_report, curve_report
     from posetrack_cli.evaluation.reports.json_report import json_report
 
     stated = stated_options(request.options)
@@ -256,18 +255,17 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Picture] | None, str]:
     """The worst frames on the recording, None without one and why there is none."""
     from posetrack_cli.evaluation.head_pictures import worst_head_pictures
-    from posetrack_cli.evaluation.images_of import is_of_images, search_images
     from posetrack_cli.evaluation.pictures import worst_frame_pictures
     from posetrack_cli.evaluation.recording_of import search_recording
     from posetrack_cli.results.reader import read_result
+    from posetrack_cli.results.subject_kind import kind_of
 
     result = read_result(evaluation.path)
-    if is_of_images(result.run):
-        images, reason = search_images(result, given)
-        return None if images is None else worst_head_pictures(evaluation, images, WORST_FRAMES), reason
     search = search_recording(result, given)
     if search.recording is None:
         return None, search.reason
+    if kind_of(result.subject.name).pixels == "grey":
+        return worst_head_pictures(evaluation, search.recording, WORST_FRAMES), ""
     return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES), ""
 
 

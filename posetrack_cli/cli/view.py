@@ -111,7 +111,6 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
 
 def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> View | HeadView:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.evaluation.images_of import required_images
     from posetrack_cli.evaluation.recording_of import required_recording
     from posetrack_cli.evaluation.viewing.head_view import HeadView
     from posetrack_cli.evaluation.viewing.layering import ViewOptions
@@ -124,17 +123,17 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     _check_one_recording(results, options)
     chosen = {"any_recording": options["any_recording"], **opening_arguments(options)}
-    if _of_images(results):
-        return HeadView(results, required_images(results[0], options["recording"], **chosen), view_options)
     recording = required_recording(results[0], options["recording"], **chosen)
+    if _of_images(results):
+        return HeadView(results, recording, view_options)
     return View(results, recording, view_options, open_device(options["device"]))
 
 
 def _of_images(results: Sequence[Result]) -> bool:
     """Whether results were made from grey images, as those of heads are, and not from depth."""
-    from posetrack_cli.evaluation.images_of import is_of_images
+    from posetrack_cli.results.subject_kind import kind_of
 
-    kinds = {is_of_images(result.run) for result in results}
+    kinds = {kind_of(result.subject.name).pixels == "grey" for result in results}
     if len(kinds) > 1:
         found = ", ".join(f"a {result.subject.name} in {result.path}" for result in results)
         raise UsageError("results are of different subjects", found=found)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.figures import KEY_FIGURES, figure_of
+from posetrack_cli.evaluation.figures import figure_of, key_figures
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gate
 from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
 from posetrack_cli.evaluation.reports.json_report import FORMAT
@@ -99,7 +99,7 @@ def check_baseline(
     tolerance: float,
     options: dict[str, Any] | None = None,
 ) -> BaselineCheck:
-    """Compare the key figures (``figures.KEY_FIGURES``) of each result with those of the same name.
+    """Compare the key figures (``figures.key_figures``) of each result with those of the same name.
 
     The only result is compared with the only one of the baseline whatever their names. A figure fails if it
     is worse by more than the tolerance: an error e above e_0 (1 + tolerance) + 0.01 mm or deg, a share below
@@ -137,7 +137,7 @@ def _partner(baseline: StoredReport, evaluation: Evaluation, count: int) -> Stor
 
 
 def _gates(stored: StoredResult, tolerance: float) -> Iterator[Gate]:
-    for figure in KEY_FIGURES.get(stored.subject, ("coverage",)):
+    for figure in key_figures(stored.subject):
         address = split_address(figure)
         before = stored.figure(address)
         if before is None:
@@ -157,7 +157,7 @@ def _notes(stored: StoredResult, evaluation: Evaluation) -> Iterator[str]:
         yield f"{name}: {now.frames} frames, the baseline has {then.frames}"
     if now.has_truth and not then.has_truth:
         yield f"{name}: the baseline was evaluated without truth"
-    figures = KEY_FIGURES.get(evaluation.subject, ())
+    figures = key_figures(evaluation.subject)
     fresh = [f for f in figures if figure_of(evaluation, f).value is not None]
     missing = [f for f in fresh if stored.figure(split_address(f)) is None]
     if missing:

@@ -15,18 +15,16 @@ from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
-from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, OffsetFrame, remove_joint_offsets
-from posetrack_cli.evaluation.metrics.catalogue import BOTH, addresses, metric_of
-from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
-from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
-from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
+from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, OffsetFrame
+from posetrack_cli.evaluation.metrics.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
-from posetrack_cli.evaluation.metrics.run_metrics import EMPTY, run_metrics, run_series
+from posetrack_cli.evaluation.metrics.without_truth import EMPTY, consistency_metrics, run_metrics, run_series
+from posetrack_cli.evaluation.recording_of import required_recording
 from posetrack_cli.evaluation.result_names import plain_name
-from posetrack_cli.evaluation.result_track import track_of_result
 from posetrack_cli.evaluation.statistics import statistics
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth.doubts import doubts
+from posetrack_cli.evaluation.subjects import KINDS
+from posetrack_cli.evaluation.track import Track, track_of_result
+from posetrack_cli.evaluation.truth.checks import truth_warnings
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.results.reader import Result, read_result
@@ -41,7 +39,6 @@ SMOOTHED_NOTE = "the smoothed track: its estimates rest on later frames, too"
 PRIOR_NOTE = "one camera sees no scale: distance and size rest on what faces are like"
 GUESS_NOTE = "the camera was not calibrated: the focal length, and distance with it, is a guess"
 NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
-NO_DEPTH = "a head is tracked in grey images, which hold no depth to compare with"
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "in no frame the estimate and the observed hand overlap"
 NO_RECORDING = "needs the images: give the recording with --recording"
@@ -120,8 +117,8 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
         RecordingError: ``options.recording`` is not what the result was made from.
     """
     result = read_result(path)
-    if result.subject.name not in BOTH:
-        found, expected = f"subject '{result.subject.name}'", " or ".join(BOTH)
+    if result.subject.name not in KINDS:
+        found, expected = f"subject '{result.subject.name}'", " or ".join(KINDS)
         raise ResultError("is of a subject that has no metrics", where=path, found=found, expected=expected)
     track = track_of_result(result, name or plain_name(path), options.track)
     truth_losses = LossLog()
@@ -138,10 +135,11 @@ def _measured(
     measures.metrics |= coverage_metrics(coverage)
     curve = offsets = None
     if truth is not None and pairs is not None:
-        measures.notes += doubts(result, track, truth, options.truth)
+        measures.notes += truth_warnings(result, track, truth, options.truth)
         track = _aligned(measures, track, truth, pairs, options)
         if options.joint_offsets is not None:
-            track, offsets = _without_offsets(measures, result, Matched(track, truth, pairs), options)
+            matched = Matched(track, truth, pairs)
+            track, offsets = _without_offsets(measures, result, matched, options.joint_offsets)
         curve = _against_truth(measures, Matched(track, truth, pairs), coverage)
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
     _without_truth(measures, result, track, options, rows)
@@ -212,18 +210,14 @@ def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, optio
 
 
 def _without_offsets(
-    measures: Measures, result: Result, matched: Matched, options: EvalOptions
+    measures: Measures, result: Result, matched: Matched, frame: OffsetFrame
 ) -> tuple[Track, JointOffsets | None]:
     """The estimate without the constant offset of each joint, which a note tells about."""
-    if matched.estimate.subject != "hand" or options.joint_offsets is None:
-        found = f"a {matched.estimate.subject}"
+    remove_offsets = KINDS[result.subject.name].remove_offsets
+    if remove_offsets is None:
+        found = f"a {result.subject.name}"
         raise UsageError("--joint-offsets is for hands", where=result.path, found=found)
-    from posetrack_cli.evaluation.recorded_hand import hand_of
-
-    anatomy = hand_of(result).anatomy
-    track, offsets = remove_joint_offsets(
-        matched.estimate, matched.truth, matched.pairs, anatomy, options.joint_offsets
-    )
+    track, offsets = remove_offsets(result, matched, frame)
     measures.notes.append(NO_FRAME if offsets is None else offsets.note)
     return track, offsets
 
@@ -231,10 +225,7 @@ def _without_offsets(
 def _against_truth(measures: Measures, matched: Matched, coverage: Coverage) -> Curve | None:
     if not len(matched):
         measures.notes.append(measures.nothing)
-    if matched.estimate.subject == "hand":
-        return hand_metrics(measures, matched, coverage.missed)
-    head_metrics(measures, matched)
-    return None
+    return KINDS[matched.estimate.subject].measure(measures, matched, coverage.missed)
 
 
 def _without_truth(
@@ -248,15 +239,11 @@ def _without_truth(
 
 
 def _against_images(measures: Measures, result: Result, options: EvalOptions, rows: IntArray) -> None:
-    from posetrack_cli.evaluation.images_of import is_of_images, required_images
-    from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
-    from posetrack_cli.evaluation.recording_of import required_recording
-
-    if is_of_images(result.run):
-        required_images(result, options.recording)
-        return measures.lack(NO_DEPTH, "residual_mm", "region_overlap")
     recording = required_recording(result, options.recording)
-    found = image_consistency(result, recording, which=options.track)
+    compare_images = KINDS[result.subject.name].compare_images
+    if compare_images is None:
+        return
+    found = compare_images(result, recording, options.track)
     measures.lack(NO_OVERLAP if found else NO_IMAGES, "residual_mm", "region_overlap")
     for name, values in found.items():
         known = np.isfinite(values)

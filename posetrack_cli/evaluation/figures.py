@@ -6,56 +6,22 @@ import math
 from dataclasses import dataclass
 
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
+from posetrack_cli.evaluation.metrics.catalogue import Address, is_measured, split_address
 from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.subjects import KINDS
 
-KEY_FIGURES: dict[str, tuple[str, ...]] = {
-    "hand": (
-        "coverage",
-        "joint_error_mm.mean",
-        "joint_error_mm.p95",
-        "fingertip_error_mm.mean",
-        "largest_joint_error_mm.median",
-        "wrist_position_mm.mean",
-        "wrist_rotation_deg.mean",
-        "angle_error_deg.mean",
-    ),
-    "head": (
-        "coverage",
-        "x_mm.mean",
-        "y_mm.mean",
-        "z_mm.mean",
-        "roll_deg.mean",
-        "pitch_deg.mean",
-        "yaw_deg.mean",
-        "position_mm.mean",
-        "rotation_deg.mean",
-        "point_error_mm.mean",
-    ),
-}
-"""By subject: how good a track is, in a few figures. Regressions are found in these."""
+_ALWAYS = ("coverage",)
+"""What there is of every subject, also of one that is not known here."""
 
-STUDIED_FIGURES: dict[str, tuple[str, ...]] = {
-    "hand": (
-        *KEY_FIGURES["hand"],
-        "frames_within_40mm",
-        "velocity_error_mm_s.mean",
-        "angular_velocity_error_deg_s.mean",
-        "angle_velocity_error_deg_s.mean",
-        "inside_90",
-        "jitter_mm.mean",
-        "ms_per_frame.median",
-    ),
-    "head": (
-        *KEY_FIGURES["head"],
-        "velocity_error_mm_s.mean",
-        "angular_velocity_error_deg_s.mean",
-        "inside_90",
-        "jitter_mm.mean",
-        "ms_per_frame.median",
-    ),
-}
-"""By subject: what groups of results are compared by, one figure of each result."""
+
+def key_figures(subject: str) -> tuple[str, ...]:
+    """Return how good a track is, in a few figures. Regressions are found in these."""
+    return KINDS[subject].key_figures if subject in KINDS else _ALWAYS
+
+
+def studied_figures(subject: str) -> tuple[str, ...]:
+    """Return what groups of results are compared by, one figure of each result."""
+    return (*key_figures(subject), *(KINDS[subject].studied_figures if subject in KINDS else ()))
 
 
 @dataclass(frozen=True)
@@ -87,7 +53,7 @@ def _why_not(evaluation: Evaluation, address: Address) -> str:
     """Why there is no such figure, or nothing."""
     if not evaluation.coverage.frames:
         return "the result holds no estimate"
-    if evaluation.subject not in address.metric.subjects:
+    if not is_measured(address.metric, KINDS[evaluation.subject]):
         return f"it is no metric of a {evaluation.subject}"
     if address.base in evaluation.metrics:
         return ""

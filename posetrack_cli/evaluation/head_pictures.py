@@ -21,7 +21,7 @@ def worst_head_pictures(evaluation: Evaluation, recording: Recording, count: int
 
     Args:
         evaluation: what was measured.
-        recording: the images that the result was made from (``search_images``).
+        recording: the images that the result was made from (``search_recording``).
         count: how many at most.
 
     Returns:
@@ -59,9 +59,9 @@ def _drawn(evaluation: Evaluation, recording: Recording, rows: IntArray) -> dict
 
 
 def _panels(evaluation: Evaluation, recording: Recording, rows: IntArray) -> tuple[HeadPanels, Layer]:
+    from posetrack_cli.evaluation.recording_of import cameras_of
     from posetrack_cli.evaluation.viewing.colours import TRUTH
     from posetrack_cli.evaluation.viewing.head_panels import HeadPanels, drawer_of_head
-    from posetrack_cli.evaluation.viewing.head_view import cameras_of_images
     from posetrack_cli.evaluation.viewing.layers import Layer
     from posetrack_cli.results.reader import read_result
 
@@ -69,5 +69,5 @@ def _panels(evaluation: Evaluation, recording: Recording, rows: IntArray) -> tup
     layer = Layer(track, drawer_of_head(result))
     true = None if truth is None else Layer(truth, layer.drawer, TRUTH)
     around = None if track.points is None else track.points[rows]
-    cameras = cameras_of_images(result, recording)
+    cameras = cameras_of(result, recording)
     return HeadPanels(cameras, [layer], true, around=around, still=False), layer

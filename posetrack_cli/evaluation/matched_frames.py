@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from typing import cast
 
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.stored import StoredFrame, StoredRecording, decode_frames
 
@@ -16,7 +17,7 @@ Key = Callable[[int, StoredFrame], int]
 
 
 def matched_frames(
-    recording: StoredRecording, stamp_ns: IntArray, frame_index: IntArray | None, losses: LossLog
+    recording: Recording, stamp_ns: IntArray, frame_index: IntArray | None, losses: LossLog
 ) -> Iterator[tuple[int, Frame]]:
     """Yield (position in ``stamp_ns``, frame) in the recording's order; only these frames are decoded.
 
@@ -24,7 +25,7 @@ def matched_frames(
     at another rate, frames are matched by their number.
 
     Args:
-        recording: read once; twice if no stamp agrees.
+        recording: of depth; read once, twice if no stamp agrees.
         stamp_ns: (N,) of the estimates, unique.
         frame_index: (N,) their frames' positions in the recording, None if unknown.
         losses: gets what cannot be decoded, and the estimates without a frame.
@@ -55,7 +56,7 @@ def _index(index: int, frame: StoredFrame) -> int:
 
 
 def _frames_at(
-    recording: StoredRecording, keys: IntArray, key: Key, losses: LossLog
+    recording: Recording, keys: IntArray, key: Key, losses: LossLog
 ) -> Iterator[tuple[int, Frame]]:
     """Yield the frames whose key is among those asked for, with its position there."""
     positions = {int(value): position for position, value in enumerate(keys)}
@@ -66,7 +67,7 @@ def _frames_at(
 
     def chosen() -> Iterator[Numbered]:
         # what is wrong with frames that nobody asked for is no loss here
-        for index, frame in recording.stored_frames(LossLog()):
+        for index, frame in cast(StoredRecording, recording).stored_frames(LossLog()):
             if key(index, frame) > last:
                 return  # both keys increase
             if key(index, frame) in positions:

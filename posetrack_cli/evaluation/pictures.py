@@ -13,7 +13,7 @@ from posetrack_cli.arrays import FloatArray, IntArray
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.viewing.panels import Panels
-    from posetrack_cli.recording.stored import StoredRecording
+    from posetrack_cli.recording.base import Recording
     from posetrack_cli.rendering.port import RenderingDevice
 
 ERRORS = {
@@ -42,7 +42,7 @@ class Picture:
 
 
 def worst_frame_pictures(
-    evaluation: Evaluation, recording: StoredRecording, count: int, device: int | None = None
+    evaluation: Evaluation, recording: Recording, count: int, device: int | None = None
 ) -> list[Picture]:
     """Draw the worst frames: the largest error, without truth the lost ones and then the highest cost.
 
@@ -89,7 +89,7 @@ def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
 
 
 def _drawn(
-    evaluation: Evaluation, recording: StoredRecording, rows: IntArray, device: RenderingDevice
+    evaluation: Evaluation, recording: Recording, rows: IntArray, device: RenderingDevice
 ) -> dict[int, tuple[bytes, int, int]]:
     """PNG, frame number and stamp of each row that the recording has a frame of."""
     from posetrack_cli.evaluation.matched_frames import matched_frames
@@ -111,8 +111,8 @@ def _drawn(
     return drawn
 
 
-def _panels(evaluation: Evaluation, recording: StoredRecording, device: RenderingDevice) -> Panels:
-    from posetrack_cli.evaluation.recording_of import check_same_size
+def _panels(evaluation: Evaluation, recording: Recording, device: RenderingDevice) -> Panels:
+    from posetrack_cli.evaluation.recording_of import cameras_of
     from posetrack_cli.evaluation.viewing.colours import TRUTH
     from posetrack_cli.evaluation.viewing.layers import Layer
     from posetrack_cli.evaluation.viewing.panels import Panels
@@ -121,8 +121,7 @@ def _panels(evaluation: Evaluation, recording: StoredRecording, device: Renderin
     from posetrack_cli.results.reader import read_result
 
     result, track, truth = read_result(evaluation.path), evaluation.track, evaluation.truth
-    camera, drawer = result.camera(), drawer_of(result, device)
-    check_same_size(camera, recording)
+    (camera,), drawer = cameras_of(result, recording), drawer_of(result, device)
     return Panels(
         camera=camera,
         sampler=PixelSampler(camera),

@@ -3,26 +3,45 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
-from posetrack_cli.results.camera_record import camera_from_json
+from posetrack_cli.recording.guess import guess_of_camera
+from posetrack_cli.recording.opening import open_images, open_recording
+from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.records import camera_from_json
+from posetrack_cli.results.subject_kind import Pixels, kind_of
 
-Found = TypeVar("Found")
-
+_OF_IMAGES = frozenset({"camera_file", "cameras", "fps", "guess", "mirror", "tolerance_ms"})
 MEANT = ("fps", "mirror")
-"""Options that a folder of images is read with, and that frames and estimates depend on."""
+"""Options that frames and estimates depend on: those of the run must not be replaced by others."""
+
+
+def _truth(text: str) -> bool:
+    return text == "true"
+
+
+_STATED: Mapping[str, Callable[[str], Any]] = {
+    "topic": str,
+    "camera_topic": str,
+    "cameras": lambda text: text.split(","),
+    "fps": float,
+    "depth_unit_mm": float,
+    "missing": int,
+    "mirror": _truth,
+    "tolerance_ms": float,
+}
+"""Options that a run record states as ``input.NAME``, if they apply to the input, and how they are read."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,7 @@ class Search:
         reason: why there is none: where it was looked for, and what was wrong with what was there.
     """
 
-    recording: StoredRecording | None
+    recording: Recording | None
     reason: str = ""
 
 
@@ -56,34 +75,29 @@ def search_recording(
         RecordingError: ``given`` cannot be read, or is another recording.
         UsageError: an option that does not apply to ``given``, or is not that of the run.
     """
-    if given is not None:
-        recording = open_recording(given, **opening) if any_recording else _same(given, result, opening)
-        return Search(recording)
-    return Search(*found_beside(result, lambda place: _same(place, result, opening)))
+    if given is None:
+        return _found_beside(result, opening)
+    pixels = kind_of(result.subject.name).pixels
+    return Search(_opened(given, pixels, opening) if any_recording else _same(given, result, opening))
 
 
-def found_beside(result: Result, opened: Callable[[Path], Found]) -> tuple[Found | None, str]:
-    """Return the recording by the name that a result states, None and why where there is none.
-
-    Args:
-        result: beside which it is looked for, one folder up and in the working folder.
-        opened: opens what is there as the run did; RecordingError if it is another.
-    """
+def _found_beside(result: Result, opening: Mapping[str, Any]) -> Search:
+    """What bears the name that a result states, if it is what the run was made from."""
     name = Path(result.run.get("input.name", "")).name
     if name in ("", ".."):
-        return None, f"{result.path} does not say which recording it was made from"
+        return Search(None, f"{result.path} does not say which recording it was made from")
     reasons = []
     for place in _places(result, name):
         try:
-            return opened(place), ""
+            return Search(_same(place, result, opening))
         except RecordingError as error:
             reasons.append(str(error))
     looked = ", ".join(dict.fromkeys(str(folder) for folder in folders_of(result)))
     nowhere = f"no recording '{name}' in {looked}; pass it with --recording"
-    return None, "; ".join(reasons) or nowhere
+    return Search(None, "; ".join(reasons) or nowhere)
 
 
-def required_recording(result: Result, given: Path | None = None, **options: Any) -> StoredRecording:
+def required_recording(result: Result, given: Path | None = None, **options: Any) -> Recording:
     """As ``search_recording``, but not to find one is an error.
 
     Raises:
@@ -107,7 +121,7 @@ def _places(result: Result, name: str) -> Iterator[Path]:
     yield from {place.resolve(): place for place in places if place.exists()}.values()
 
 
-def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecording:
+def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     """Open a recording as the run did; raise RecordingError if it is not the one of the run."""
     run = result.run
     check_kind(path, run)
@@ -117,10 +131,9 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecor
     _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)
-    options |= given
-    with _camera_of(path, run, options) as camera:
+    with _camera_file(path, result, given) as camera:
         try:
-            recording = open_recording(path, **options, **camera)
+            recording = _opened(path, kind_of(result.subject.name).pixels, options | camera | given)
         except RecordingError:
             check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise
@@ -128,22 +141,28 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> StoredRecor
     return recording
 
 
+def _opened(path: Path, pixels: Pixels, options: Mapping[str, Any]) -> Recording:
+    given = {name: value for name, value in options.items() if value is not None}
+    if pixels == "depth":
+        return open_recording(path, **given)
+    for name in given.keys() - _OF_IMAGES:
+        option = f"--{name.replace('_', '-')}"
+        raise UsageError(f"{option} does not apply to images", found=f"'{given[name]}'", hint="leave it out")
+    return open_images(path, **given)
+
+
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
     """How the run opened its input, as far as it says."""
-    read: dict[str, Callable[[str], Any]]
-    if run.get("input.kind") == "folder":
-        read = {"fps": float, "depth_unit_mm": float, "missing": int, "mirror": _truth}
-    else:
-        read = {"topic": str, "camera_topic": str, "mirror": _truth}
+    stated = {key: run.get(f"input.{key}", "") for key in _STATED}
+    if run.get("input.kind") == "video":
+        stated["cameras"] = ""  # it has one, which nothing chooses
     try:
-        found = {key: convert(run[f"input.{key}"]) for key, convert in read.items() if f"input.{key}" in run}
+        options = {key: _STATED[key](text) for key, text in stated.items() if text}
     except ValueError as error:
         raise ResultError("run record cannot be read", found=error) from error
-    return {key: value for key, value in found.items() if value != ""}
-
-
-def _truth(text: str) -> bool:
-    return text == "true"
+    if run.get("intrinsics") == "guessed":
+        options["guess"] = guess_of_camera(camera_of(run))
+    return options
 
 
 def _check_given(options: Mapping[str, Any], given: Mapping[str, Any]) -> None:
@@ -161,19 +180,27 @@ def _readable(value: float | bool) -> str:
 
 
 @contextmanager
-def _camera_of(path: Path, run: Mapping[str, str], options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The run's camera, for an MCAP file that was tracked with a camera file and none is given now."""
-    with_file = run.get("input.kind") == "mcap" and run.get("input.camera_topic") == ""
-    if not with_file or path.is_dir() or {"camera_file", "camera_topic"} & options.keys():
+def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The run's cameras, for an MCAP file that was tracked with a camera file and none is given now."""
+    run = result.run
+    with_file = run.get("input.camera_topic") == "" or run.get("input.calibration") == "camera file"
+    if not with_file or path.is_dir() or {"camera_file", "camera_topic"} & given.keys():
         yield {}
         return
-    camera = camera_of(run)
-    stored = camera.mirrored() if options.get("mirror") else camera
+    mirrored = run.get("input.mirror") == "true"
+    cameras = result.several_cameras or (camera_of(run),)
+    stored = [camera.mirrored() if mirrored else camera for camera in cameras]
     with TemporaryDirectory() as folder:
         file = Path(folder) / CAMERA_FILE_NAME
-        values = {key: value for key, value in stored.values().items() if key != "name"}
-        file.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items()))
+        write = _depth_camera_text if kind_of(result.subject.name).pixels == "depth" else camera_file_text
+        file.write_text(write(stored), encoding="utf-8", errors="backslashreplace")
         yield {"camera_file": file}
+
+
+def _depth_camera_text(cameras: Sequence[Camera]) -> str:
+    """The camera file of the one camera of a depth recording, which has no name there."""
+    values = {key: value for key, value in cameras[0].values().items() if key != "name"}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
 def camera_of(run: Mapping[str, str]) -> Camera:
@@ -188,18 +215,21 @@ def camera_of(run: Mapping[str, str]) -> Camera:
         raise ResultError("run record tells no camera", found=error) from error
 
 
-def check_same_size(camera: Camera, recording: StoredRecording) -> None:
-    """Refuse images that the run's camera cannot have taken.
+def cameras_of(result: Result, recording: Recording) -> tuple[Camera, ...]:
+    """Return the cameras that a result's estimates were made with.
 
     Raises:
-        UsageError: they are of another size.
+        UsageError: they cannot have taken these images.
     """
-    given = recording.cameras[0]
-    if (given.width, given.height) != (camera.width, camera.height):
+    cameras = result.cameras()
+    sizes = [[(camera.width, camera.height) for camera in of] for of in (recording.cameras, cameras)]
+    if sizes[0] != sizes[1]:
+        found, expected = (", ".join(f"{w}x{h}" for w, h in of) for of in sizes)
         raise UsageError(
             "images are not of the size that was tracked",
             where=recording.path,
-            found=f"{given.width}x{given.height}",
-            expected=f"{camera.width}x{camera.height}",
+            found=found,
+            expected=expected,
             hint="pass the --camera of the run, whose crop applies",
         )
+    return cameras

@@ -12,15 +12,16 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import (
+from posetrack_cli.results.estimate import Status
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, parse_fields
+from posetrack_cli.results.fields import (
+    BY_NAME,
     FIELD_NAMES,
     NUMBERS,
     UNKNOWN_ARRAYS,
     UNKNOWN_NUMBERS,
-    Status,
     array_shapes,
 )
-from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, parse_fields
 
 Columns: TypeAlias = dict[str, np.ndarray[Any, Any]]
 
@@ -29,13 +30,6 @@ _GROWTH_FRAMES = 4096
 
 _STATUSES = np.array([status.value for status in Status])
 _STATUS_CODES = {status.value: code for code, status in enumerate(Status)}
-_TYPES: Mapping[str, Any] = {
-    "frame_index": np.int64,
-    "stamp_ns": np.int64,
-    "status": _STATUSES.dtype,
-    "resampled": np.bool_,
-}
-_CODES = {"frame_index": "q", "stamp_ns": "q", "status": "b", "resampled": "b"}
 _XYZ = itemgetter("x", "y", "z")
 _APART = ("points", NUMBERS)
 """Arrays that messages hold as objects."""
@@ -85,8 +79,7 @@ def empty_columns(fields: Collection[str], k: int, p: int, m: int = 0) -> Column
     What a message need not have (``UNKNOWN_ARRAYS``, ``UNKNOWN_NUMBERS``) and has not is NaN.
     """
     shapes = array_shapes(k, p, m)
-    types = {name: _TYPES.get(name, np.float64) for name in fields}
-    return {name: np.empty((0, *shapes.get(name, ())), dtype=kind) for name, kind in types.items()}
+    return {name: np.empty((0, *shapes.get(name, ())), dtype=BY_NAME[name].column) for name in fields}
 
 
 def joined(blocks: Iterable[Columns]) -> Columns:
@@ -164,7 +157,7 @@ class _Rows:
 
     def _clear(self) -> None:
         self.count = 0
-        self._buffers: dict[str, array[Any]] = {name: array(_CODES.get(name, "d")) for name in self._empty}
+        self._buffers: dict[str, array[Any]] = {name: array(BY_NAME[name].code) for name in self._empty}
 
     def _column(self, name: str, empty: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         flat = np.array(self._buffers[name])

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
-
-import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError
-
-QUATERNION_NORM_TOLERANCE = 1e-6
-"""How far |q| may be from 1: far above rounding, far below a rotation that was never normalised."""
 
 
 class Status(StrEnum):
@@ -135,77 +130,3 @@ class Subject:
             if len(line) != 2 or not all(0 <= end < count for end in line):
                 expected = f"two of the points 0 to {count - 1}"
                 raise ResultError("line cannot be drawn", where=self.name, found=line, expected=expected)
-
-
-NUMBERS = "numbers"
-"""The field of further numbers, which alone may be NaN."""
-
-
-def array_shapes(k: int, p: int, m: int = 0) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array field for K shape entries, P points and M further numbers."""
-    return {
-        "position": (3,),
-        "quaternion": (4,),
-        "shape": (k,),
-        "pose_rate": (7 + k,),
-        "twist": (6 + k,),
-        "pose_variance": (6 + k,),
-        "twist_variance": (6 + k,),
-        "points": (p, 3),
-        NUMBERS: (m,),
-    }
-
-
-FIELD_NAMES = tuple(field.name for field in fields(Estimate) if field.name != NUMBERS)
-"""The fields that every subject's estimates have, in the order in which every format lists them."""
-
-VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
-"""The fields that are None, all of them, where no velocity is known."""
-
-UNKNOWN_ARRAYS = (*VELOCITY_FIELDS, "pose_variance")
-"""The arrays that may be None."""
-
-UNKNOWN_NUMBERS = ("effective_sample_size", "cost", "milliseconds", "evaluations")
-"""The numbers that may be None."""
-
-
-def check_estimate(estimate: Estimate, subject: Subject) -> None:
-    """Refuse an estimate whose arrays do not fit the subject or hold NaN or infinity.
-
-    Raises:
-        ResultError: names the frame and the field.
-    """
-    where = f"{subject.name}, frame {estimate.frame_index}"
-    unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
-    if unknown and len(unknown) < len(VELOCITY_FIELDS):
-        raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
-    shapes = array_shapes(len(subject.shape_names), len(subject.point_names))
-    del shapes[NUMBERS]
-    for name, shape in shapes.items():
-        if name not in UNKNOWN_ARRAYS or getattr(estimate, name) is not None:
-            check_array(getattr(estimate, name), shape, name, where)
-    norm = float(np.linalg.norm(estimate.quaternion))
-    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE or estimate.quaternion[3] < 0.0:
-        found = f"norm {norm:.9g}, w {estimate.quaternion[3]:.9g}"
-        raise ResultError("quaternion cannot be used", where=where, found=found, expected="norm 1, w >= 0")
-    if not 0.0 <= estimate.confidence <= 1.0:
-        raise ResultError(
-            "confidence cannot be used", where=where, found=estimate.confidence, expected="0 to 1"
-        )
-    if estimate.effective_sample_size is not None and not np.isfinite(estimate.effective_sample_size):
-        raise ResultError("effective sample size is not finite", where=where)
-    if estimate.numbers is not None and estimate.numbers.shape != (len(subject.number_names),):
-        size = (len(subject.number_names),)
-        raise ResultError(
-            "numbers has the wrong shape", where=where, found=estimate.numbers.shape, expected=size
-        )
-
-
-def check_array(array: FloatArray, shape: tuple[int, ...], name: str, where: str) -> None:
-    """Raise ResultError unless the array has this shape and finite entries only."""
-    if array.shape != shape:
-        raise ResultError(f"{name} has the wrong shape", where=where, found=array.shape, expected=shape)
-    if not np.isfinite(array).all():
-        raise ResultError(
-            f"{name} is not finite", where=where, found=f"{int((~np.isfinite(array)).sum())} NaN or infinite"
-        )

@@ -13,101 +13,45 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic_core import core_schema as schemas
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import NUMBERS, UNKNOWN_ARRAYS, UNKNOWN_NUMBERS, Estimate, Status
-from posetrack_cli.results.strict_json import (
-    COUNT,
-    LENGTH_MM,
-    NOT_NEGATIVE,
-    NUMBER,
-    TRUTH_VALUE,
-    list_of,
-    object_of,
-    reader_of,
+from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.fields import (
+    BY_NAME,
+    FIELD_NAMES,
+    FIELDS,
+    NUMBERS,
+    NUMBERS_FIELD,
+    UNKNOWN_ARRAYS,
+    UNKNOWN_NUMBERS,
 )
+from posetrack_cli.results.strict_json import object_of, reader_of
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
 _LENGTH_TOLERANCE = 1e-3
 """How far a quaternion that is read may be from length 1: those of other writers are rounded."""
-_OPTIONAL = (*UNKNOWN_ARRAYS, *UNKNOWN_NUMBERS)
-_ARRAYS = ("position", "quaternion", "shape", "pose_rate", "twist", "pose_variance", "twist_variance")
-
-
-def _field(kind: str, description: str, **more: Any) -> dict[str, Any]:
-    return {"type": kind, "description": description, **more}
-
-
-def _numbers(description: str) -> dict[str, Any]:
-    return _field("array", description, items={"type": "number"})
-
-
-_PROPERTIES: dict[str, Any] = {
-    "frame_index": _field("integer", "Position of the frame in the recording, counted from 0."),
-    "stamp_ns": _field("integer", "When the frame was taken, nanoseconds; equal to the log time."),
-    "status": _field(
-        "string",
-        "tracking: rests on this frame; lost: no longer on the subject; reinitialised: found anew.",
-        enum=[status.value for status in Status],
-    ),
-    "confidence": _field("number", "0 (guess) to 1 (certain)."),
-    "position": _numbers("x, y, z of the object's origin in camera axes, millimetres."),
-    "quaternion": _numbers("x, y, z, w (w >= 0) of the rotation from object to camera coordinates."),
-    "shape": _numbers("Hand: finger angles, radians. Head: shape coefficients. K entries."),
-    "pose_rate": _numbers(
-        "Time derivative of (position, quaternion, shape), 7 + K entries: mm/s, 1/s, shape per second; "
-        "this and the fields of twist are left out where no velocity is known."
-    ),
-    "twist": _numbers(
-        "Velocity, 6 + K entries: in camera axes, mm/s; rotation in the body frame, rad/s; shape per second."
-    ),
-    "pose_variance": _numbers(
-        "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape; "
-        "left out where the tracker knows none."
-    ),
-    "twist_variance": _numbers(
-        "Variance of twist, 6 + K entries: (mm/s)^2, (rad/s)^2, (shape per second)^2."
-    ),
-    "points": _field(
-        "array",
-        "Joints or landmarks in camera axes.",
-        items={
-            "type": "object",
-            "properties": {axis: _field("number", f"{axis}, millimetres.") for axis in "xyz"},
-            "required": ["x", "y", "z"],
-            "additionalProperties": False,
-        },
-    ),
-    "effective_sample_size": _field(
-        "number", "1 / sum of the squared weights, before resampling; particles; left out without weights."
-    ),
-    "resampled": _field("boolean", "Whether the particles were resampled after this estimate."),
-    "cost": _field("number", "Cost of the estimate against the image; left out when it was not evaluated."),
-    "milliseconds": _field("number", "Time the frame took; left out unless the run recorded timings."),
-    "evaluations": _field(
-        "integer", "Poses whose fit to the image was evaluated; left out where the tracker does not count."
-    ),
-}
+_ARRAYS = tuple(f.name for f in FIELDS if f.shape is not None and f.name != "points")
 
 
 def estimate_schema(number_names: Sequence[str] = ()) -> dict[str, Any]:
     """Return the JSON schema of a subject's estimates; further numbers are a table with a key for each."""
-    numbers = _field(
-        "object",
-        "Further numbers of this tracker, by name; one that is not known is left out.",
-        properties={name: {"type": "number"} for name in number_names},
-        additionalProperties=False,
-    )
+    properties = {field.name: field.json_schema for field in FIELDS}
+    if number_names:
+        properties[NUMBERS] = {
+            "type": NUMBERS_FIELD.json_type,
+            "description": NUMBERS_FIELD.description,
+            "properties": {name: {"type": "number"} for name in number_names},
+            "additionalProperties": False,
+        }
     return {
         "title": ESTIMATE_SCHEMA_NAME,
         "description": "Everything that a tracker says about one frame.",
         "type": "object",
-        "properties": _PROPERTIES | ({NUMBERS: numbers} if number_names else {}),
-        "required": [name for name in _PROPERTIES if name not in _OPTIONAL],
+        "properties": properties,
+        "required": [field.name for field in FIELDS if field.required],
         "additionalProperties": False,
     }
 
@@ -143,7 +87,7 @@ def estimate_to_json(estimate: Estimate, number_names: Sequence[str] = ()) -> by
         value = getattr(estimate, name)
         if value is not None and math.isfinite(value):
             fields[name] = int(value) if name == "evaluations" else float(value)
-    in_order = {name: fields[name] for name in _PROPERTIES if name in fields}
+    in_order = {name: fields[name] for name in FIELD_NAMES if name in fields}
     if estimate.numbers is not None:
         further = zip(number_names, estimate.numbers.tolist(), strict=True)
         in_order[NUMBERS] = {name: value for name, value in further if math.isfinite(value)}
@@ -200,24 +144,8 @@ def parse_fields(data: bytes) -> dict[str, Any]:
 
 _read = reader_of(
     object_of(
-        {
-            "frame_index": COUNT,
-            "stamp_ns": COUNT,
-            "status": schemas.literal_schema([status.value for status in Status]),
-            "confidence": NUMBER,
-            "position": list_of(LENGTH_MM, 3),
-            "quaternion": list_of(NUMBER, 4),
-            "shape": list_of(NUMBER),
-            "points": list_of(object_of(dict.fromkeys("xyz", LENGTH_MM))),
-            "resampled": TRUTH_VALUE,
-        },
-        {
-            **dict.fromkeys(("pose_rate", "twist"), list_of(NUMBER)),
-            **dict.fromkeys(("pose_variance", "twist_variance"), list_of(NOT_NEGATIVE)),
-            **dict.fromkeys(("effective_sample_size", "cost", "milliseconds"), NUMBER),
-            "evaluations": COUNT,
-            NUMBERS: schemas.dict_schema(schemas.str_schema(), NUMBER),
-        },
+        {field.name: field.strict for field in BY_NAME.values() if field.required},
+        {field.name: field.strict for field in BY_NAME.values() if not field.required},
     ),
     limits.MESSAGE_BYTES,
 )

@@ -17,8 +17,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import inverse
 from posetrack_cli.geometry.rotations import matrices_from_quaternions, quaternions_from_matrices
 from posetrack_cli.results.estimate import Estimate, Subject
-
-METRES_PER_MM = 1e-3
+from posetrack_cli.units import METRES_PER_MM
 
 __all__ = [
     "CameraCalibration",

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
+from typing import IO
 
 from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -15,8 +16,10 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, ResultError, nearest_name
+from posetrack_cli.files import open_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog, loss_line
+from posetrack_cli.mcap.records import MAGIC
 from posetrack_cli.mcap.stream import (
     DAMAGED,
     TRUNCATED,
@@ -30,17 +33,21 @@ from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import camera_from_message
-from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
-from posetrack_cli.results.estimate import FIELD_NAMES, NUMBERS, Estimate, Subject
+from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
+from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS
 from posetrack_cli.results.messages import CameraCalibration
-from posetrack_cli.results.opening import opened
-from posetrack_cli.results.run_values import check_run_record
-from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_from_record
+from posetrack_cli.results.records import (
+    CAMERAS_RECORD,
+    SUBJECT_RECORD,
+    SUMMARY_RECORD,
+    cameras_from_record,
+    check_run_record,
+    subject_from_record,
+)
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED, SMOOTHED_PREFIX, TRACKS, estimate_topic
-from posetrack_cli.results.writer import SUMMARY_RECORD
 
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
@@ -336,6 +343,22 @@ def read_result(path: Path | str) -> Result:
     truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
     summary = metadata.get(SUMMARY_RECORD, {})
     return Result(path, subject, metadata[RUN_RECORD], summary, truncated, cameras, losses)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[IO[bytes]]:
+    """Open an MCAP file; whatever the operating system refuses while it is read is one line.
+
+    Raises:
+        ResultError: the file cannot be read, or is no MCAP file.
+    """
+    try:
+        with open_input(path) as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise ResultError("is no MCAP file", where=path, hint="results are .mcap files")
+            yield stream
+    except OSError as error:
+        raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
 
 
 def is_result(path: Path) -> bool:

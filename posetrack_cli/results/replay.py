@@ -22,7 +22,7 @@ from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import RESTART_HINT
-from posetrack_cli.results.opening import opened
+from posetrack_cli.results.reader import opened
 
 
 def replay(part: Path, file_bytes: int, sink: McapSink, channels: ResultChannels) -> set[str]:

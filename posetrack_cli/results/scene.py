@@ -1,22 +1,24 @@
-"""The mesh of an estimate as a Foxglove SceneUpdate, assembled from protobuf wire bytes.
-
-Only the stamp and the vertices change between frames. A message field on the wire is a tag, a length
-and its bytes, so the constant fields are serialised once and the vertices are laid out by numpy, which
-takes a small part of the time that one protobuf object per vertex would.
-"""
+"""An estimate in space, as a Foxglove SceneUpdate: its mesh, or its points and lines."""
 
 from __future__ import annotations
 
 import numpy as np
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.results.estimate import Status, Subject, check_array
+from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.fields import check_array
+from posetrack_cli.units import METRES_PER_MM
 
-METRES_PER_MM = 1e-3
 LOST_ALPHA = 0.25
 """Share of the opacity that is left while the track is lost, so that nobody takes the mesh for a find."""
+
+LINE_PX = 2.0
+POINT_MM = 4.0
+"""Diameter of the balls that points are drawn as."""
 
 _UPDATE_ENTITIES = b"\x12"  # SceneUpdate.entities = 2, length-delimited
 _ENTITY_TRIANGLES = b"\x62"  # SceneEntity.triangles = 12, length-delimited
@@ -107,3 +109,38 @@ def _delimited(tag: bytes, body: bytes) -> bytes:
         rest >>= 7
     length.append(rest)
     return tag + bytes(length) + body
+
+
+def line_scene(estimate: Estimate, subject: Subject) -> SceneUpdate:
+    """Return the subject's lines and a ball at every point, in the axes of the camera of the estimates.
+
+    The entity's id is constant, so each update replaces the one before; a lost subject is drawn faintly.
+    """
+    message = SceneUpdate()
+    entity = message.entities.add(frame_id=subject.camera_frame, id=subject.name)
+    entity.timestamp.FromNanoseconds(estimate.stamp_ns)
+    entity.lifetime.FromNanoseconds(0)
+    red, green, blue, alpha = subject.colour
+    colour = {"r": red, "g": green, "b": blue, "a": alpha * _share(estimate)}
+    points = (estimate.points * METRES_PER_MM).tolist()
+    lines = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=LINE_PX, scale_invariant=True)
+    lines.pose.orientation.w = 1.0
+    _set(lines.color, colour)
+    for end in (end for line in subject.lines for end in line):
+        _set(lines.points.add(), dict(zip("xyz", points[end], strict=True)))
+    for point in points:
+        ball = entity.spheres.add()
+        _set(ball.pose.position, dict(zip("xyz", point, strict=True)))
+        ball.pose.orientation.w = 1.0
+        _set(ball.size, dict.fromkeys("xyz", POINT_MM * METRES_PER_MM))
+        _set(ball.color, colour)
+    return message
+
+
+def _share(estimate: Estimate) -> float:
+    return LOST_ALPHA if estimate.status is Status.LOST else 1.0
+
+
+def _set(target: object, values: dict[str, float]) -> None:
+    for name, value in values.items():
+        setattr(target, name, value)

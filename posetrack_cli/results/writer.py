@@ -16,17 +16,19 @@ from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
 from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.camera_record import CAMERAS_RECORD, cameras_to_record
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import Checkpoint, Progress
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import COUNTS, LayoutError, check_numbers
+from posetrack_cli.results.records import (
+    CAMERAS_RECORD,
+    SUBJECT_RECORD,
+    SUMMARY_RECORD,
+    cameras_to_record,
+    subject_to_record,
+)
 from posetrack_cli.results.replay import check_same_run, replay
-from posetrack_cli.results.stamp_order import StampOrder
-from posetrack_cli.results.subject_record import SUBJECT_RECORD, subject_to_record
-from posetrack_cli.results.tracks import SMOOTHED
-
-SUMMARY_RECORD = "posetrack.summary"
+from posetrack_cli.results.tracks import SMOOTHED, StampOrder
 
 
 class ResultWriter:

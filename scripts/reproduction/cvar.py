@@ -20,7 +20,7 @@ from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.recording.stamps import stamps_at_rate
-from posetrack_cli.results.export.column_names import point_columns
+from posetrack_cli.results.export.table import point_columns
 
 CAMERA = Camera(width=320, height=240, fx=224.5, fy=230.5, cx=160.0, cy=120.0)
 """Creative Senz3D."""

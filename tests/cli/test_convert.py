@@ -15,7 +15,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_USAGE, UsageErr
 from posetrack_cli.evaluation.truth.points_topic import points_topic
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.results.export.column_names import point_columns
+from posetrack_cli.results.export.table import point_columns
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import pytest
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation
 from posetrack_cli.evaluation.html import write_html
-from posetrack_cli.evaluation.html.downsample import step_for
+from posetrack_cli.evaluation.html.packing import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
 from support.browser import console_lines, open_browser, requested, set_features, set_width
 from support.evaluation import FRAME_NS, hand_evaluation

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.html.downsample import envelope_rows, step_for
+from posetrack_cli.evaluation.html.packing import envelope_rows, step_for
 
 VALUES = st.lists(
     st.one_of(st.floats(-1e6, 1e6), st.just(float("nan")), st.just(float("inf"))), min_size=1, max_size=400

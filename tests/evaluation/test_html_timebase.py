@@ -16,7 +16,7 @@ from posetrack_cli.evaluation.html.timebase import (
     state_spans,
     timebases,
 )
-from posetrack_cli.evaluation.metrics.consistency import consistency_metrics
+from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics
 from posetrack_cli.evaluation.track import Track
 from support.evaluation import hand_track
 

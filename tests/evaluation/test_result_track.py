@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.reader import read_result
 from support.truth import FRAME_NS, HAND, HEAD, estimates, write_result

@@ -14,7 +14,7 @@ from posetrack_cli.head.estimates import searched_estimate
 from posetrack_cli.head.face import POINT_NAMES
 from posetrack_cli.head.mono_subject import MonoNumbers, mono_number_names, mono_subject
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.estimate import check_estimate
+from posetrack_cli.results.fields import check_estimate
 from support.bundles import random_model
 
 

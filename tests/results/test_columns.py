@@ -17,7 +17,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import ESTIMATE_SCHEMA_NAME, Estimate, estimate_to_json, read_result
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
-from posetrack_cli.results.estimate import FIELD_NAMES, VELOCITY_FIELDS
+from posetrack_cli.results.fields import FIELD_NAMES, VELOCITY_FIELDS
 from support.results import K, P, begin, make_estimate, with_fields, write_frames, write_result
 
 NO_VELOCITY: dict[str, object] = dict.fromkeys(VELOCITY_FIELDS)

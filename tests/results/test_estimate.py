@@ -1,11 +1,18 @@
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.estimate import Subject, check_estimate
+from posetrack_cli.results.estimate import Estimate, Subject
+from posetrack_cli.results.fields import BY_NAME, check_estimate
 from support.results import SUBJECT, make_estimate, with_fields
+
+
+def test_the_table_lists_the_fields_in_their_order() -> None:
+    assert tuple(BY_NAME) == tuple(field.name for field in fields(Estimate))
 
 
 def test_a_sound_estimate_passes() -> None:

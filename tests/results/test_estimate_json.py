@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results import ESTIMATE_SCHEMA, Status, estimate_from_json, estimate_to_json
-from posetrack_cli.results.estimate import FIELD_NAMES
+from posetrack_cli.results.fields import FIELD_NAMES
 from support.results import make_estimate, with_fields
 
 KINDS: dict[str, tuple[type, ...]] = {

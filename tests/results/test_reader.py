@@ -23,7 +23,7 @@ from posetrack_cli.results import (
     load_arrays,
     read_result,
 )
-from posetrack_cli.results.estimate import FIELD_NAMES
+from posetrack_cli.results.fields import FIELD_NAMES
 from support.results import (
     CAMERA,
     RUN,

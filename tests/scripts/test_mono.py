@@ -16,9 +16,8 @@ from posetrack_cli.cli.head_build_model import head_build_model
 from posetrack_cli.cli.head_mono import head_mono
 from posetrack_cli.cli.head_stereo import head_stereo
 from posetrack_cli.cli.head_synth import head_synth
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry import rotations
 from posetrack_cli.head.face import MEAN_SHAPE, MOUTH
 from posetrack_cli.head.pose import HeadPose

@@ -21,7 +21,8 @@ from posetrack_cli.head.multilinear.model_file import load_face_model
 from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.projection import project
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.estimate import Estimate, Subject, check_estimate
+from posetrack_cli.results.estimate import Estimate, Subject
+from posetrack_cli.results.fields import check_estimate
 from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
 
 FRAME_NS = 33_333_333

@@ -13,7 +13,8 @@ from posetrack_cli.head.start.start import NO_FACE, NoStart, Start
 from posetrack_cli.head.stereo_tracker import StereoTracker
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.estimate import Estimate, check_estimate
+from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.results.fields import check_estimate
 from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
 
 FRAME_NS = 33_333_333

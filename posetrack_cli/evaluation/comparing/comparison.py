@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from posetrack_cli.evaluation.comparing.blocks import neighbour_correlation, paired_blocks
-from posetrack_cli.evaluation.comparing.paired import Paired, paired
+from posetrack_cli.evaluation.comparing.paired import Paired, neighbour_correlation, paired, paired_blocks
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.metrics.catalogue import place_of
 from posetrack_cli.evaluation.statistics import Statistics

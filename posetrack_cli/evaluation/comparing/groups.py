@@ -2,19 +2,66 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import UNCORRECTED, Comparison, Difference
 from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.figures import STUDIED_FIGURES, figure_of
+from posetrack_cli.evaluation.figures import figure_of, studied_figures
 from posetrack_cli.evaluation.statistics import Statistics, statistics
+from posetrack_cli.files import real_path
 from posetrack_cli.recording.base import RECORDING_KEY
+
+EXAMPLE = "such as rbpf='out/rbpf-*.mcap'"
+
 
 RECORDINGS = "one recording"
 Pair = tuple[Evaluation, Evaluation]
+
+
+def expand_groups(texts: Iterable[str]) -> dict[str, tuple[Path, ...]]:
+    """Return the files of each ``NAME=PATTERN``, sorted; a name may come more than once.
+
+    Raises:
+        UsageError: it is no such text, no file fits, or a file is in two groups.
+    """
+    groups: dict[str, tuple[Path, ...]] = {}
+    for text in texts:
+        name, pattern = _split(text)
+        found = _matching(pattern)
+        if not found:
+            hint = f"files of a folder are {pattern.rstrip('/')}/*.mcap" if Path(pattern).is_dir() else ""
+            raise UsageError(f"no file fits the pattern of group '{name}'", found=pattern, hint=hint)
+        groups[name] = tuple(dict.fromkeys((*groups.get(name, ()), *found)))
+    _check_disjoint(groups)
+    return groups
+
+
+def _split(text: str) -> tuple[str, str]:
+    name, sign, pattern = (part.strip() for part in text.partition("="))
+    if not (name and sign and pattern):
+        raise UsageError(f"'{text}' is no group", expected="NAME=PATTERN", hint=EXAMPLE)
+    return name, pattern
+
+
+def _matching(pattern: str) -> Sequence[Path]:
+    """Files that fit; a file whose very name has brackets is found by it."""
+    if Path(pattern).is_file():
+        return [Path(pattern)]
+    return [Path(name) for name in sorted(glob.glob(pattern, recursive=True)) if Path(name).is_file()]  # noqa: PTH207
+
+
+def _check_disjoint(groups: dict[str, tuple[Path, ...]]) -> None:
+    home: dict[Path, str] = {}
+    for name, paths in groups.items():
+        for path in paths:
+            other = home.setdefault(real_path(path), name)
+            if other != name:
+                raise UsageError("file is in two groups", where=path, found=f"{other} and {name}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +139,7 @@ def _figures(groups: Mapping[str, Sequence[Evaluation]]) -> tuple[str, ...]:
     subjects = sorted({one.subject for one in members})
     if len(subjects) > 1:
         raise UsageError("groups of different subjects cannot be compared", found=" and ".join(subjects))
-    figures = STUDIED_FIGURES.get(subjects[0], ("coverage",))
+    figures = studied_figures(subjects[0])
     return tuple(f for f in figures if any(figure_of(one, f).value is not None for one in members))
 
 

@@ -10,9 +10,11 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
+from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
+from posetrack_cli.geometry.euler import roll_pitch_yaw
+from posetrack_cli.results.subject_kind import kind_of
 
 DIFFERENCE_RAD = 1e-6
 """Step of the differences that take variances of rotation vectors to variances of Euler angles."""
@@ -44,7 +46,7 @@ class Component:
 
 def components(evaluation: Evaluation) -> Iterator[Component]:
     """Yield the components that the track has, in the order in which the page lists them."""
-    body = "Wrist" if evaluation.subject == "hand" else "Head"
+    body = KINDS[evaluation.subject].body
     yield from _positions(evaluation, f"{body} position")
     yield from _rotations(evaluation, f"{body} rotation")
     yield from _shapes(evaluation)
@@ -101,7 +103,7 @@ def _rotations(evaluation: Evaluation, group: str) -> Iterator[Component]:
     track = evaluation.track
     if track.quaternion is None:
         return
-    angles_of = roll_pitch_yaw if evaluation.subject == "hand" else head_roll_pitch_yaw
+    angles_of = kind_of(evaluation.subject).euler_angles
     truth = matched_truth(evaluation, lambda other: other.quaternion)
     angles = _unwrapped(angles_of(track.quaternion)) * DEG
     true_angles = None
@@ -164,21 +166,21 @@ def _grouped(
     variance: FloatArray | None,
     suffix: str,
 ) -> Iterator[Component]:
-    """Shape entries: of a hand angles in degrees by finger, otherwise coefficients without unit."""
+    """Shape entries: angles in degrees, by what their names begin with, or coefficients without unit."""
     names = evaluation.track.shape_names
-    hand = evaluation.subject == "hand"
-    scale, unit = (DEG, "deg") if hand else (1.0, "")
+    angular = kind_of(evaluation.subject).shape_unit == "rad"
+    scale, unit = (DEG, "deg") if angular else (1.0, "")
     if suffix:
         unit = f"{unit or '1'}/s"
     if truth is not None and truth.shape != values.shape:
         truth = None
     for i, name in enumerate(names):
-        finger, _, angle = name.partition("_")
-        group = f"{finger.capitalize()} angle" if hand and angle else "Shape"
+        finger, _, angle = name.partition("_") if angular else ("", "", "")
+        group = f"{finger.capitalize()} angle" if angle else "Shape"
         half = None if variance is None else scale * INSIDE_90 * np.sqrt(np.maximum(variance[:, i], 0.0))
         yield Component(
-            f"{group}{suffix or ('s' if hand and angle else '')}",
-            (angle if hand and angle else name).replace("_", " "),
+            f"{group}{suffix or ('s' if angle else '')}",
+            (angle or name).replace("_", " "),
             unit,
             scale * values[:, i],
             None if truth is None else scale * truth[:, i],

@@ -6,6 +6,11 @@ import html
 from collections.abc import Iterable
 
 
+def readable(name: str) -> str:
+    """Return a name with spaces."""
+    return name.replace("_", " ")
+
+
 def text(value: object) -> str:
     """Return text that stands for itself in an element or a quoted attribute; controls become visible."""
     shown = "".join(c if c.isprintable() or c in "\n\u202f\u00a0" else "\ufffd" for c in str(value))

@@ -11,16 +11,15 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.components import components
-from posetrack_cli.evaluation.html.downsample import envelope_rows
-from posetrack_cli.evaluation.html.labels import quantity_label, readable
-from posetrack_cli.evaluation.html.packing import packed
-from posetrack_cli.evaluation.html.rows import RowTable
+from posetrack_cli.evaluation.html.markup import readable
+from posetrack_cli.evaluation.html.packing import envelope_rows, packed
 from posetrack_cli.evaluation.html.scene import scene
-from posetrack_cli.evaluation.html.timebase import Timebase, gap_spans, state_spans, timebases
-from posetrack_cli.evaluation.metrics.catalogue import place_of
-from posetrack_cli.evaluation.metrics.run_metrics import run_series
+from posetrack_cli.evaluation.html.timebase import RowTable, Timebase, gap_spans, state_spans, timebases
+from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, place_of
+from posetrack_cli.evaluation.metrics.without_truth import run_series
 from posetrack_cli.evaluation.pictures import Picture
 from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.subjects import KINDS
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def _quantities(evaluation: Evaluation, table: RowTable, limit: int) -> dict[str
         values = lines[name]
         if np.isfinite(values).any():
             rows = envelope_rows(values[None], limit)
-            label, unit = quantity_label(name)
+            label, unit = label_and_unit(name)
             found[name] = {
                 "label": label,
                 "unit": unit,
@@ -148,7 +147,7 @@ def _curve(evaluation: Evaluation) -> dict[str, Any] | None:
 
 def _parts(evaluation: Evaluation) -> list[dict[str, Any]]:
     """The error of each joint or point."""
-    metric = "joint_error_mm" if evaluation.subject == "hand" else "point_error_mm"
+    metric = KINDS[evaluation.subject].point_metric
     found = []
     for name in evaluation.track.point_names:
         value = evaluation.metrics.get(f"{metric}.{name}")

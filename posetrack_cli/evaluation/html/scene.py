@@ -10,18 +10,17 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.components import matched_truth
-from posetrack_cli.evaluation.html.downsample import step_for
-from posetrack_cli.evaluation.html.labels import quantity_label, readable
-from posetrack_cli.evaluation.html.packing import packed, quantisation, quantised
-from posetrack_cli.evaluation.html.rows import RowTable
+from posetrack_cli.evaluation.html.markup import readable
+from posetrack_cli.evaluation.html.packing import packed, quantisation, quantised, step_for
+from posetrack_cli.evaluation.html.timebase import RowTable
+from posetrack_cli.evaluation.metrics.catalogue import label_and_unit
+from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
+from posetrack_cli.results.subject_kind import kind_of
 
 AXIS_MM = 60.0
-"""Length of the drawn axes of a head."""
-
-READINGS = ("joint_error_mm", "largest_joint_error_mm", "position_mm", "rotation_deg", "point_error_mm")
-"""Errors that are told beside the view, as far as the evaluation has them."""
+"""Length of the drawn axes of a rigid subject."""
 
 
 def scene(
@@ -63,9 +62,9 @@ def _point_count(track: Track) -> int:
 
 
 def _has_axes(track: Track) -> bool:
-    """Whether axes are drawn: of a head, and of what has no points."""
+    """Whether axes are drawn: of a rigid subject, and of what has no points."""
     known = track.position is not None and track.quaternion is not None
-    return known and (track.subject == "head" or track.points is None)
+    return known and (kind_of(track.subject).rigid or track.points is None)
 
 
 def _estimate(track: Track, rows: IntArray) -> FloatArray:
@@ -106,7 +105,7 @@ def _rows(evaluation: Evaluation, limit: int, wanted_ns: Sequence[int]) -> tuple
     worst = [
         int(evaluation.series_stamp_ns[np.argmax(np.where(np.isfinite(values), values, -np.inf))])
         for name, values in evaluation.series.items()
-        if name in READINGS and np.isfinite(values).any()
+        if name in KINDS[evaluation.subject].readings and np.isfinite(values).any()
     ]
     wanted = np.searchsorted(stamps, np.array([*wanted_ns, *worst], dtype=np.int64))
     rows = np.concatenate([np.arange(0, len(stamps), step), [len(stamps) - 1], wanted])
@@ -121,10 +120,10 @@ def _readings(evaluation: Evaluation, rows: IntArray) -> list[dict[str, Any]]:
     """Per-frame errors at the shown frames."""
     found: list[dict[str, Any]] = []
     at = np.searchsorted(evaluation.track.stamp_ns, evaluation.series_stamp_ns)
-    for name in READINGS:
+    for name in KINDS[evaluation.subject].readings:
         if name in evaluation.series:
             values = np.full(len(evaluation.track), np.nan)
             values[at] = evaluation.series[name]
-            label, unit = quantity_label(name)
+            label, unit = label_and_unit(name)
             found.append({"label": label, "unit": unit, "value": packed(values[rows], "f4")})
     return found

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.labels import quantity_label, readable
-from posetrack_cli.evaluation.html.markup import details, element, listed, row, scrolling, text
-from posetrack_cli.evaluation.metrics.catalogue import metric_of
+from posetrack_cli.evaluation.html.markup import details, element, listed, readable, row, scrolling, text
+from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
 from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, shown, tables
 from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.losses import loss_line
 
 
@@ -52,10 +52,10 @@ def _lead_of(evaluation: Evaluation) -> str:
     coverage = evaluation.coverage
     due = coverage.frames + coverage.missed
     parts = [f"Coverage <strong>{shown(coverage.share)}</strong> ({due} frames due, {coverage.lost} lost)"]
-    for name in ("joint_error_mm", "position_mm", "rotation_deg"):
+    for name in KINDS[evaluation.subject].lead:
         value = evaluation.metrics.get(name)
         if isinstance(value, Statistics) and value.count:
-            label, unit = quantity_label(name)
+            label, unit = label_and_unit(name)
             parts.append(
                 f"{text(label)} <strong>{shown(value.mean)} {unit}</strong> on average, "
                 f"95 % below {shown(value.p95)} {unit}"
@@ -130,7 +130,7 @@ def _metric_label(one: Row) -> str:
 
 def _spoken(address: str) -> str:
     """What a metric is called, its unit, and its meaning as a tooltip."""
-    label, unit = quantity_label(address)
+    label, unit = label_and_unit(address)
     meaning = f"{address}: {metric_of(address).meaning}"
     unit_text = f' <span class="unit">{text(unit)}</span>' if unit else ""
     return element("abbr", text(label), title=meaning) + unit_text
@@ -164,7 +164,7 @@ def _meanings(evaluations: Sequence[Evaluation]) -> str:
     items = []
     for name in names:
         metric = metric_of(name)
-        label, unit = quantity_label(name)
+        label, unit = label_and_unit(name)
         better = {"lower": " Lower is better.", "higher": " Higher is better."}.get(metric.better, "")
         items.append(
             element("dt", f"{text(label)}{f', {text(unit)}' if unit else ''} {element('code', text(name))}")

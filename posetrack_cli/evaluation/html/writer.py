@@ -12,12 +12,11 @@ from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.about import about, component_remark, plot_remark
 from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
 from posetrack_cli.evaluation.html.markup import text
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
-from posetrack_cli.evaluation.html.provenance import provenance
+from posetrack_cli.evaluation.html.provenance import about, component_remark, plot_remark, provenance
 from posetrack_cli.evaluation.html.summary import comparison_section, lead, notices, summary_tables
 from posetrack_cli.files import write_output
 from posetrack_cli.outputs import check_place, whole_or_nothing

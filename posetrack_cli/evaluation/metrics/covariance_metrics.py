@@ -13,44 +13,69 @@ neither, so no interval is given.)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation.metrics import pose_errors
-from posetrack_cli.evaluation.metrics.catalogue import STATE_PARTS
 from posetrack_cli.evaluation.metrics.measures import Common, Matched, Measures, common_columns, shape_columns
 from posetrack_cli.evaluation.metrics.velocity_metrics import NO_VELOCITY, SHAPE, known_frames, velocity_lacks
 
-_BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6), "angles": slice(6, None)}
+POSE_AXES = ("x", "y", "z", "about_x", "about_y", "about_z")
+"""The entries of a pose in the tangent space."""
+ANGLES = "angles"
+"""The part of a state that its shape entries are, if they belong to the pose."""
+_BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6), ANGLES: slice(6, None)}
 POSE = ("nees", "inside_90")
 VELOCITY = ("velocity_nees", "velocity_inside_90")
 NO_SHAPE = Common((), (), (), ())
-"""A head's deformations are left out: their axes belong to the model, and a truth's is another."""
 
 
-def covariance_metrics(measures: Measures, matched: Matched) -> None:
-    """Add NEES and the share inside 90 % intervals, of poses and of velocities."""
-    shapes = NO_SHAPE
-    if matched.estimate.subject == "hand":
+def covariance_metrics(measures: Measures, matched: Matched, parts: Sequence[str]) -> None:
+    """Add NEES and the share inside 90 % intervals, of poses and of velocities.
+
+    Args:
+        measures: where to.
+        matched: the frames with a truth.
+        parts: of the state that are told apart: blocks and, in the state's order, its entries; the shape
+            entries are compared if ``ANGLES`` is among them.
+    """
+    shapes, fields = NO_SHAPE, ["position", "quaternion"]
+    if ANGLES in parts:
+        fields.append("shape")
         shapes = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
-    reason = _state_lacks(matched, shapes)
-    _pose(measures, matched, shapes, reason)
-    _velocity(measures, matched, shapes, reason or velocity_lacks(matched))
+    reason = matched.lacks(*fields)
+    if not reason and shapes.lacking:
+        reason = f"the truth has no angle {shapes.lacking[0]}"
+    collected = _Collected(measures, parts)
+    _pose(collected, matched, shapes, reason)
+    _velocity(collected, matched, shapes, reason or velocity_lacks(matched))
 
 
-def _state_lacks(matched: Matched, shapes: Common) -> str:
-    """Why the state as a whole cannot be compared."""
-    hand = matched.estimate.subject == "hand"
-    if reason := matched.lacks("position", "quaternion", *(("shape",) if hand else ())):
-        return reason
-    return f"the truth has no angle {shapes.lacking[0]}" if shapes.lacking else ""
+@dataclass(frozen=True)
+class _Collected:
+    """Where the metrics go, and the parts that are told apart."""
+
+    measures: Measures
+    parts: Sequence[str]
+
+    def add(self, names: tuple[str, str], normalised: FloatArray, known: BoolArray) -> None:
+        """Add NEES and the shares inside, of the frames (M,) whose normalised squares (M, D) are known."""
+        nees, inside_90 = names
+        self.measures.add(nees, normalised.sum(axis=1), known)
+        inside = pose_errors.inside_interval(normalised[known])
+        self.measures.share(inside_90, inside)
+        for part in self.parts:
+            self.measures.share(f"{inside_90}.{part}", inside[:, _columns(part, self.parts)])
 
 
-def _pose(measures: Measures, matched: Matched, shapes: Common, reason: str) -> None:
+def _pose(collected: _Collected, matched: Matched, shapes: Common, reason: str) -> None:
     if not reason and matched.estimate.pose_variance is None:
         reason = "the result has no covariance"
     if reason:
-        return measures.lack(reason, *POSE)
+        return collected.measures.lack(reason, *POSE)
     errors = pose_errors.pose_difference(
         matched.of_estimate("position"),
         matched.of_estimate("quaternion"),
@@ -59,14 +84,14 @@ def _pose(measures: Measures, matched: Matched, shapes: Common, reason: str) -> 
     )
     errors = np.hstack([errors, _difference(matched, "shape", shapes, 0)])
     normalised = pose_errors.normalised_squares(errors, _variances(matched, "pose_variance", shapes))
-    _add(measures, matched, POSE, normalised, np.ones(len(matched), dtype=np.bool_))
+    collected.add(POSE, normalised, np.ones(len(matched), dtype=np.bool_))
 
 
-def _velocity(measures: Measures, matched: Matched, shapes: Common, reason: str) -> None:
+def _velocity(collected: _Collected, matched: Matched, shapes: Common, reason: str) -> None:
     if not reason and matched.estimate.twist_variance is None:
         reason = "the result has no covariance of velocities"
     if reason:
-        return measures.lack(reason, *VELOCITY)
+        return collected.measures.lack(reason, *VELOCITY)
     rigid = slice(0, SHAPE)
     mine, theirs = matched.of_estimate("twist", rigid), matched.of_truth("twist", rigid)
     turns = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
@@ -74,9 +99,9 @@ def _velocity(measures: Measures, matched: Matched, shapes: Common, reason: str)
     errors = np.hstack([errors, _difference(matched, "twist", shapes, SHAPE)])
     known = known_frames(errors)
     if len(known) and not known.any():
-        return measures.lack(NO_VELOCITY, *VELOCITY)
+        return collected.measures.lack(NO_VELOCITY, *VELOCITY)
     normalised = pose_errors.normalised_squares(errors, _variances(matched, "twist_variance", shapes))
-    _add(measures, matched, VELOCITY, normalised, known)
+    collected.add(VELOCITY, normalised, known)
 
 
 def _difference(matched: Matched, name: str, shapes: Common, first: int) -> FloatArray:
@@ -93,20 +118,7 @@ def _variances(matched: Matched, name: str, shapes: Common) -> FloatArray:
     return variances
 
 
-def _add(
-    measures: Measures, matched: Matched, names: tuple[str, str], normalised: FloatArray, known: BoolArray
-) -> None:
-    """Add NEES and the shares inside, of the frames (M,) whose normalised squares (M, D) are known."""
-    nees, inside_90 = names
-    measures.add(nees, normalised.sum(axis=1), known)
-    inside = pose_errors.inside_interval(normalised[known])
-    measures.share(inside_90, inside)
-    parts = STATE_PARTS[matched.estimate.subject]
-    for part in parts:
-        measures.share(f"{inside_90}.{part}", inside[:, _columns(part, parts)])
-
-
-def _columns(part: str, parts: tuple[str, ...]) -> slice:
+def _columns(part: str, parts: Sequence[str]) -> slice:
     """The columns of a part of the state; single entries follow the blocks in the state's order."""
     if part in _BLOCKS:
         return _BLOCKS[part]

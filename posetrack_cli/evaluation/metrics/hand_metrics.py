@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.alignment import tracked_pairs
 from posetrack_cli.evaluation.evaluation import Curve
 from posetrack_cli.evaluation.metrics import pose_errors
-from posetrack_cli.evaluation.metrics.catalogue import WITHIN_MM
-from posetrack_cli.evaluation.metrics.covariance_metrics import covariance_metrics
-from posetrack_cli.evaluation.metrics.joint_bias import BIAS_METRICS, joint_bias
+from posetrack_cli.evaluation.metrics.covariance_metrics import POSE_AXES, covariance_metrics
 from posetrack_cli.evaluation.metrics.measures import (
     Common,
     Matched,
@@ -19,15 +18,24 @@ from posetrack_cli.evaluation.metrics.measures import (
     shape_columns,
 )
 from posetrack_cli.evaluation.metrics.velocity_metrics import velocity_metrics
-from posetrack_cli.hand.anatomy import FINGERS, JOINT_NAMES
+from posetrack_cli.geometry.rotations import conjugate, rotate
+from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
+
+WITHIN_MM = (10, 20, 30, 40, 50, 80)
+"""Thresholds D of the metrics ``frames_within_<D>mm`` and ``frames_mean_within_<D>mm``."""
+BIAS = "joint_bias_mm"
+COMPONENTS = tuple(f"joint_bias_{axis}_mm" for axis in "xyz")
+BIAS_METRICS = (BIAS, *COMPONENTS)
+
 
 CURVE_MM: FloatArray = np.arange(0.0, 101.0)
 """Thresholds of the curve, mm."""
-
 OTHER_JOINTS = "the truth has other joints"
 _WRIST = JOINT_NAMES[0]
 _WITHIN = tuple(f"frames_within_{threshold}mm" for threshold in WITHIN_MM)
 _MEAN_WITHIN = tuple(f"frames_mean_within_{threshold}mm" for threshold in WITHIN_MM)
+STATE_PARTS = ("position", "rotation", "angles", *POSE_AXES, *ANGLE_NAMES)
+"""Parts of the state that the covariance metrics tell apart, down to its single entries."""
 _JOINT_METRICS = (
     "joint_error_mm",
     "joint_error_tracked_mm",
@@ -35,6 +43,42 @@ _JOINT_METRICS = (
     "fingertip_error_mm",
     "largest_joint_error_mm",
 )
+
+
+def joint_bias(measures: Measures, matched: Matched, joints: Common) -> None:
+    """Add the mean error vector of each joint in the palm's axes, over the frames that are not lost.
+
+    With R_i the estimated rotation of the hand: b_j = mean_i R_i^T (p_ij - p_true,ij), mm, estimate minus
+    truth. Of a right hand x points to the thumb, y to the wrist, z out of the back of the hand. The whole's
+    length is the mean of |b_j| over the joints, its components are those of the mean of b_j.
+    """
+    if matched.estimate.quaternion is None:
+        return measures.lack("the result has no rotation", *BIAS_METRICS)
+    if not len(matched):
+        return measures.lack(measures.nothing, *BIAS_METRICS)
+    biases = _biases(matched, joints)
+    _add(measures, BIAS, np.linalg.norm(biases, axis=1), joints.names)
+    for component, values in zip(COMPONENTS, biases.T, strict=True):
+        _add(measures, component, values, joints.names)
+
+
+def _biases(matched: Matched, joints: Common) -> FloatArray:
+    """(P, 3), one joint at a time: a long track's points are most of its memory."""
+    track, truth = matched.estimate, matched.truth
+    rows, true_rows = tracked_pairs(track, matched.pairs)
+    assert track.quaternion is not None and track.points is not None and truth.points is not None
+    back = conjugate(track.quaternion[rows])
+    return np.array(
+        [
+            rotate(back, track.points[rows, mine] - truth.points[true_rows, theirs]).mean(axis=0)
+            for mine, theirs in zip(joints.estimate, joints.truth, strict=True)
+        ]
+    )
+
+
+def _add(measures: Measures, address: str, values: FloatArray, names: tuple[str, ...]) -> None:
+    measures.metrics[address] = float(values.mean())
+    measures.metrics |= {f"{address}.{name}": float(v) for name, v in zip(names, values, strict=True)}
 
 
 def hand_metrics(measures: Measures, matched: Matched, missed: int) -> Curve | None:
@@ -51,8 +95,8 @@ def hand_metrics(measures: Measures, matched: Matched, missed: int) -> Curve | N
     curve = _joints(measures, matched, missed)
     _wrist(measures, matched)
     _angles(measures, matched)
-    velocity_metrics(measures, matched)
-    covariance_metrics(measures, matched)
+    velocity_metrics(measures, matched, angles=True)
+    covariance_metrics(measures, matched, STATE_PARTS)
     return curve
 
 

@@ -8,22 +8,28 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.metrics import pose_errors
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
-from posetrack_cli.evaluation.metrics.covariance_metrics import covariance_metrics
+from posetrack_cli.evaluation.metrics.covariance_metrics import POSE_AXES, covariance_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, common_columns
 from posetrack_cli.evaluation.metrics.velocity_metrics import velocity_metrics
 from posetrack_cli.geometry.poses import in_object
 
+HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
+"""Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
+STATE_PARTS = ("position", "rotation", *POSE_AXES)
+"""Parts of the state that the covariance metrics tell apart; deformations are left out.
+
+Their axes belong to the model, and a truth's is another.
+"""
 _POSITION, _ROTATION = (*HEAD_POSE[:3], "position_mm"), (*HEAD_POSE[3:], "rotation_deg")
 
 
-def head_metrics(measures: Measures, matched: Matched) -> None:
+def head_metrics(measures: Measures, matched: Matched, missed: int = 0) -> None:
     """Add every metric of a head over the M frames with a truth; lost ones count like all others."""
     _position(measures, matched)
     _rotation(measures, matched)
     _points(measures, matched)
     velocity_metrics(measures, matched)
-    covariance_metrics(measures, matched)
+    covariance_metrics(measures, matched, STATE_PARTS)
 
 
 def _position(measures: Measures, matched: Matched) -> None:

@@ -15,10 +15,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recorded_hand import hand_of
-from posetrack_cli.evaluation.recording_of import check_same_size
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.hand_drawing import MESH_LEVEL
+from posetrack_cli.evaluation.recording_of import cameras_of
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
@@ -26,14 +24,14 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import PredictedHand, segment
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.base import Frame, Recording
 from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 
+MESH_LEVEL = "fine"
 WINDOW_MM = 320.0
 """A hand of scale 1 within ``reach_mm`` of its middle, whichever way it points, and some room."""
 TILE_PX = 160
@@ -97,7 +95,7 @@ def region_overlap(sums: TileSums) -> float:
 
 
 def image_consistency(
-    result: Result, recording: StoredRecording, device: int | None = None, which: str = FILTERED
+    result: Result, recording: Recording, device: int | None = None, which: str = FILTERED
 ) -> dict[str, FloatArray]:
     """Metrics ``residual_mm`` and ``region_overlap`` of every frame (N,), lost ones included, NaN for none.
 
@@ -122,14 +120,13 @@ def image_consistency(
     hand, track = hand_of(result), track_of_result(result, "", which)
     if not len(track):
         return {}
-    camera = result.camera()
-    check_same_size(camera, recording)
+    (camera,) = cameras_of(result, recording)
     with closing(open_device(device)) as drawing:
         residual, overlap = _compared(track, recording, HandConsistency(drawing, hand, camera)).T
     return {} if np.isnan(overlap).all() else {"residual_mm": residual, "region_overlap": overlap}
 
 
-def _compared(track: Track, recording: StoredRecording, measure: HandConsistency) -> FloatArray:
+def _compared(track: Track, recording: Recording, measure: HandConsistency) -> FloatArray:
     """Residual and overlap (N, 2) of every frame, NaN where the recording does not give it."""
     compared = np.full((len(track), 2), np.nan)
     if track.position is None or track.quaternion is None or track.shape is None:

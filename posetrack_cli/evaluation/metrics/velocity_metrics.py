@@ -21,18 +21,22 @@ LINEAR, ANGULAR, SHAPE = slice(0, 3), slice(3, 6), 6
 NO_VELOCITY = "the truth has no velocity"
 
 
-def velocity_metrics(measures: Measures, matched: Matched) -> None:
-    """Add |v_est - v_true|, |R_est w_est - R_true w_true| and of a hand |angle' - true angle'|.
+def velocity_metrics(measures: Measures, matched: Matched, *, angles: bool = False) -> None:
+    """Add |v_est - v_true|, |R_est w_est - R_true w_true| and, of angles, |angle' - true angle'|.
 
     The angular velocities of both sides are in their own body's axes, so they are brought to camera axes
     before they are compared.
+
+    Args:
+        measures: where to.
+        matched: the frames with a truth.
+        angles: whether the shape entries are angles of joints.
     """
-    hand = matched.estimate.subject == "hand"
     if reason := velocity_lacks(matched):
-        return measures.lack(reason, LINEAR_METRIC, ANGULAR_METRIC, *([ANGLES_METRIC] if hand else []))
+        return measures.lack(reason, LINEAR_METRIC, ANGULAR_METRIC, *([ANGLES_METRIC] if angles else []))
     _linear(measures, matched)
     _angular(measures, matched)
-    if hand:
+    if angles:
         _angles(measures, matched)
 
 

@@ -1,4 +1,4 @@
-"""Evaluations as CSV in long form: one figure a line."""
+"""Evaluations as CSV: one figure a line, and the field's curve."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import io
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
+import numpy as np
+
+from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation, Value
 from posetrack_cli.evaluation.metrics.catalogue import metric_of, split_address
@@ -14,6 +17,10 @@ from posetrack_cli.evaluation.statistics import Statistics
 
 HEADER = ("result", "metric", "part", "statistic", "value", "unit")
 Line = tuple[str, str, str, str, float, str]
+
+
+KINDS = ("largest", "mean")
+"""Of a frame's joint errors."""
 
 
 def csv_report(evaluations: Sequence[Evaluation], comparison: Comparison | None = None) -> str:
@@ -57,3 +64,25 @@ def _differences(comparison: Comparison) -> Iterator[Line]:
         for name, (figure, its_unit) in figures.items():
             statistic = f"{address.statistic}.{name}" if address.statistic else name
             yield f"{one.second} - {one.first}", metric.name, part, statistic, figure, its_unit
+
+
+def curve_report(evaluations: Sequence[Evaluation]) -> str:
+    """Return a table with the column ``d_mm``, and for each result ``NAME largest`` and ``NAME mean``.
+
+    Shares, 0 to 1, are of the frames due: those that a result missed count as not below D.
+
+    Raises:
+        UsageError: no result has a curve: they are no hands, or there is no truth with joints.
+    """
+    curves = {one.name: one.curve for one in evaluations if one.curve is not None}
+    if not curves:
+        names = ", ".join(one.name for one in evaluations)
+        raise UsageError("no curve: no result of a hand has a truth with joints", found=names)
+    columns = [next(iter(curves.values())).thresholds_mm]
+    columns += [shares for curve in curves.values() for shares in (curve.share, curve.mean_share)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)])
+    for row in np.stack(columns, axis=1).tolist():
+        writer.writerow([f"{row[0]:g}", *row[1:]])
+    return text.getvalue()

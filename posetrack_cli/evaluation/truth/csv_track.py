@@ -16,9 +16,8 @@ from posetrack_cli.evaluation.truth.checks import check_point_names, unit_quater
 from posetrack_cli.evaluation.truth.csv_table import NS_PER_UNIT, CsvHeader, CsvTable, read_header, read_table
 from posetrack_cli.geometry.poses import in_camera
 from posetrack_cli.results.estimate import Subject
-from posetrack_cli.results.export.column_names import (
+from posetrack_cli.results.export.table import (
     ANGULAR_VELOCITY,
-    HEAD,
     LINEAR_VELOCITY,
     POSITION,
     QUATERNION,
@@ -26,6 +25,7 @@ from posetrack_cli.results.export.column_names import (
     rate_columns,
     shape_columns,
 )
+from posetrack_cli.results.subject_kind import kind_of
 
 
 def load_csv_track(path: Path, subject: Subject) -> Track:
@@ -128,9 +128,9 @@ def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
     if header.stamp_column is None:
         expected = " or ".join(NS_PER_UNIT)
         raise TruthError("has no column of stamps", where=header.path, expected=expected)
-    if subject.name == HEAD and layout.points and not (layout.position and layout.quaternion):
+    if kind_of(subject.name).rigid and layout.points and not (layout.position and layout.quaternion):
         raise TruthError(
-            "points of a head are in its model frame and need its pose",
+            f"points of a {subject.name} are in its model frame and need its pose",
             where=header.path,
             expected=", ".join((*POSITION, *QUATERNION)),
         )
@@ -183,9 +183,9 @@ def _quaternions(table: CsvTable) -> FloatArray:
 def _points(
     table: CsvTable, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
 ) -> FloatArray:
-    """Return the points (N, P, 3) in camera axes; those of a head come in its own."""
+    """Return the points (N, P, 3) in camera axes; those of a rigid subject come in its own."""
     points = table.of(point_columns(layout.points)).reshape(len(table.values), -1, 3)
-    if layout.subject != HEAD or position is None or quaternion is None:
+    if not kind_of(layout.subject).rigid or position is None or quaternion is None:
         return points
     return in_camera(points, position[:, None], quaternion[:, None])
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.errors import TruthError, UsageError
-from posetrack_cli.evaluation.result_track import MOTION_FIELDS, truth_of_columns
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import MOTION_FIELDS, Track, truth_of_columns
 from posetrack_cli.evaluation.truth.checks import check_point_names
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray
+from posetrack_cli.evaluation.metrics.image_consistency import MESH_LEVEL
 from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
 from posetrack_cli.evaluation.viewing.drawing import Shown, SkeletonDrawer
 from posetrack_cli.geometry.camera import Camera
@@ -15,7 +16,6 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice
 from posetrack_cli.rendering.window import Window
 
-MESH_LEVEL = "fine"
 _RIM = np.ones((3, 3), np.uint8)
 
 

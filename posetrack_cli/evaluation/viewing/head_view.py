@@ -8,6 +8,7 @@ from pathlib import Path
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_images import matched_images
+from posetrack_cli.evaluation.recording_of import cameras_of
 from posetrack_cli.evaluation.viewing.colours import TRUTH
 from posetrack_cli.evaluation.viewing.head_panels import HeadPanels, drawer_of_head
 from posetrack_cli.evaluation.viewing.layering import (
@@ -103,27 +104,8 @@ def _check_options(options: ViewOptions, results: int) -> None:
 
 def _common_cameras(results: Sequence[Result], recording: Recording) -> tuple[Camera, ...]:
     """The cameras of all results."""
-    cameras = cameras_of_images(results[0], recording)
+    cameras = cameras_of(results[0], recording)
     for other in results[1:]:
         if other.cameras() != cameras:
             raise UsageError("results have different cameras", found=f"{results[0].path} and {other.path}")
-    return cameras
-
-
-def cameras_of_images(result: Result, recording: Recording) -> tuple[Camera, ...]:
-    """Return the cameras of a result.
-
-    Raises:
-        UsageError: they cannot have taken these images.
-    """
-    cameras = result.cameras()
-    sizes = [[(camera.width, camera.height) for camera in of] for of in (recording.cameras, cameras)]
-    if sizes[0] != sizes[1]:
-        found, expected = (", ".join(f"{w}x{h}" for w, h in of) for of in sizes)
-        raise UsageError(
-            "images are not of the cameras that were tracked",
-            where=recording.path,
-            found=found,
-            expected=expected,
-        )
     return cameras

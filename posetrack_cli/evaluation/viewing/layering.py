@@ -10,8 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.evaluation.result_names import unique_names
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.viewing.colours import TONES
 from posetrack_cli.evaluation.viewing.drawing import Drawer

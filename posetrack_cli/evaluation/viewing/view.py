@@ -13,7 +13,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.evaluation.recorded_hand import hand_of
-from posetrack_cli.evaluation.recording_of import check_same_size
+from posetrack_cli.evaluation.recording_of import cameras_of
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import TRUTH, DepthRange
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
@@ -34,7 +34,7 @@ from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, l
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.base import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import Result
 
@@ -56,7 +56,7 @@ class View:
     def __init__(
         self,
         results: Sequence[Result],
-        recording: StoredRecording,
+        recording: Recording,
         options: ViewOptions,
         device: RenderingDevice,
     ) -> None:
@@ -133,10 +133,9 @@ def drawer_of(result: Result, device: RenderingDevice) -> Drawer:
     return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
 
 
-def _common_camera(results: Sequence[Result], recording: StoredRecording) -> Camera:
+def _common_camera(results: Sequence[Result], recording: Recording) -> Camera:
     """The camera that all estimates are relative to."""
-    camera = results[0].camera()
-    check_same_size(camera, recording)
+    camera = cameras_of(results[0], recording)[0]
     for other in results[1:]:
         if replace(other.camera(), name=camera.name) != camera:
             raise UsageError("results have different cameras", found=f"{results[0].path} and {other.path}")

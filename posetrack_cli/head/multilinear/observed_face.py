@@ -16,7 +16,8 @@ from posetrack_cli.head.multilinear.build import mirrored
 from posetrack_cli.head.subject import HEAD, WEIGHT
 from posetrack_cli.losses import Loss
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.estimate import NUMBERS, Status
+from posetrack_cli.results.estimate import Status
+from posetrack_cli.results.fields import NUMBERS
 from posetrack_cli.results.reader import Result, read_result
 
 TRACKER = "head-stereo"

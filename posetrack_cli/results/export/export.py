@@ -1,17 +1,21 @@
-"""Export a result."""
+"""Export a result: text in any of its formats, or arrays for numpy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO
+
+import numpy as np
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
-from posetrack_cli.results.export.npz_format import write_npz
-from posetrack_cli.results.export.source import ExportSource
+from posetrack_cli.results.export.source import ExportSource, header_values
 from posetrack_cli.results.export.text_formats import csv_text, json_text, tum_text
+from posetrack_cli.results.fields import BY_NAME
+from posetrack_cli.results.subject_kind import kind_of
 
 TEXT_FORMATS: Mapping[str, Callable[[ExportSource], Iterator[str]]] = {
     "csv": csv_text,
@@ -20,6 +24,7 @@ TEXT_FORMATS: Mapping[str, Callable[[ExportSource], Iterator[str]]] = {
 }
 NPZ = "npz"
 FORMATS = (*TEXT_FORMATS, NPZ)
+ROLL_PITCH_YAW = "roll_pitch_yaw_deg"
 
 
 def export_file(source: ExportSource, format_name: str, out: Path, *, overwrite: bool = False) -> None:
@@ -56,3 +61,36 @@ def text_pieces(source: ExportSource, format_name: str) -> Iterator[str]:
             f"{format_name} is no text", expected=", ".join(TEXT_FORMATS), hint="name a file with -o"
         )
     yield from TEXT_FORMATS[format_name](source)
+
+
+def write_npz(source: ExportSource, path: Path) -> None:
+    """Write every field of the estimates as one array, frames first.
+
+    Beside them: ``roll_pitch_yaw_deg`` (N, 3), ``shape_names``, ``point_names``, ``number_names`` where there
+    are further numbers, and ``header``, a JSON text that states units, Euler order and the run record.
+    """
+    columns = source.columns()
+    subject = source.result.subject
+    header = {key: value for key, value in header_values(source).items() if key != "meanings"}
+    header["units"] = _units(source.result.field_names)  # of arrays
+    extras = {
+        ROLL_PITCH_YAW: np.degrees(kind_of(subject.name).euler_angles(columns["quaternion"])),
+        "shape_names": np.array(subject.shape_names, dtype=np.str_),
+        "point_names": np.array(subject.point_names, dtype=np.str_),
+        "header": np.array(json.dumps(header, ensure_ascii=False)),
+    }
+    if subject.number_names:
+        extras["number_names"] = np.array(subject.number_names, dtype=np.str_)
+    with open_output(path) as stream:
+        np.savez(stream, **columns, **extras)  # type: ignore[arg-type]
+
+
+def _units(fields: Iterable[str]) -> dict[str, str]:
+    """Of the arrays that have one, the Euler angles behind the quaternions that they are made from."""
+    units = {}
+    for name in fields:
+        if BY_NAME[name].unit:
+            units[name] = BY_NAME[name].unit
+        if name == "quaternion":
+            units[ROLL_PITCH_YAW] = "deg"
+    return units

@@ -1,15 +1,21 @@
-"""What is exported: the estimates of one topic, with or without the frames that were lost."""
+"""What is exported, and what every exported file says about itself."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import chain, islice
+from typing import Any
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.losses import loss_line
 from posetrack_cli.results.columns import Columns, empty_columns, joined
 from posetrack_cli.results.estimate import Status
+from posetrack_cli.results.export.table import table_of
+from posetrack_cli.results.fields import BY_NAME
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.subject_kind import kind_of
 
 
 @dataclass(frozen=True)
@@ -32,9 +38,9 @@ class ExportSource:
         Raises:
             ResultError: as there, or shape entries or points are not those of the result's subject.
         """
-        for block in self.result.column_blocks(
-            self.topic, {"status", "shape", "points", *(fields or self.result.field_names)}
-        ):
+        wanted = {"status", "shape", "points", *(fields or self.result.field_names)}
+        in_order = [name for name in BY_NAME if name in wanted]  # which decides the bytes of what is written
+        for block in self.result.column_blocks(self.topic, in_order):
             self._check(block)
             if self.lost:
                 yield block
@@ -80,3 +86,57 @@ def export_source(result: Result, topic: str | None = None, *, lost: bool = True
         ResultError: there is no such topic.
     """
     return ExportSource(result, result.topic_of_estimates(topic), lost)
+
+
+CAMERA_AXES = "x right, y down, z forward"
+_SHORT_RECORDS = ("tracker", "version", "seed", "input.name", "input.sha256")
+
+
+def point_axes(subject: str) -> str:
+    """Return the axes that a subject's points are tabulated in."""
+    return f"{subject if kind_of(subject).rigid else 'camera'} axes"
+
+
+def header_lines(source: ExportSource) -> Iterator[str]:
+    """Yield what a text file says above its table, line by line, without the columns."""
+    result = source.result
+    yield f"posetrack export of {result.path.name}, topic {source.topic}"
+    yield (
+        f"subject: {result.subject.name}, {len(result.subject.shape_names)} shape entries, "
+        f"{len(result.subject.point_names)} points; camera frame {result.subject.camera_frame}"
+    )
+    records = {key: result.run[key] for key in _SHORT_RECORDS if key in result.run}
+    yield f"run: {json.dumps(records, ensure_ascii=False)}{'' if result.finished else ', unfinished'}"
+    yield f"lost frames: {'in the table, with status lost' if source.lost else 'left out'}"
+    if result.losses:
+        yield f"data that is missing: {loss_line(result.losses)}"
+    yield f"camera axes: {CAMERA_AXES}"
+
+
+def header_values(source: ExportSource) -> dict[str, Any]:
+    """Return what the header of JSON and npz holds, as plain values.
+
+    ``columns`` describes the columns of the table; ``losses`` is what is known when the file is opened.
+    """
+    result = source.result
+    groups = table_of(result.subject)
+    return {
+        "format": "posetrack.export",
+        "version": 1,
+        "result": result.path.name,
+        "topic": source.topic,
+        "finished": result.finished,
+        "lost_frames": "in" if source.lost else "out",
+        "subject": result.subject.name,
+        "camera_frame": result.subject.camera_frame,
+        "camera_axes": CAMERA_AXES,
+        "euler_order": kind_of(result.subject.name).euler_order,
+        "shape_names": list(result.subject.shape_names),
+        "point_names": list(result.subject.point_names),
+        "point_parents": list(result.subject.point_parents),
+        "units": {name: group.unit for group in groups for name in group.names},
+        "meanings": {name: group.meaning for group in groups for name in group.names},
+        "run": dict(result.run),
+        "summary": dict(result.summary),
+        "losses": loss_line(result.losses),
+    }

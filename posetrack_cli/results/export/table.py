@@ -1,31 +1,47 @@
-"""The columns of an exported table: their names, units and meanings, stated once for every format."""
+"""The columns of an exported table: names, units and meanings, stated once for every format.
+
+A truth in CSV is read by the same names.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.euler import head_roll_pitch_yaw, roll_pitch_yaw
 from posetrack_cli.geometry.poses import in_object
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.estimate import NUMBERS, Subject
-from posetrack_cli.results.export.column_names import (
-    ANGULAR_VELOCITY,
-    HEAD,
-    LINEAR_VELOCITY,
-    POSITION,
-    QUATERNION,
-    point_columns,
-    rate_columns,
-    shape_columns,
-    shape_unit,
-)
+from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.fields import BY_NAME, NUMBERS
+from posetrack_cli.results.subject_kind import kind_of
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qx", "qy", "qz", "qw")
+LINEAR_VELOCITY = ("vx_mm_s", "vy_mm_s", "vz_mm_s")
+ANGULAR_VELOCITY = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+
 
 Values: TypeAlias = np.ndarray[Any, Any]
+
+
+def point_columns(names: Iterable[str]) -> tuple[str, ...]:
+    """Return three columns for each point, in mm."""
+    return tuple(f"{name}_{axis}_mm" for name in names for axis in "xyz")
+
+
+def shape_columns(subject: Subject, *suffixes: str) -> tuple[str, ...]:
+    """Return a column for each shape entry: its name, suffixes (such as ``sd``), its unit if it has one."""
+    unit = kind_of(subject.name).shape_unit
+    return tuple("_".join(filter(None, (name, *suffixes, unit))) for name in subject.shape_names)
+
+
+def rate_columns(subject: Subject, *suffixes: str) -> tuple[str, ...]:
+    """Return a column for the rate of each shape entry, ``..._rad_s`` or ``..._per_s``."""
+    unit = kind_of(subject.name).shape_unit or "per"
+    return tuple("_".join((name, *suffixes, unit, "s")) for name in subject.shape_names)
 
 
 @dataclass(frozen=True)
@@ -64,20 +80,12 @@ def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
     return tuple(group for group in groups if group.names)
 
 
-def euler_angles(subject: Subject) -> Callable[[FloatArray], FloatArray]:
-    """Return what makes roll, pitch, yaw (N, 3), rad, from a subject's quaternions (N, 4)."""
-    return head_roll_pitch_yaw if subject.name == HEAD else roll_pitch_yaw
-
-
 def _frame_groups() -> Iterable[ColumnGroup]:
-    yield _field("frame_index", "", "position of the frame in the recording, counted from 0")
-    yield _field("stamp_ns", "ns", "when the frame was taken")
-    yield _field("status", "", "tracking, lost or reinitialised")
-    yield _field("confidence", "", "0 (guess) to 1 (certain)")
+    return map(_field, ("frame_index", "stamp_ns", "status", "confidence"))
 
 
 def _pose_groups(subject: Subject) -> Iterable[ColumnGroup]:
-    angles = euler_angles(subject)
+    kind = kind_of(subject.name)
     yield _part(POSITION, "mm", f"origin of the {subject.name} in camera axes", "position")
     yield _part(
         QUATERNION,
@@ -89,11 +97,10 @@ def _pose_groups(subject: Subject) -> Iterable[ColumnGroup]:
         ("roll_deg", "pitch_deg", "yaw_deg"),
         "deg",
         "the same rotation in Euler angles",
-        lambda block: np.degrees(angles(block["quaternion"])),
+        lambda block: np.degrees(kind.euler_angles(block["quaternion"])),
     )
-    unit = shape_unit(subject)
-    meaning = "angles of the shape" if unit else "coefficients of the shape"
-    yield _part(shape_columns(subject), unit, meaning, "shape")
+    meaning = "angles of the shape" if kind.shape_unit else "coefficients of the shape"
+    yield _part(shape_columns(subject), kind.shape_unit, meaning, "shape")
 
 
 def _velocity_groups(subject: Subject) -> Iterable[ColumnGroup]:
@@ -105,13 +112,13 @@ def _velocity_groups(subject: Subject) -> Iterable[ColumnGroup]:
         "twist",
         3,
     )
-    unit = f"{shape_unit(subject) or '1'}/s"
+    unit = f"{kind_of(subject.name).shape_unit or '1'}/s"
     yield _part(rate_columns(subject), unit, "rate of the shape", "twist", 6)
 
 
 def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
     """Standard deviations: roots of the diagonals of the covariances."""
-    unit = shape_unit(subject)
+    unit = kind_of(subject.name).shape_unit
     yield _deviation(tuple(f"{axis}_sd_mm" for axis in "xyz"), "mm", "of the position", "pose_variance", 0)
     yield _deviation(
         tuple(f"r{axis}_sd_rad" for axis in "xyz"),
@@ -132,30 +139,27 @@ def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
 
 
 def _point_group(subject: Subject) -> ColumnGroup:
-    """Points in camera axes; of a head in its own, where a rigid one's stand still."""
+    """Points in camera axes; of a rigid subject in its own, where they stand still."""
     names = point_columns(subject.point_names)
-    if subject.name != HEAD:
+    if not kind_of(subject.name).rigid:
         return ColumnGroup(names, "mm", "points in camera axes", lambda block: _flat(block["points"]))
-    return ColumnGroup(names, "mm", "points in the head's own axes", lambda block: _flat(_in_head(block)))
+    meaning = f"points in the {subject.name}'s own axes"
+    return ColumnGroup(names, "mm", meaning, lambda block: _flat(_in_own_axes(block)))
 
 
-def _in_head(block: Columns) -> FloatArray:
-    """The points (N, P, 3), mm, in the head's own axes."""
+def _in_own_axes(block: Columns) -> FloatArray:
+    """The points (N, P, 3), mm, in the subject's own axes."""
     return in_object(block["points"], block["position"][:, None], block["quaternion"][:, None])
 
 
 def _filter_groups() -> Iterable[ColumnGroup]:
-    yield _field(
-        "effective_sample_size",
-        "particles",
-        "1 / sum of the squared weights, before resampling, empty without weights",
+    return (
+        _field("effective_sample_size"),
+        _field("resampled"),
+        replace(_field("cost"), names=("cost_mm",)),
+        _field("milliseconds"),
+        _field("evaluations"),
     )
-    yield _field("resampled", "", "1 if the particles were resampled after this frame, else 0")
-    yield ColumnGroup(
-        ("cost_mm",), "mm", "cost of the estimate against the image, empty where not evaluated", _one("cost")
-    )
-    yield _field("milliseconds", "ms", "time that the frame took, empty if the run recorded none")
-    yield _field("evaluations", "poses", "whose fit to the image was evaluated, empty where not counted")
 
 
 def _further_group(subject: Subject) -> ColumnGroup:
@@ -164,8 +168,9 @@ def _further_group(subject: Subject) -> ColumnGroup:
     return ColumnGroup(subject.number_names, "", meaning, lambda block: block[NUMBERS])
 
 
-def _field(name: str, unit: str, meaning: str) -> ColumnGroup:
-    return ColumnGroup((name,), unit, meaning, _one(name))
+def _field(name: str) -> ColumnGroup:
+    """The column of a field that is one value."""
+    return ColumnGroup((name,), BY_NAME[name].unit, BY_NAME[name].meaning, _one(name))
 
 
 def _one(name: str) -> Callable[[Columns], Values]:

@@ -10,13 +10,17 @@ from io import StringIO
 import numpy as np
 
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.export.header import euler_order, header_lines, header_values, point_axes
-from posetrack_cli.results.export.source import ExportSource
+from posetrack_cli.results.export.source import (
+    ExportSource,
+    header_lines,
+    header_values,
+    point_axes,
+)
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
+from posetrack_cli.results.subject_kind import kind_of
 from posetrack_cli.text import printable, printable_json
-from posetrack_cli.units import NS_PER_S
+from posetrack_cli.units import METRES_PER_MM, NS_PER_S
 
-METRES_PER_MM = 1e-3
 TUM_FIELDS = ("stamp_ns", "position", "quaternion")
 
 
@@ -30,7 +34,7 @@ def csv_text(source: ExportSource) -> Iterator[str]:
     groups = table_of(source.result.subject)
     yield from _comments(header_lines(source))
     yield from _comments(
-        [f"Euler angles: {euler_order(subject)}", f"points: {point_axes(subject)}", "columns:"]
+        [f"Euler angles: {kind_of(subject).euler_order}", f"points: {point_axes(subject)}", "columns:"]
     )
     yield from _comments(f"  {group.description}" for group in groups)
     yield _csv_rows([[name for group in groups for name in group.names]])

@@ -13,7 +13,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.results import load_arrays, read_result
 from reproduction.accuracy.measuring import number, table
 from reproduction.accuracy.options import Targets

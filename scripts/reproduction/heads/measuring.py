@@ -12,7 +12,7 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.pose_errors import distances
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry.poses import in_object

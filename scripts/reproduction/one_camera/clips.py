@@ -11,8 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry import rotations
 from posetrack_cli.results.reader import read_result
 from reproduction.accuracy.measuring import number, table

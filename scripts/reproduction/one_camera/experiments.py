@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from reproduction.accuracy.measuring import number
 from reproduction.accuracy.options import Targets
 from reproduction.one_camera import figures, overlays, population

@@ -21,7 +21,7 @@ from posetrack_cli.evaluation.alignment import remove_constant_offset, tracked_p
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.pose_errors import distances, euler_errors_deg, rotation_errors_deg
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from reproduction.accuracy.measuring import number, table
 from reproduction.accuracy.options import Targets
 from reproduction.heads.people import persons_in

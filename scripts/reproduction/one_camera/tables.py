@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from posetrack_cli.evaluation.metrics.catalogue import HEAD_POSE
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from reproduction.accuracy.measuring import number, table
 from reproduction.one_camera.measuring import Figures, Removed, values_of
 

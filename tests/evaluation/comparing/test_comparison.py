@@ -10,9 +10,13 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 import posetrack_cli.evaluation.comparing.paired as paired_module
-from posetrack_cli.evaluation.comparing.blocks import block_means, neighbour_correlation, paired_blocks
 from posetrack_cli.evaluation.comparing.comparison import compare
-from posetrack_cli.evaluation.comparing.paired import paired
+from posetrack_cli.evaluation.comparing.paired import (
+    block_means,
+    neighbour_correlation,
+    paired,
+    paired_blocks,
+)
 from support.evaluation import FRAME_NS, hand_evaluation
 
 SECOND = 1_000_000_000

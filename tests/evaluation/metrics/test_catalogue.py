@@ -7,13 +7,14 @@ import pytest
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.metrics.catalogue import (
     CATALOGUE,
-    GROUP_TITLES,
-    STATE_PARTS,
     addresses,
+    is_measured,
     metric_of,
     split_address,
 )
+from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES
 from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
+from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
 
 HEAD_POINTS = ("left_eye_outer", "left_nostril")
@@ -42,12 +43,8 @@ def test_groups_follow_each_other_as_titled() -> None:
 
 
 def test_no_part_is_called_like_a_statistic() -> None:
-    parts = {
-        *JOINT_NAMES,
-        *FINGERS,
-        *ANGLE_NAMES,
-        *(part for parts in STATE_PARTS.values() for part in parts),
-    }
+    parts = {part for kind in KINDS.values() for parts in kind.parts.values() for part in parts}
+    assert {*JOINT_NAMES, *FINGERS, *ANGLE_NAMES} < parts
     assert not parts & set(STATISTIC_NAMES)
 
 
@@ -60,7 +57,7 @@ def test_every_address_is_understood_with_every_statistic(subject: str) -> None:
         assert plain.base == address
         assert plain.statistic is None
         assert plain.metric is metric_of(address)
-        assert subject in plain.metric.subjects
+        assert is_measured(plain.metric, KINDS[subject])
         for statistic in () if plain.metric.scalar else STATISTIC_NAMES:
             full = split_address(f"{address}.{statistic}")
             assert (full.base, full.statistic) == (address, statistic)

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.metrics.catalogue import WITHIN_MM, addresses
+from posetrack_cli.evaluation.metrics.catalogue import addresses
+from posetrack_cli.evaluation.metrics.hand_metrics import WITHIN_MM
 from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.metrics.run_metrics import (
+from posetrack_cli.evaluation.metrics.without_truth import (
     EMPTY,
     NO_TIMINGS,
     NO_WEIGHTS,

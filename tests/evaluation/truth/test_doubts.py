@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth.doubts import doubts
+from posetrack_cli.evaluation.truth.checks import truth_warnings
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.writer import ResultWriter
 from support.evaluation import hand_track
@@ -50,7 +50,7 @@ def scaled(track: Track, factor: float, *, points: bool) -> Track:
 def test_a_truth_in_metres_is_noted(tmp_path: Path, factor: float, noted: bool, points: bool) -> None:
     result = read_result(result_of(tmp_path / "own.mcap", "aa"))
     track, truth = hand_track("own", 9, 5.0), scaled(hand_track("truth", 9, 0.0), factor, points=points)
-    notes = list(doubts(result, track, truth, None))
+    notes = list(truth_warnings(result, track, truth, None))
     assert [note.endswith("is it in metres?") for note in notes] == ([True] if noted else [])
 
 
@@ -58,5 +58,5 @@ def test_what_tells_no_distance_is_not_doubted(tmp_path: Path) -> None:
     result = read_result(result_of(tmp_path / "own.mcap", "aa"))
     track, truth = hand_track("own", 3, 5.0), hand_track("truth", 3, 0.0)
     rotations = replace(truth, position=None, points=None)
-    assert list(doubts(result, track, rotations, None)) == []
-    assert list(doubts(result, track, hand_track("empty", 0, 0.0), None)) == []
+    assert list(truth_warnings(result, track, rotations, None)) == []
+    assert list(truth_warnings(result, track, hand_track("empty", 0, 0.0), None)) == []

@@ -11,8 +11,7 @@ import pytest
 
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.result_track import track_of_result
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.truth.points_topic import points_messages, points_topic
 from posetrack_cli.recording.base import TruthMessage

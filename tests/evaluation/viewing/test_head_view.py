@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.images_of import required_images
+from posetrack_cli.evaluation.recording_of import required_recording
 from posetrack_cli.evaluation.viewing.colours import LOST, SKIN
 from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM
 from posetrack_cli.geometry.camera import Camera
@@ -195,7 +195,7 @@ def test_a_result_of_other_cameras_is_refused(
 
 
 def test_images_are_opened_as_the_run_did(result: Callable[..., Path], recording: Path) -> None:
-    opened = required_images(read_result(result()), recording)
+    opened = required_recording(read_result(result()), recording)
     assert opened.cameras[0] == CAMERAS[0]
     places = [camera.camera_T_reference for camera in (opened.cameras[1], CAMERAS[1])]
     np.testing.assert_allclose(*places, atol=1e-12)  # a rotation from a file is made orthonormal

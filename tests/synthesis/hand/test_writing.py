@@ -11,8 +11,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.results.estimate import check_estimate
 from posetrack_cli.results.estimate_json import estimate_from_json
+from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.synthesis.hand import (
     SUBJECT,
     SYNTH_RECORD,

@@ -15,8 +15,8 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.opening import open_images
-from posetrack_cli.results.estimate import check_estimate
 from posetrack_cli.results.estimate_json import estimate_from_json
+from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD
 from posetrack_cli.synthesis.head.frames import make_plan, synthesise

@@ -1,0 +1,72 @@
+"""What a metric is, and shorthand to state one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+Better: TypeAlias = Literal["lower", "higher", "neither"]
+PartKind: TypeAlias = Literal["joint", "finger", "angle", "point", "state"]
+Group: TypeAlias = Literal["coverage", "accuracy", "velocity", "covariance", "consistency", "run"]
+
+GROUP_TITLES: dict[Group, str] = {
+    "coverage": "Coverage",
+    "accuracy": "Error against truth",
+    "velocity": "Velocity error against truth",
+    "covariance": "Stated covariance against truth",
+    "consistency": "Self-consistency, without truth",
+    "run": "Run",
+}
+"""The groups in the order of every table."""
+
+_UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_s")
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What a figure means.
+
+    Attributes:
+        name: first word of its address; ends in its unit where it has one.
+        unit: mm, deg, s, ...; empty for counts and shares.
+        meaning: one sentence.
+        better: which way an improvement goes; ``neither`` where the figure has a target or none at all.
+        group: where tables show it.
+        part: kind of the parts that it is told for besides the whole; None for none.
+        scalar: one number; otherwise ``Statistics``.
+        spoken: what a page calls it; by default the name without its unit.
+        needs_depth: whether it is measured against depth images.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    better: Better
+    group: Group
+    part: PartKind | None = None
+    scalar: bool = False
+    spoken: str = ""
+    needs_depth: bool = False
+
+    @property
+    def label(self) -> str:
+        """What a page calls it."""
+        endings = (self.name.removesuffix(end) for end in _UNIT_ENDINGS if self.name.endswith(end))
+        return self.spoken or next(endings, self.name).replace("_", " ")
+
+
+def number(name: str, group: Group, better: Better, meaning: str, unit: str = "", spoken: str = "") -> Metric:
+    """State a metric that is one number."""
+    return Metric(name, unit, meaning, better, group, scalar=True, spoken=spoken)
+
+
+def error(
+    name: str,
+    unit: str,
+    meaning: str,
+    part: PartKind | None = None,
+    group: Group = "accuracy",
+    spoken: str = "",
+) -> Metric:
+    """State a metric of errors, which are better lower."""
+    return Metric(name, unit, meaning, "lower", group, part, spoken=spoken)

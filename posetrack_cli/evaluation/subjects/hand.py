@@ -1,0 +1,140 @@
+"""Hands: 21 joints, finger angles, depth images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.joint_offsets import JointOffsets, OffsetFrame, remove_joint_offsets
+from posetrack_cli.evaluation.metrics.hand_metrics import STATE_PARTS, WITHIN_MM, hand_metrics
+from posetrack_cli.evaluation.metrics.measures import Matched
+from posetrack_cli.evaluation.metrics.metric import Metric, error, number
+from posetrack_cli.evaluation.subjects.kind import SubjectKind
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
+from posetrack_cli.recording.base import Recording
+from posetrack_cli.results.reader import Result
+
+_PALM_AXES = {
+    "x": "a right hand's thumb ahead",
+    "y": "the wrist ahead",
+    "z": "the back of the hand ahead",
+}
+
+
+def _within(threshold_mm: int, which: str) -> Metric:
+    name = f"within_{threshold_mm}mm"
+    meaning = (
+        f"Share of the frames with truth, those that the result missed included, whose {which} joint error "
+        f"is below {threshold_mm} mm."
+    )
+    if which == "mean":
+        return number(f"frames_mean_{name}", "accuracy", "higher", meaning)
+    spoken = f"frames within {threshold_mm} mm"
+    return number(f"frames_{name}", "accuracy", "higher", meaning, spoken=spoken)
+
+
+def _bias(axis: str, meaning: str) -> Metric:
+    name = f"joint_bias_{f'{axis}_' if axis else ''}mm"
+    return Metric(name, "mm", meaning, "neither" if axis else "lower", "accuracy", "joint", scalar=True)
+
+
+def _without_offsets(
+    result: Result, matched: Matched, frame: OffsetFrame
+) -> tuple[Track, JointOffsets | None]:
+    from posetrack_cli.evaluation.recorded_hand import hand_of
+
+    anatomy = hand_of(result).anatomy
+    return remove_joint_offsets(matched.estimate, matched.truth, matched.pairs, anatomy, frame)
+
+
+def _compared(result: Result, recording: Recording, which: str) -> Mapping[str, FloatArray]:
+    from posetrack_cli.evaluation.metrics.image_consistency import image_consistency
+
+    return image_consistency(result, recording, which=which)
+
+
+_METRICS = (
+    error(
+        "joint_error_mm",
+        "mm",
+        "Distance between an estimated and the true joint, over frames and joints, lost frames included.",
+        "joint",
+    ),
+    error("joint_error_tracked_mm", "mm", "Joint error over the frames that are not lost."),
+    error(
+        "finger_error_mm",
+        "mm",
+        "Joint error over the joints of one finger, or of all five: every joint but the wrist.",
+        "finger",
+    ),
+    error("fingertip_error_mm", "mm", "Joint error over the fingertips."),
+    error("largest_joint_error_mm", "mm", "Largest joint error of a frame, over frames."),
+    *(_within(threshold, "largest") for threshold in WITHIN_MM),
+    *(_within(threshold, "mean") for threshold in WITHIN_MM),
+    _bias("", "Length of a joint's mean error vector where tracked, over all joints the mean length."),
+    *(
+        _bias(axis, f"Mean of the joints' errors along the palm's {axis} axis, {towards}, where tracked.")
+        for axis, towards in _PALM_AXES.items()
+    ),
+    error(
+        "wrist_position_mm",
+        "mm",
+        "Distance between the estimated and the true wrist.",
+        spoken="wrist position error",
+    ),
+    error(
+        "wrist_rotation_deg",
+        "deg",
+        "Angle of the rotation between the estimated and the true hand, 0 to 180.",
+        spoken="wrist rotation error",
+    ),
+    error("angle_error_deg", "deg", "Absolute error of the finger angles, over frames and angles.", "angle"),
+    error(
+        "angle_velocity_error_deg_s",
+        "deg/s",
+        "Absolute error of the finger angles' velocities, over frames and angles.",
+        "angle",
+        "velocity",
+    ),
+)
+
+HAND = SubjectKind(
+    name="hand",
+    body="Wrist",
+    metrics=_METRICS,
+    measure=hand_metrics,
+    parts={
+        "joint": JOINT_NAMES,
+        "finger": FINGERS,
+        "angle": ANGLE_NAMES,
+        "state": STATE_PARTS,
+    },
+    point_part="joint",
+    shape_part="angle",
+    point_metric="joint_error_mm",
+    key_figures=(
+        "coverage",
+        "joint_error_mm.mean",
+        "joint_error_mm.p95",
+        "fingertip_error_mm.mean",
+        "largest_joint_error_mm.median",
+        "wrist_position_mm.mean",
+        "wrist_rotation_deg.mean",
+        "angle_error_deg.mean",
+    ),
+    studied_figures=(
+        "frames_within_40mm",
+        "velocity_error_mm_s.mean",
+        "angular_velocity_error_deg_s.mean",
+        "angle_velocity_error_deg_s.mean",
+        "inside_90",
+        "jitter_mm.mean",
+        "ms_per_frame.median",
+    ),
+    lead=("joint_error_mm",),
+    readings=("joint_error_mm", "largest_joint_error_mm"),
+    worst_by=("joint_error_mm",),
+    remove_offsets=_without_offsets,
+    compare_images=_compared,
+)

@@ -1,0 +1,59 @@
+"""Heads: points of a face, grey images of one or more cameras."""
+
+from __future__ import annotations
+
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE, STATE_PARTS, head_metrics
+from posetrack_cli.evaluation.metrics.metric import error
+from posetrack_cli.evaluation.subjects.kind import SubjectKind
+
+_METRICS = (
+    error("x_mm", "mm", "Absolute error of the head's position along x, right.", spoken="x error"),
+    error("y_mm", "mm", "Absolute error of the head's position along y, down.", spoken="y error"),
+    error("z_mm", "mm", "Absolute error of the head's position along z, the depth.", spoken="z error"),
+    error("roll_deg", "deg", "Absolute error of the head's roll, about z.", spoken="roll error"),
+    error("pitch_deg", "deg", "Absolute error of the head's pitch, about x.", spoken="pitch error"),
+    error("yaw_deg", "deg", "Absolute error of the head's yaw, about y.", spoken="yaw error"),
+    error(
+        "position_mm",
+        "mm",
+        "Distance between the estimated and the true origin of the head.",
+        spoken="position error",
+    ),
+    error(
+        "rotation_deg",
+        "deg",
+        "Angle of the rotation between the estimated and the true head, 0 to 180.",
+        spoken="rotation error",
+    ),
+    error(
+        "point_error_mm",
+        "mm",
+        "Distance between an estimated and the true feature point in head coordinates, each by its own pose.",
+        "point",
+    ),
+)
+
+HEAD = SubjectKind(
+    name="head",
+    body="Head",
+    metrics=_METRICS,
+    measure=head_metrics,
+    parts={"state": STATE_PARTS},
+    point_part="point",
+    shape_part="",
+    point_metric="point_error_mm",
+    key_figures=(
+        "coverage",
+        *(f"{name}.mean" for name in (*HEAD_POSE, "position_mm", "rotation_deg", "point_error_mm")),
+    ),
+    studied_figures=(
+        "velocity_error_mm_s.mean",
+        "angular_velocity_error_deg_s.mean",
+        "inside_90",
+        "jitter_mm.mean",
+        "ms_per_frame.median",
+    ),
+    lead=("position_mm", "rotation_deg"),
+    readings=("position_mm", "rotation_deg", "point_error_mm"),
+    worst_by=("point_error_mm", "position_mm"),
+)

@@ -1,0 +1,296 @@
+"""The fields of an estimate, stated once: messages, columns, exports and checks are made from this table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from pydantic_core import CoreSchema
+from pydantic_core import core_schema as schemas
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import ResultError
+from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.strict_json import (
+    COUNT,
+    LENGTH_MM,
+    NOT_NEGATIVE,
+    NUMBER,
+    TRUTH_VALUE,
+    list_of,
+    object_of,
+)
+
+QUATERNION_NORM_TOLERANCE = 1e-6
+"""How far |q| may be from 1: far above rounding, far below a rotation that was never normalised."""
+NUMBERS = "numbers"
+"""The field of further numbers, which alone may be NaN."""
+
+Shape: TypeAlias = Callable[[int, int, int], tuple[int, ...]]
+"""Of an array, for K shape entries, P points and M further numbers."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of ``Estimate``.
+
+    Attributes:
+        name: as of the attribute.
+        json_type: in the JSON schema of the message.
+        description: there.
+        strict: what is taken from a message.
+        shape: of an array; None of a single value.
+        required: whether every message has it; of a column without it the rows are NaN.
+        column: numpy's type of its column.
+        code: of ``array.array``, in which the column grows.
+        unit: of its values in exports; empty for none.
+        meaning: of its column in an exported table; arrays have theirs there, one for each part.
+    """
+
+    name: str
+    json_type: str
+    description: str
+    strict: CoreSchema
+    shape: Shape | None = None
+    required: bool = True
+    column: Any = np.float64
+    code: str = "d"
+    unit: str = ""
+    meaning: str = ""
+
+    @property
+    def json_schema(self) -> dict[str, Any]:
+        """What the message's JSON schema says of it."""
+        stated: dict[str, Any] = {"type": self.json_type, "description": self.description}
+        return stated | _JSON_DETAILS.get(self.name, {} if self.shape is None else _NUMBER_ITEMS)
+
+
+_STATUSES = [status.value for status in Status]
+_NUMBER_ITEMS: dict[str, Any] = {"items": {"type": "number"}}
+_JSON_DETAILS: dict[str, dict[str, Any]] = {
+    "status": {"enum": _STATUSES},
+    "points": {
+        "items": {
+            "type": "object",
+            "properties": {a: {"type": "number", "description": f"{a}, millimetres."} for a in "xyz"},
+            "required": ["x", "y", "z"],
+            "additionalProperties": False,
+        }
+    },
+}
+
+
+def _number(name: str, description: str, **more: Any) -> Field:
+    return Field(name, "number", description, NUMBER, **more)
+
+
+def _count(name: str, description: str, **more: Any) -> Field:
+    return Field(name, "integer", description, COUNT, **more)
+
+
+def _array(name: str, description: str, shape: Shape, entry: CoreSchema = NUMBER, **more: Any) -> Field:
+    length = shape(0, 0, 0)[0] if shape(0, 0, 0) == shape(1, 1, 1) else None
+    return Field(name, "array", description, list_of(entry, length), shape, **more)
+
+
+FIELDS = (
+    _count(
+        "frame_index",
+        "Position of the frame in the recording, counted from 0.",
+        column=np.int64,
+        code="q",
+        meaning="position of the frame in the recording, counted from 0",
+    ),
+    _count(
+        "stamp_ns",
+        "When the frame was taken, nanoseconds; equal to the log time.",
+        column=np.int64,
+        code="q",
+        unit="ns",
+        meaning="when the frame was taken",
+    ),
+    Field(
+        "status",
+        "string",
+        "tracking: rests on this frame; lost: no longer on the subject; reinitialised: found anew.",
+        schemas.literal_schema(_STATUSES),
+        column=np.array(_STATUSES).dtype,
+        code="b",
+        meaning="tracking, lost or reinitialised",
+    ),
+    _number(
+        "confidence",
+        "0 (guess) to 1 (certain).",
+        meaning="0 (guess) to 1 (certain)",
+    ),
+    _array(
+        "position",
+        "x, y, z of the object's origin in camera axes, millimetres.",
+        lambda k, p, m: (3,),
+        LENGTH_MM,
+        unit="mm, camera axes",
+    ),
+    _array(
+        "quaternion",
+        "x, y, z, w (w >= 0) of the rotation from object to camera coordinates.",
+        lambda k, p, m: (4,),
+        unit="x y z w, object to camera axes",
+    ),
+    _array(
+        "shape",
+        "Hand: finger angles, radians. Head: shape coefficients. K entries.",
+        lambda k, p, m: (k,),
+        unit="hand: finger angles, rad; head: coefficients",
+    ),
+    _array(
+        "pose_rate",
+        "Time derivative of (position, quaternion, shape), 7 + K entries: mm/s, 1/s, shape per second; "
+        "this and the fields of twist are left out where no velocity is known.",
+        lambda k, p, m: (7 + k,),
+        required=False,
+        unit="rate of position, quaternion, shape: mm/s, 1/s, rad/s (head: 1/s)",
+    ),
+    _array(
+        "twist",
+        "Velocity, 6 + K entries: in camera axes, mm/s; rotation in the body frame, rad/s; shape per second.",
+        lambda k, p, m: (6 + k,),
+        required=False,
+        unit="mm/s in camera axes, rad/s in the object's own axes, shape per second",
+    ),
+    _array(
+        "pose_variance",
+        "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape; "
+        "left out where the tracker knows none.",
+        lambda k, p, m: (6 + k,),
+        NOT_NEGATIVE,
+        required=False,
+        unit="mm^2, rad^2 (small rotation in the object's own axes), shape^2",
+    ),
+    _array(
+        "twist_variance",
+        "Variance of twist, 6 + K entries: (mm/s)^2, (rad/s)^2, (shape per second)^2.",
+        lambda k, p, m: (6 + k,),
+        NOT_NEGATIVE,
+        required=False,
+        unit="(mm/s)^2, (rad/s)^2, (shape per second)^2",
+    ),
+    _array(
+        "points",
+        "Joints or landmarks in camera axes.",
+        lambda k, p, m: (p, 3),
+        object_of(dict.fromkeys("xyz", LENGTH_MM)),
+        unit="mm, camera axes",
+    ),
+    _number(
+        "effective_sample_size",
+        "1 / sum of the squared weights, before resampling; particles; left out without weights.",
+        required=False,
+        unit="particles",
+        meaning="1 / sum of the squared weights, before resampling, empty without weights",
+    ),
+    Field(
+        "resampled",
+        "boolean",
+        "Whether the particles were resampled after this estimate.",
+        TRUTH_VALUE,
+        column=np.bool_,
+        code="b",
+        meaning="1 if the particles were resampled after this frame, else 0",
+    ),
+    _number(
+        "cost",
+        "Cost of the estimate against the image; left out when it was not evaluated.",
+        required=False,
+        unit="mm",
+        meaning="cost of the estimate against the image, empty where not evaluated",
+    ),
+    _number(
+        "milliseconds",
+        "Time the frame took; left out unless the run recorded timings.",
+        required=False,
+        unit="ms",
+        meaning="time that the frame took, empty if the run recorded none",
+    ),
+    _count(
+        "evaluations",
+        "Poses whose fit to the image was evaluated; left out where the tracker does not count.",
+        required=False,
+        unit="poses",
+        meaning="whose fit to the image was evaluated, empty where not counted",
+    ),
+)
+"""The fields that every subject's estimates have, in the order in which every format lists them."""
+
+NUMBERS_FIELD = Field(
+    NUMBERS,
+    "object",
+    "Further numbers of this tracker, by name; one that is not known is left out.",
+    schemas.dict_schema(schemas.str_schema(), NUMBER),
+    lambda k, p, m: (m,),
+    required=False,
+    unit="as number_names say",
+)
+"""What further numbers are, of a subject that has some."""
+
+BY_NAME: Mapping[str, Field] = {field.name: field for field in (*FIELDS, NUMBERS_FIELD)}
+FIELD_NAMES = tuple(field.name for field in FIELDS)
+UNKNOWN_ARRAYS = tuple(field.name for field in FIELDS if not field.required and field.shape is not None)
+"""The arrays that may be None."""
+UNKNOWN_NUMBERS = tuple(field.name for field in FIELDS if not field.required and field.shape is None)
+"""The numbers that may be None."""
+VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
+"""The fields that are None, all of them, where no velocity is known."""
+
+
+def array_shapes(k: int, p: int, m: int = 0) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array field for K shape entries, P points and M further numbers."""
+    return {name: field.shape(k, p, m) for name, field in BY_NAME.items() if field.shape is not None}
+
+
+def check_estimate(estimate: Estimate, subject: Subject) -> None:
+    """Refuse an estimate whose arrays do not fit the subject or hold NaN or infinity.
+
+    Raises:
+        ResultError: names the frame and the field.
+    """
+    where = f"{subject.name}, frame {estimate.frame_index}"
+    _check_arrays(estimate, subject, where)
+    _check_quaternion(estimate.quaternion, where)
+    if not 0.0 <= estimate.confidence <= 1.0:
+        raise ResultError(
+            "confidence cannot be used", where=where, found=estimate.confidence, expected="0 to 1"
+        )
+    if estimate.effective_sample_size is not None and not np.isfinite(estimate.effective_sample_size):
+        raise ResultError("effective sample size is not finite", where=where)
+
+
+def _check_arrays(estimate: Estimate, subject: Subject, where: str) -> None:
+    unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
+    if unknown and len(unknown) < len(VELOCITY_FIELDS):
+        raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
+    sizes = len(subject.shape_names), len(subject.point_names), len(subject.number_names)
+    for name, shape in array_shapes(*sizes).items():
+        array = getattr(estimate, name)
+        if array is None and not BY_NAME[name].required:
+            continue
+        check_array(array, shape, name, where, missing=name == NUMBERS)
+
+
+def check_array(
+    array: FloatArray, shape: tuple[int, ...], name: str, where: str, *, missing: bool = False
+) -> None:
+    """Raise ResultError unless the array has this shape and, unless some may be missing, finite entries."""
+    if array.shape != shape:
+        raise ResultError(f"{name} has the wrong shape", where=where, found=array.shape, expected=shape)
+    if not missing and not np.isfinite(array).all():
+        found = f"{int((~np.isfinite(array)).sum())} NaN or infinite"
+        raise ResultError(f"{name} is not finite", where=where, found=found)
+
+
+def _check_quaternion(quaternion: FloatArray, where: str) -> None:
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE or quaternion[3] < 0.0:
+        found = f"norm {norm:.9g}, w {quaternion[3]:.9g}"
+        raise ResultError("quaternion cannot be used", where=where, found=found, expected="norm 1, w >= 0")

@@ -1,0 +1,215 @@
+"""The metadata records of a result: what was tracked, by which cameras, and in which run."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pydantic_core import CoreSchema
+from pydantic_core import core_schema as schemas
+
+from posetrack_cli import limits
+from posetrack_cli.errors import PosetrackError, ResultError
+from posetrack_cli.geometry.camera import DISTORTION_LENGTHS, IN_PLACE, Camera
+from posetrack_cli.recording.base import RUN_RECORD
+from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.strict_json import (
+    LENGTH_MM,
+    NAME,
+    NUMBER,
+    integer_from,
+    list_of,
+    number_from,
+    object_of,
+    reader_of,
+    text_of,
+)
+
+SUBJECT_RECORD = "posetrack.subject"
+SUMMARY_RECORD = "posetrack.summary"
+CAMERAS_RECORD = "posetrack.cameras"
+
+
+def subject_to_record(subject: Subject) -> dict[str, str]:
+    """Return the subject as metadata: every value a string of JSON; lines and numbers where it has some."""
+    triangles = None if subject.triangles is None else subject.triangles.tolist()
+    values: dict[str, Any] = {
+        "camera_frame": subject.camera_frame,
+        "colour": list(subject.colour),
+        "name": subject.name,
+        "point_names": list(subject.point_names),
+        "point_parents": list(subject.point_parents),
+        "shape_names": list(subject.shape_names),
+        "triangles": triangles,
+    }
+    if subject.lines:
+        values["lines"] = [list(line) for line in subject.lines]
+    if subject.number_names:
+        values["number_names"] = list(subject.number_names)
+    return {key: json.dumps(value, separators=(",", ":")) for key, value in values.items()}
+
+
+def subject_from_record(record: Mapping[str, str]) -> Subject:
+    """Return the subject that ``subject_to_record`` wrote.
+
+    Raises:
+        ResultError: the record lacks a field or holds something else.
+    """
+    try:
+        values = {key: _value(record, key) for key in (*_REQUIRED, *(_OPTIONAL.keys() & record.keys()))}
+        triangles = values["triangles"]
+        red, green, blue, alpha = values["colour"]
+        return Subject(
+            name=values["name"],
+            camera_frame=values["camera_frame"],
+            shape_names=tuple(values["shape_names"]),
+            point_names=tuple(values["point_names"]),
+            point_parents=tuple(values["point_parents"]),
+            triangles=None if triangles is None else np.array(triangles, dtype=np.int64).reshape(-1, 3),
+            colour=(red, green, blue, alpha),
+            lines=tuple((a, b) for a, b in values.get("lines", ())),
+            number_names=tuple(values.get("number_names", ())),
+        )
+    except KeyError as error:
+        raise ResultError(f"metadata {SUBJECT_RECORD} lacks {error}") from error
+    except ValueError as error:
+        raise ResultError(f"metadata {SUBJECT_RECORD} cannot be read", found=error) from error
+
+
+_INDEX = integer_from(-1, limits.TRIANGLES)
+_REQUIRED = {
+    key: reader_of(schema)
+    for key, schema in {
+        "camera_frame": text_of(0),
+        "colour": list_of(number_from(0.0, 1.0), 4),
+        "name": NAME,
+        "point_names": list_of(NAME),
+        "point_parents": list_of(_INDEX),
+        "shape_names": list_of(NAME),
+        "triangles": schemas.nullable_schema(
+            list_of(list_of(integer_from(0, limits.TRIANGLES), 3), most=limits.TRIANGLES)
+        ),
+    }.items()
+}
+_OPTIONAL = {"lines": reader_of(list_of(list_of(_INDEX, 2))), "number_names": reader_of(list_of(NAME))}
+_NAMES = {"point_names", "shape_names", "number_names"}
+
+
+def _value(record: Mapping[str, str], key: str) -> Any:
+    """What a key of the record holds; names are different from each other."""
+    try:
+        value = (_REQUIRED | _OPTIONAL)[key](record[key])
+    except ValueError as error:
+        raise ValueError(f"in '{key}' {error}") from None
+    if key in _NAMES:
+        twice = next((name for name, count in Counter(value).items() if count > 1), None)
+        if twice is not None:
+            raise ValueError(f"'{key}' has {twice!r} twice")
+    return value
+
+
+_PLACE = "camera_T_reference"
+
+
+def cameras_to_record(cameras: Sequence[Camera]) -> dict[str, str]:
+    """Return the cameras as metadata, the reference first; exact to the last bit.
+
+    Raises:
+        ResultError: two have one name, which topics and frames are called by.
+    """
+    names = [camera.name for camera in cameras]
+    if len(set(names)) < len(names):
+        raise ResultError("two cameras have one name", found=", ".join(names))
+    values = [camera.values() | {_PLACE: camera.camera_T_reference} for camera in cameras]
+    return {"cameras": json.dumps(values, separators=(",", ":"))}
+
+
+def cameras_from_record(record: Mapping[str, str]) -> tuple[Camera, ...]:
+    """Return the cameras that ``cameras_to_record`` wrote.
+
+    Raises:
+        ResultError: the record holds something else.
+    """
+    try:
+        return tuple(_camera(values) for values in _read_cameras(record.get("cameras", "")))
+    except (ValueError, PosetrackError) as error:
+        raise ResultError(f"metadata {CAMERAS_RECORD} cannot be read", found=error) from error
+
+
+def camera_from_json(text: str) -> Camera:
+    """Return the camera of a run record, ``Camera.values`` as JSON.
+
+    Raises:
+        ValueError, PosetrackError: it is something else.
+    """
+    return _camera(_read_camera(text))
+
+
+_VALUES: dict[str, CoreSchema] = {
+    "name": text_of(0),
+    **dict.fromkeys(("width", "height"), integer_from(1, limits.IMAGE_PIXELS)),
+    **dict.fromkeys(("fx", "fy", "cx", "cy"), NUMBER),
+    "distortion": list_of(NUMBER, most=max(max(lengths) for lengths in DISTORTION_LENGTHS.values())),
+    "distortion_model": NAME,
+}
+_read_camera = reader_of(object_of(_VALUES))
+_PLACED = object_of(_VALUES | {_PLACE: list_of(list_of(LENGTH_MM, 4), 3)})
+_read_cameras = reader_of(schemas.list_schema(_PLACED, min_length=1, max_length=limits.CAMERAS))
+
+
+def _camera(values: dict[str, Any]) -> Camera:
+    if values["width"] * values["height"] > limits.IMAGE_PIXELS:
+        raise ValueError(f"images of {values['width']}x{values['height']}")
+    place = values.pop(_PLACE, IN_PLACE)
+    rows = tuple(tuple(float(entry) for entry in row) for row in place)
+    return Camera(**{**values, "distortion": tuple(values["distortion"])}, camera_T_reference=rows)
+
+
+def check_run_record(run: Mapping[str, str]) -> None:
+    """Refuse a run record whose values are not what runs write; those that it lacks are no fault.
+
+    Raises:
+        ResultError: names the key.
+    """
+    for key, check in _CHECKS.items():
+        try:
+            if key in run:
+                check(run[key])
+        except ValueError as error:
+            raise ResultError(f"metadata {RUN_RECORD}: '{key}' cannot be read", found=error) from error
+
+
+def _whole(text: str) -> None:
+    if not text.isascii() or not text.isdigit() or int(text) > limits.INTEGER:
+        raise ValueError(f"{text[:60]!r}, not a whole number from 0")
+
+
+def _whole_or_none(text: str) -> None:
+    if text:
+        _whole(text)
+
+
+def _positive(text: str) -> None:
+    if text and not 0.0 < float(text) <= limits.NUMBER:
+        raise ValueError(f"{text[:60]!r}, not a number above 0")
+
+
+def _not_negative(text: str) -> None:
+    if text and (not math.isfinite(value := float(text)) or not 0.0 <= value <= limits.NUMBER):
+        raise ValueError(f"{text[:60]!r}, not a number from 0")
+
+
+_OBJECT = reader_of(schemas.dict_schema(schemas.str_schema(), schemas.any_schema()))
+_CHECKS: Mapping[str, Callable[[str], object]] = {
+    "configuration": _OBJECT,
+    "camera": _OBJECT,
+    **dict.fromkeys(("start", "stride"), _whole),
+    **dict.fromkeys(("seed", "end", "input.bytes"), _whole_or_none),
+    **dict.fromkeys(("input.fps", "input.depth_unit_mm"), _positive),
+    "input.tolerance_ms": _not_negative,
+    "input.missing": _whole_or_none,
+}
