@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -14,11 +15,36 @@ from support.numpy_renderer import NumpyDevice
 
 pytest_plugins = ["support.recordings"]
 
+LONGEST = ("tests/hostile/", "cli/test_hand_run.py", "hand/test_calibration.py")
+"""Begun first, in this order; all others as they are found."""
+
 # The same examples in every run: a red run means a change. HYPOTHESIS_PROFILE=random looks for new ones.
 # No deadline: a machine with much to do is no error.
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Hand out whole files, as their tests share what fixtures made; all hostile ones share servers."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class WholeFiles(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            path = nodeid.split("::")[0]
+            return "tests/hostile" if path.startswith("tests/hostile/") else path
+
+    return WholeFiles(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the longest files begin, so that no process is left with one at the end."""
+
+    def turn(item: pytest.Item) -> int:
+        return next((k for k, part in enumerate(LONGEST) if part in item.nodeid), len(LONGEST))
+
+    items.sort(key=turn)
 
 
 @pytest.fixture(scope="session")

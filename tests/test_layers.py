@@ -1,10 +1,12 @@
-"""Who may import whom: the layers of CONTRIBUTING.md, read off the source; and what --help must not load."""
+"""The layers of CONTRIBUTING.md, read off the source; and what --help must not load."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping, Set
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -24,92 +26,71 @@ LAYERS = (
     "mcap",
     "geometry",
 )
-APART = {"hand": "head", "head": "hand"}
-"""Beside each other: neither knows the other."""
-BELOW_ALL = {
-    "": {"limits"},
-    "arrays": set(),
-    "text": set(),
-    "limits": set(),
-    "files": set(),
-    "errors": {"text"},
-    "losses": set(),
-    "compiled": set(),
-    "toml_text": {"limits"},
-    "configuration": {"errors", "files", "limits", "toml_text"},
-    "npz": {"limits"},
-    "outputs": {"errors", "files"},
-    "units": set(),
+"""Packages, each above those that it may import from; single modules lie below all of them."""
+FOR_FILTERS = {
+    "arrays",
+    "errors",
+    "numpy",
+    "math",
+    "__future__",
+    "collections",
+    "dataclasses",
+    "types",
+    "typing",
 }
-"""What every layer may use, and which of each other these modules use themselves."""
-FILES_AND_GL = {"cv2", "moderngl", "mcap", "mcap_protobuf", "foxglove_schemas_protobuf", "pathlib", "os"}
+"""All that filters may use: they know plain arrays, no GL, no files, no OpenCV."""
 HEAVY = {"numpy", "scipy", "cv2", "pydantic", "mcap", "moderngl", "google.protobuf"}
-MODULES = sorted(PACKAGE.rglob("*.py"))
+MODULES = {
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in PACKAGE.rglob("*.py")
+}
 
 
-def imported(node: ast.AST) -> list[str]:
-    """Full names of what one import statement loads, with what it takes from a module."""
-    if isinstance(node, ast.Import):
-        return [alias.name for alias in node.names]
-    if isinstance(node, ast.ImportFrom):
-        assert node.level == 0, "imports are absolute"
-        return [f"{node.module}.{alias.name}" for alias in node.names]
-    return []
+def test_imports_lead_downwards() -> None:
+    used = {name: imported(ast.walk(ast.parse(path.read_text()))) for name, path in MODULES.items()}
+    used_at_once = {name: imported(ast.parse(path.read_text()).body) for name, path in MODULES.items()}
+    arrows = arrows_of(used)
+    assert not {(a, b) for a, b in arrows if b in LAYERS and a not in LAYERS[: LAYERS.index(b) + 1]}
+    assert not {("hand", "head"), ("head", "hand")} & arrows
+    assert {b for a, b in arrows if a == "filtering"} <= {"filtering", *FOR_FILTERS}
+    assert {b for a, b in arrows_of(used_at_once) if a == "cli"} & {*LAYERS, *HEAVY} == {"cli"}
+    assert {path.parent.name for path in PACKAGE.glob("*/*.py")} == set(LAYERS)
 
 
-def imports(path: Path) -> list[str]:
-    """Everything that a module imports, also inside its functions."""
-    return [name for node in ast.walk(ast.parse(path.read_text())) for name in imported(node)]
+@pytest.mark.xfail(reason="recording.inspection and mcap_inspection import each other", strict=False)
+def test_imports_make_no_circle() -> None:
+    used = {name: imported(ast.walk(ast.parse(path.read_text()))) for name, path in MODULES.items()}
+    TopologicalSorter({name: names & MODULES.keys() for name, names in used.items()}).prepare()
 
 
-def module_level_imports(path: Path) -> list[str]:
-    return [name for node in ast.parse(path.read_text()).body for name in imported(node)]
+def arrows_of(imports: Mapping[str, Set[str]]) -> set[tuple[str, str]]:
+    """From which layer, or module below all, imports lead to which, or to which library."""
+    return {(layer(name), layer(other)) for name, others in imports.items() for other in others}
 
 
-def part_of(name: str) -> str:
-    """The layer, or the module below all layers, that a name of ours is in; '' for the package itself."""
-    part = f"{name}.".split(".")[1]
-    return part if part in LAYERS or part in BELOW_ALL else ""
+def imported(nodes: Iterable[ast.AST]) -> set[str]:
+    """Full names of the modules that statements import."""
+    names: set[str] = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            inside = [f"{node.module}.{alias.name}" for alias in node.names]
+            names |= {name if name in MODULES else str(node.module) for name in inside}
+    return names
 
 
-def ours(names: list[str]) -> set[str]:
-    return {part_of(name) for name in names if name.split(".")[0] == PACKAGE.name}
+def layer(name: str) -> str:
+    """The layer that a module is in, itself if it lies below all, or the library's name."""
+    return name.split(".")[1 if name in MODULES and name != PACKAGE.name else 0]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_each_layer_imports_only_from_those_below(path: Path) -> None:
-    layer = path.relative_to(PACKAGE).parts[0].removesuffix(".py").removesuffix("__init__")
-    used = ours(imports(path))
-    if layer in BELOW_ALL:
-        assert used <= BELOW_ALL[layer]
-    else:
-        assert used <= {*BELOW_ALL, *LAYERS[LAYERS.index(layer) :]} - {APART.get(layer)}
-
-
-def test_every_folder_is_a_layer() -> None:
-    folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and any(path.glob("*.py"))}
-    assert folders == set(LAYERS)
-
-
-@pytest.mark.parametrize("path", sorted((PACKAGE / "filtering").glob("*.py")), ids=lambda path: path.name)
-def test_filters_know_arrays_only(path: Path) -> None:
-    names = imports(path)
-    assert ours(names) <= {"", "arrays", "errors", "filtering"}
-    assert not {name.split(".")[0] for name in names} & FILES_AND_GL
-
-
-@pytest.mark.parametrize("path", sorted((PACKAGE / "cli").glob("*.py")), ids=lambda path: path.name)
-def test_commands_import_what_is_heavy_inside(path: Path) -> None:
-    assert ours(module_level_imports(path)) <= {"", "errors", "text", "cli"}
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["hand", "run", "--help"]], ids=" ".join)
-def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys; from posetrack_cli.cli.main import run; "
-        f"code = run({arguments!r}); "
-        f"print('LOADED', sorted({HEAVY!r} & set(sys.modules))); sys.exit(code)"
+        "codes = [run(line.split()) for line in ('--help', '--version', 'hand run --help')]; "
+        f"print('LOADED', codes, sorted({HEAVY!r} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "LOADED []"
+    assert done.stdout.splitlines()[-1] == "LOADED [0, 0, 0] []", done.stderr

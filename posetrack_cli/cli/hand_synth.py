@@ -104,7 +104,7 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
     with _progress(options.frames) as report:
         made = write_synthetic(options, output, overwrite=overwrite, report=report)
     print_line(
-        f"{output}: {made.frames} frames, {made.dropped} dropped, {made.seconds:.3f} s long, "
+        f"{output}: {made.frames} frames, {made.missing} dropped, {made.seconds:.3f} s long, "
         f"made in {time.perf_counter() - began:.1f} s"
     )
 

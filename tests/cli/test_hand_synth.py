@@ -12,7 +12,7 @@ from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.synthesis.hand.frames import make_plan
 from posetrack_cli.synthesis.hand.options import SWITCH_NAMES, Switches, hand_of_seed
-from posetrack_cli.synthesis.hand.writing import SYNTH_RECORD
+from posetrack_cli.synthesis.recording import SYNTH_RECORD
 
 OFF = dict.fromkeys(SWITCH_NAMES)
 

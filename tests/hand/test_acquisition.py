@@ -13,7 +13,9 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand import CAMERA, SynthOptions, synthesise
+from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.options import SynthOptions
+from posetrack_cli.synthesis.hand.sensor import CAMERA
 from support.hand import KINECT, random_poses
 from support.hand_scene import HANDS, WALL_MM, Stage, acquisition, relaxed, turned_about_its_length
 

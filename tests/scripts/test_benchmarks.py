@@ -37,7 +37,7 @@ from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import Estimate, Status
 from posetrack_cli.synthesis.hand.sensor import CAMERA
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.rig import make_cameras
+from posetrack_cli.synthesis.head.sensor import make_cameras
 from stepping import in_turn
 
 

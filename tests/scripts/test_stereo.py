@@ -18,7 +18,7 @@ from posetrack_cli.head.face import MEAN_SHAPE, MOUTH, POINT_NAMES
 from posetrack_cli.head.subject import HeadNumbers, head_subject
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import Estimate, ResultWriter, Status
-from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD
+from posetrack_cli.synthesis.recording import SYNTH_RECORD
 from reproduction.accuracy.options import FIRST_SEED, Targets
 from reproduction.heads import comparison, conditions, experiment, figures, people, tasks
 from reproduction.heads.events import Events, events_of

@@ -8,24 +8,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.hand.anatomy import HandAnatomy
+from posetrack_cli.hand.anatomy import (
+    ANGLE_NAMES,
+    ANGLES,
+    JOINT_NAMES,
+    JOINT_PARENTS,
+    TANGENT_SIZE,
+    HandAnatomy,
+)
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.space import pose_rates
 from posetrack_cli.rendering.devices import device_or_default
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
-from posetrack_cli.synthesis.hand.edges import missing_beside_edges
+from posetrack_cli.results import messages
+from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.synthesis.hand.motion import Motion, make_motion
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.room import room_depth
-from posetrack_cli.synthesis.hand.scene import Scene
-from posetrack_cli.synthesis.hand.sensor import CAMERA, noisy, quantised
-from posetrack_cli.synthesis.hand.timeline import Timeline, make_timeline
+from posetrack_cli.synthesis.hand.scene import Scene, room_depth
+from posetrack_cli.synthesis.hand.sensor import CAMERA, missing_beside_edges, noisy, quantised
 from posetrack_cli.synthesis.hand.walk import WalkNoise
+from posetrack_cli.synthesis.timeline import Timeline, make_timeline
+
+SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 
 
 @dataclass(frozen=True, eq=False)
-class SyntheticFrame:
+class SyntheticHandFrame:
     """One frame, and the truth about it.
 
     Attributes:
@@ -46,18 +56,44 @@ class SyntheticFrame:
     twist: FloatArray | None
     joints: FloatArray
 
+    def truth(self) -> Estimate:
+        """The truth as an estimate; it has no velocity where the motion has none."""
+        none = np.zeros(TANGENT_SIZE)
+        return Estimate(
+            frame_index=self.index,
+            stamp_ns=self.stamp_ns,
+            status=Status.TRACKING,
+            confidence=1.0,
+            position=self.pose[:3],
+            quaternion=self.pose[3:7],
+            shape=self.pose[ANGLES],
+            pose_rate=None if self.twist is None else pose_rates(self.pose, self.twist),
+            twist=self.twist,
+            pose_variance=none,
+            twist_variance=None if self.twist is None else none,
+            points=self.joints,
+            effective_sample_size=0.0,
+            resampled=False,
+        )
+
+    def joint_states(self) -> messages.JointStates:
+        """The angles of the fingers."""
+        return messages.joint_states(self.truth(), SUBJECT)
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Everything about a synthetic recording but its images.
 
     Attributes:
+        options: that it was made of.
         hand: bones and skin.
         timeline: its instants.
         motion: poses and velocities at every instant.
         rng: of the sensor's noise, unused yet.
     """
 
+    options: SynthOptions
     hand: HandModel
     timeline: Timeline
     motion: Motion
@@ -90,12 +126,12 @@ def make_plan(options: SynthOptions, noise: WalkNoise | None = None) -> Plan:
         options.frames, options.fps, drops=switches.drops, late=switches.late, rng=timing
     )
     motion = make_motion(options, timeline.seconds, moving, noise)
-    return Plan(options.hand(), timeline, motion, sensing)
+    return Plan(options, options.hand(), timeline, motion, sensing)
 
 
 def synthesise(
     options: SynthOptions, *, noise: WalkNoise | None = None, device: RenderingDevice | None = None
-) -> Iterator[SyntheticFrame]:
+) -> Iterator[SyntheticHandFrame]:
     """Yield the frames of a synthetic recording; the camera is ``CAMERA``.
 
     Args:
@@ -106,24 +142,22 @@ def synthesise(
     Raises:
         RenderingError: nothing can be drawn here.
     """
-    yield from render_plan(make_plan(options, noise), options, device=device)
+    yield from render_plan(make_plan(options, noise), device=device)
 
 
-def render_plan(
-    plan: Plan, options: SynthOptions, *, device: RenderingDevice | None = None
-) -> Iterator[SyntheticFrame]:
-    """Yield the frames of a plan that ``make_plan`` made of the same options; as ``synthesise``."""
+def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHandFrame]:
+    """Yield the frames of a plan; as ``synthesise``."""
     with device_or_default(device) as drawing:
-        yield from _frames(plan, options, drawing)
+        yield from _frames(plan, drawing)
 
 
-def _frames(plan: Plan, options: SynthOptions, device: RenderingDevice) -> Iterator[SyntheticFrame]:
-    sensor = _Sensor(plan, options, device)
+def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHandFrame]:
+    sensor = _Sensor(plan, device)
     joints = joint_positions(plan.anatomy, plan.motion.poses)
     seconds, twists = plan.timeline.seconds, plan.motion.twists
     for index, instant in enumerate(np.flatnonzero(plan.written).tolist()):
         pose = plan.motion.poses[instant]
-        yield SyntheticFrame(
+        yield SyntheticHandFrame(
             index=index,
             instant=instant,
             stamp_ns=int(plan.timeline.stamps_ns[instant]),
@@ -137,10 +171,10 @@ def _frames(plan: Plan, options: SynthOptions, device: RenderingDevice) -> Itera
 class _Sensor:
     """Draws the scene and reads it as a Kinect would."""
 
-    def __init__(self, plan: Plan, options: SynthOptions, device: RenderingDevice) -> None:
-        self._switches, self._rng = options.switches, plan.rng
+    def __init__(self, plan: Plan, device: RenderingDevice) -> None:
+        self._switches, self._rng = plan.options.switches, plan.rng
         self._mirrored = plan.anatomy.is_left
-        self._scene = Scene(plan.hand, options.switches)
+        self._scene = Scene(plan.hand, self._switches)
         self._window = Window.whole(CAMERA)
         size = (CAMERA.width, CAMERA.height)
         self._renderer = device.depth_renderer(self._scene.mesh, size, most=1)

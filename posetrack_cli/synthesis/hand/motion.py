@@ -11,9 +11,8 @@ from posetrack_cli.hand.anatomy import ANGLES
 from posetrack_cli.hand.kinematics import mirrored_poses
 from posetrack_cli.synthesis.hand.natural import natural_motion
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.region import start_pose, walk_region
 from posetrack_cli.synthesis.hand.shapes import SHAPES
-from posetrack_cli.synthesis.hand.walk import WalkNoise, pose_walk, velocity_walk
+from posetrack_cli.synthesis.hand.walk import WalkNoise, pose_walk, start_pose, velocity_walk, walk_region
 
 _MIRRORED_TWIST = np.r_[-1.0, 1.0, 1.0, 1.0, -1.0, -1.0, np.ones(15)]
 

@@ -15,8 +15,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, ANGLES, POSE_SIZE, TANGENT_ANGLES, TANGENT_SIZE
-from posetrack_cli.synthesis.hand.region import start_pose
 from posetrack_cli.synthesis.hand.shapes import SHAPES, THUMB_ACROSS, coupled, minimum_jerk, varied
+from posetrack_cli.synthesis.hand.walk import start_pose
 
 Interval: TypeAlias = tuple[float, float]
 

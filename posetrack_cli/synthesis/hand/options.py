@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import FINGERS
 from posetrack_cli.hand.model import HandModel, hand_maker
 from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape, PerFinger, random_shape
+from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("A", "B", "C")
 SIDES = ("right", "left")
@@ -98,13 +98,13 @@ class SynthOptions:
     switches: Switches = field(default_factory=Switches.all_on)
 
     def __post_init__(self) -> None:
-        _check("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
-        _check("side", self.side, self.side in SIDES, " or ".join(SIDES))
-        _check("frames", self.frames, 1 <= self.frames <= MOST_FRAMES, f"1 to {MOST_FRAMES}")
-        _check("seed", self.seed, self.seed >= 0, "0 or more")
-        _check("fps", self.fps, 1.0 <= self.fps <= 1000.0, "1 to 1000")
+        check_option("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
+        check_option("side", self.side, self.side in SIDES, " or ".join(SIDES))
+        check_option("frames", self.frames, 1 <= self.frames <= MOST_FRAMES, f"1 to {MOST_FRAMES}")
+        check_option("seed", self.seed, self.seed >= 0, "0 or more")
+        check_option("fps", self.fps, 1.0 <= self.fps <= 1000.0, "1 to 1000")
         low, high = SPEEDS
-        _check("speed", self.speed, low <= self.speed <= high, f"{low:g} to {high:g}")
+        check_option("speed", self.speed, low <= self.speed <= high, f"{low:g} to {high:g}")
         self._check_shape()
 
     def _check_shape(self) -> None:
@@ -113,7 +113,7 @@ class SynthOptions:
             of_finger = name.endswith(("_length", "_width")) and name.split("_")[0] in FINGERS
             option = "finger_" + name.split("_")[1] + "s" if of_finger else name
             good = bool(low <= value <= high)
-            _check(option.replace("_", "-"), f"{value:g}", good, f"{low:g} to {high:g}")
+            check_option(option.replace("_", "-"), f"{value:g}", good, f"{low:g} to {high:g}")
 
     @property
     def shape(self) -> HandShape:
@@ -127,11 +127,6 @@ class SynthOptions:
             UsageError: ``mesh`` is no hand that can be used.
         """
         return hand_maker(self.mesh)(self.side, self.shape)
-
-
-def _check(name: str, value: object, good: bool, expected: str) -> None:
-    if not good:
-        raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
 
 
 def hand_of_seed(seed: int) -> HandShape:

@@ -1,49 +1,38 @@
-"""Write a synthetic recording with its truth to an MCAP file."""
+"""Write a synthetic recording of a hand with its truth to an MCAP file."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-from posetrack_cli import __version__
 from posetrack_cli.hand.model import MESH_DIGEST
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.outputs import check_output, whole_or_nothing
-from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, CHUNK_BYTES, IMAGE_TOPIC
+from posetrack_cli.outputs import check_output
+from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
-from posetrack_cli.synthesis.hand.frames import Plan, SyntheticFrame, make_plan, render_plan
-from posetrack_cli.synthesis.hand.options import SWITCH_NAMES, SynthOptions
+from posetrack_cli.synthesis.hand.frames import SUBJECT, Plan, SyntheticHandFrame, make_plan, render_plan
+from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.sensor import CAMERA
-from posetrack_cli.synthesis.hand.truth import TruthChannels
 from posetrack_cli.synthesis.hand.walk import WalkNoise
+from posetrack_cli.synthesis.recording import (
+    Synthesis,
+    TruthChannels,
+    numbers_text,
+    reported,
+    synth_record,
+    write_file,
+    write_message,
+)
 
-SYNTH_RECORD = "posetrack.synth"
 PNG_LEVEL = 1
 """Noise does not compress: level 9 takes ten times as long for some per cent."""
 
-Report = Callable[[SyntheticFrame], None]
-
-
-@dataclass(frozen=True)
-class Synthesis:
-    """What was written.
-
-    Attributes:
-        frames: number of frames written.
-        dropped: number of frames left out as dropped.
-        seconds: from the first to the last frame's stamp.
-    """
-
-    frames: int
-    dropped: int
-    seconds: float
+Report = Callable[[SyntheticHandFrame], None]
 
 
 def write_synthetic(
@@ -75,56 +64,47 @@ def write_synthetic(
     check_output(out, overwrite=overwrite)
     noise = noise or WalkNoise()
     plan = make_plan(options, noise)
-    with (
-        whole_or_nothing(out) as part,
-        McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink,
-    ):
-        sink.metadata(SYNTH_RECORD, synth_record(options, plan, noise))
-        written = _write(sink, options, plan, report)
-        sink.finish()
-    return written
+    stamps = plan.timeline.stamps_ns[plan.written]
+    record = synth_record(options, _facts(plan, noise))
+    write_file(out, record, reported(render_plan(plan), report), lambda sink: _Channels(sink, int(stamps[0])))
+    return Synthesis(len(stamps), int(plan.timeline.dropped.sum()), float(stamps[-1] - stamps[0]) * 1e-9)
 
 
-def synth_record(options: SynthOptions, plan: Plan, noise: WalkNoise) -> dict[str, str]:
-    """Return the metadata that tells how a recording was made."""
-    record = {
-        "version": __version__,
+def _facts(plan: Plan, noise: WalkNoise) -> dict[str, str]:
+    """What the metadata tells beside the options."""
+    options = plan.options
+    facts = {
         "frames_written": str(int(plan.written.sum())),
         "velocity": "none" if plan.motion.twists is None else "exact",
-        **{f.name: str(getattr(options, f.name)) for f in fields(options) if f.name != "switches"},
-        **{f"switch.{name}": str(getattr(options.switches, name)).lower() for name in SWITCH_NAMES},
-        "anatomy.segments_mm": _numbers(plan.anatomy.segments),
-        **({} if options.mesh is None else {MESH_DIGEST: file_digest(Path(options.mesh))[1]}),
-        "anatomy.base_positions_mm": _numbers(plan.anatomy.base_positions),
+        **{f"switch.{name}": str(value).lower() for name, value in asdict(options.switches).items()},
+        "anatomy.segments_mm": numbers_text(plan.anatomy.segments),
+        "anatomy.base_positions_mm": numbers_text(plan.anatomy.base_positions),
     }
+    if options.mesh is not None:
+        facts[MESH_DIGEST] = file_digest(Path(options.mesh))[1]
     if options.motion == "A":
-        record["noise.pose_sd"] = _numbers(options.speed * noise.walk.vector())
+        facts["noise.pose_sd"] = numbers_text(options.speed * noise.walk.vector())
     if options.motion == "B":
-        record["noise.pose_sd"] = _numbers(options.speed * noise.pose.vector())
-        record["noise.velocity_sd"] = _numbers(options.speed * noise.velocity.vector())
-    return dict(sorted(record.items()))
+        facts["noise.pose_sd"] = numbers_text(options.speed * noise.pose.vector())
+        facts["noise.velocity_sd"] = numbers_text(options.speed * noise.velocity.vector())
+    return facts
 
 
-def _write(sink: McapSink, options: SynthOptions, plan: Plan, report: Report) -> Synthesis:
-    stamps = plan.timeline.stamps_ns[plan.written]
-    calibration = calibration_message(CAMERA, int(stamps[0]), CAMERA.name)
-    calibrations = sink.channel(CALIBRATION_TOPIC, type(calibration))
-    images = sink.channel(IMAGE_TOPIC, CompressedImage)
-    truth = TruthChannels(sink)
-    sink.write(calibrations, int(stamps[0]), calibration.SerializeToString(deterministic=True))
-    for frame in render_plan(plan, options):
-        sink.write(images, frame.stamp_ns, _image_bytes(frame))
-        truth.write(frame)
-        report(frame)
-    dropped = int(plan.timeline.dropped.sum())
-    return Synthesis(len(stamps), dropped, float(stamps[-1] - stamps[0]) * 1e-9)
+class _Channels:
+    """Puts a recording's calibration, images and truth on their topics."""
 
+    def __init__(self, sink: McapSink, first_ns: int) -> None:
+        self._sink = sink
+        calibration = calibration_message(CAMERA, first_ns, CAMERA.name)
+        calibrations = sink.channel(CALIBRATION_TOPIC, type(calibration))
+        self._images = sink.channel(IMAGE_TOPIC, CompressedImage)
+        self._truth = TruthChannels(sink, SUBJECT, "joint_states")
+        write_message(sink, calibrations, first_ns, calibration)
 
-def _image_bytes(frame: SyntheticFrame) -> bytes:
-    message = CompressedImage(frame_id=CAMERA.name, format="png", data=encode_png(frame.depth, PNG_LEVEL))
-    message.timestamp.FromNanoseconds(frame.stamp_ns)
-    return bytes(message.SerializeToString(deterministic=True))
-
-
-def _numbers(values: Any) -> str:
-    return " ".join(f"{value:.6g}" for value in np.ravel(values))
+    def write(self, frame: SyntheticHandFrame) -> None:
+        """Write one frame and the truth about it."""
+        image = encode_png(frame.depth, PNG_LEVEL)
+        message = CompressedImage(frame_id=CAMERA.name, format="png", data=image)
+        message.timestamp.FromNanoseconds(frame.stamp_ns)
+        write_message(self._sink, self._images, frame.stamp_ns, message)
+        self._truth.write(frame)

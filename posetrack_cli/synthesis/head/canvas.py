@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.synthesis.head.fields import smooth_step
 from posetrack_cli.synthesis.head.form import BOTTOM, TOP, angle_of, half_width, height, smooth_head
 from posetrack_cli.synthesis.head.skin_grid import POCKET_BAND, TEXTURE_SIZE, texel_angles, texel_levels
 
@@ -102,6 +103,4 @@ def blob(
 
 def inside(distance: FloatArray, soft: float) -> FloatArray:
     """Return 1 where a signed distance (...), mm, is positive, 0 where negative; soft over ``soft`` mm."""
-    s = np.clip(distance / soft + 0.5, 0.0, 1.0)
-    edge: FloatArray = s * s * (3.0 - 2.0 * s)
-    return edge
+    return smooth_step(distance / soft + 0.5)

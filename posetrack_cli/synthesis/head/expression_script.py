@@ -1,21 +1,22 @@
 """When a synthetic face makes which expression: the pattern of the thesis's experiment 3.4, or another.
 
 After a neutral beginning it deforms until two thirds of the recording are over, then only the head moves; or
-it makes the ``two_motions``. Blinks and small movements of the eyes go on throughout.
+it makes the two motions that models of faces are built from: the mouth grows wide and narrow, then the whole
+face long and short, brows and jaw together, each swept through its range several times, slowly. Blinks and
+small movements of the eyes go on throughout.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.synthesis.head.curves import minimum_jerk, pulse
-from posetrack_cli.synthesis.head.episode import Episode
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.options import TWO_MOTIONS, HeadSynthOptions
-from posetrack_cli.synthesis.head.two_motions import motions_interval, two_motions
 
 NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
 """The neutral beginning: so long, but at most this part of the recording."""
@@ -37,6 +38,35 @@ _FACES: tuple[dict[str, tuple[float, float]], ...] = (
     {"brows_up": (0.6, 1.0)},
     {"brows_down": (0.6, 1.0), "pucker": (0.0, 0.4)},
 )
+
+# The two motions that models of faces are built from (thesis, 4.2 and figure 4.4)
+STILL_S, STILL_PART = 4.5, 0.3
+"""The neutral beginning, in which a tracker takes the face for rigid: so long, but at most this part."""
+SWEEP_S, LEAST_SWEEPS = 3.0, 2
+"""[ours] Each motion is swept through in about this time, so many times at least."""
+HOLD_PART = 0.1
+"""Of a sweep, in which either end of the range is held."""
+STRENGTH = (0.8, 1.0)
+# what is made together, the one way and the other
+_WIDTH = (("smile_right", "smile_left"), ("pucker",))
+_LENGTH = (("jaw_open", "brows_up"), ("brows_down",))
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One expression: its name, greatest strength, begin, and how long it rises, stays and falls, s."""
+
+    name: str
+    strength: float
+    start: float
+    rise: float
+    hold: float
+    fall: float
+
+    @property
+    def end(self) -> float:
+        """When it is over, s."""
+        return self.start + self.rise + self.hold + self.fall
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,3 +149,31 @@ def _gazes(duration_s: float, rng: np.random.Generator) -> FloatArray:
         gazes.append((time, float(rng.uniform(-GAZE, GAZE))))
         time += float(rng.uniform(*GAZE_EVERY_S))
     return np.array(gazes, dtype=np.float64).reshape(-1, 2)
+
+
+def two_motions(duration_s: float, rng: np.random.Generator) -> tuple[Episode, ...]:
+    """Return the expressions of a recording of so many seconds."""
+    start, end = motions_interval(duration_s)
+    half = 0.5 * (end - start)
+    return (*_sweeps(_WIDTH, start, half, rng), *_sweeps(_LENGTH, start + half, half, rng))
+
+
+def motions_interval(duration_s: float) -> tuple[float, float]:
+    """Return from when until when the face moves, s."""
+    return min(STILL_S, STILL_PART * duration_s), duration_s
+
+
+def _sweeps(
+    motion: tuple[tuple[str, ...], ...], start: float, length: float, rng: np.random.Generator
+) -> Iterator[Episode]:
+    """One motion to and fro in a time: a sweep goes one way and back, then the other way and back."""
+    count = max(LEAST_SWEEPS, round(length / SWEEP_S))
+    time, part = start, length / (count * len(motion))
+    hold = HOLD_PART * part
+    way = 0.5 * (part - hold)
+    for _ in range(count):
+        for together in motion:
+            strength = float(rng.uniform(*STRENGTH))
+            for name in together:
+                yield Episode(name, strength, time, way, hold, way)
+            time += part

@@ -6,10 +6,16 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face import EYES, MEAN_SHAPE
-from posetrack_cli.synthesis.head.eyelids import along_and_above, lower_edge, upper_edge
-from posetrack_cli.synthesis.head.form import AXIS_Z, MOUTH_X, MOUTH_Y
+from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
+from posetrack_cli.synthesis.head.form import (
+    AXIS_Z,
+    MOUTH_X,
+    MOUTH_Y,
+    along_and_above,
+    lower_edge,
+    upper_edge,
+)
 from posetrack_cli.synthesis.head.identity import Looks
-from posetrack_cli.synthesis.head.interpolation import Displacements
 
 EXPRESSIONS = (
     "jaw_open",
@@ -110,9 +116,7 @@ def belongs_below(x: FloatArray, y: FloatArray) -> FloatArray:
     A step at the lips; beyond the corners of the mouth a slope that widens.
     """
     beyond = np.maximum(np.abs(x) - MOUTH_X, 0.0)
-    s = np.clip((MOUTH_Y - y) / np.maximum(1.1 * beyond, 1e-9) * 0.5 + 0.5, 0.0, 1.0)
-    share: FloatArray = s * s * (3.0 - 2.0 * s)
-    return share
+    return smooth_step((MOUTH_Y - y) / np.maximum(1.1 * beyond, 1e-9) * 0.5 + 0.5)
 
 
 def _field(anchors: Anchors) -> Displacements:
@@ -135,11 +139,11 @@ def _jaw(places: FloatArray, below: FloatArray) -> FloatArray:
     turned = np.stack([np.zeros_like(hung[..., 0]), *_turned(hung, sine, cosine)], axis=-1)
     x, y = places[..., 0], places[..., 1]
     corner = np.exp(-0.5 * ((np.abs(x) - MOUTH_X) / 12.0) ** 2 - 0.5 * ((y - MOUTH_Y) / 14.0) ** 2)
-    full = _ramp((-20.0 - y) / 60.0) * _ramp((y + 150.0) / 26.0)
-    middle = 1.0 - _ramp((np.abs(x) - 0.55 * MOUTH_X) / (0.45 * MOUTH_X))
+    full = smooth_step((-20.0 - y) / 60.0) * smooth_step((y + 150.0) / 26.0)
+    middle = 1.0 - smooth_step((np.abs(x) - 0.55 * MOUTH_X) / (0.45 * MOUTH_X))
     lower = np.where(np.abs(x) < MOUTH_X, 0.62 + 0.38 * middle, 0.62)
     lower = np.where(
-        y < MOUTH_Y - 8.0, np.maximum(lower, 0.62 + 0.38 * _ramp((MOUTH_Y - 8.0 - y) / 25.0)), lower
+        y < MOUTH_Y - 8.0, np.maximum(lower, 0.62 + 0.38 * smooth_step((MOUTH_Y - 8.0 - y) / 25.0)), lower
     )
     upper = 0.62 * corner
     share = full * ((1.0 - below) * upper + below * np.maximum(lower, upper))
@@ -158,11 +162,11 @@ def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
     """The upper lid comes down to the lower: what the opening shows is pressed together behind its edge."""
     s, above = along_and_above(xy[..., 0], xy[..., 1])
     top, bottom = upper_edge(s, looks.upper_lid), lower_edge(s, looks.lower_lid)
-    within = _ramp((s + 0.12) / 0.12) * _ramp((1.12 - s) / 0.12)
+    within = smooth_step((s + 0.12) / 0.12) * smooth_step((1.12 - s) / 0.12)
     opening = np.maximum(top - bottom, 1e-6)
     part = np.clip((above - bottom) / opening, 0.0, 1.0)
-    lid = np.clip((top + 9.0 - above) / 9.0, 0.0, 1.0)
-    down = np.where(above < top, part, lid * lid * (3.0 - 2.0 * lid)) * opening * within * 0.96
+    lid = smooth_step((top + 9.0 - above) / 9.0)
+    down = np.where(above < top, part, lid) * opening * within * 0.96
     down = np.where(above < bottom, 0.0, down)
     return np.stack([np.zeros_like(down), -down, 0.1 * down], axis=-1)
 
@@ -175,10 +179,3 @@ def _gaze(xy: FloatArray, looks: Looks) -> FloatArray:
     inside = np.clip(4.0 * s * (1.0 - s), 0.0, 1.0) * np.minimum(1.0, 6.0 * height * (1.0 - height))
     aside = GAZE_MM * inside * (xy[..., 1] < 12.0)
     return np.stack([aside, np.zeros_like(aside), np.zeros_like(aside)], axis=-1)
-
-
-def _ramp(s: FloatArray) -> FloatArray:
-    """Smooth step from 0 at 0 to 1 at 1."""
-    t = np.clip(s, 0.0, 1.0)
-    ramp: FloatArray = t * t * (3.0 - 2.0 * t)
-    return ramp

@@ -8,7 +8,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
-from posetrack_cli.synthesis.head.relief import Relief
+from posetrack_cli.synthesis.head.fields import smooth_step
+from posetrack_cli.synthesis.head.form import Relief
 
 LIKENESS_MM = 35.0
 """[ours] Distance over which neighbouring points of a face deviate alike."""
@@ -16,6 +17,10 @@ ASYMMETRY = 0.15
 """[ours] Share of the deviation that the two halves of a face do not have in common."""
 MOST_DEVIATION = 2.0
 """Deviations are drawn within so many standard deviations, all together: no face is a freak."""
+
+# angle from the front, deg: the hairline's height, mm, relative to its height in the middle
+_ANGLES = np.radians([0.0, 20.0, 38.0, 52.0, 62.0, 72.0, 82.0, 92.0, 105.0, 120.0, 180.0])
+_DROP = np.array([0.0, 1.0, 4.0, 12.0, 38.0, 62.0, 92.0, 84.0, 96.0, 150.0, 165.0])
 
 
 @dataclass(frozen=True)
@@ -141,3 +146,10 @@ def _random_looks(rng: np.random.Generator) -> Looks:
         wrinkles=rng.uniform(0.2, 0.9),
         texture_seed=int(rng.integers(2**31)),
     )
+
+
+def hair_share(places: FloatArray, looks: Looks, *, soft_mm: float = 8.0) -> FloatArray:
+    """Return how much hair (...) grows at places (..., 3) of the average head: 0 none, 1 full."""
+    angle = np.abs(np.arctan2(places[..., 0], (places[..., 2] + 82.0)))
+    line = looks.hairline - np.interp(angle, _ANGLES, _DROP)
+    return smooth_step((places[..., 1] - line) / soft_mm)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from posetrack_cli.errors import UsageError
+from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("natural", "slight", "turn", "still")
 FREE, TWO_MOTIONS = "free", "two-motions"
@@ -66,13 +66,15 @@ class HeadSynthOptions:
     baseline_mm: float = 120.0
 
     def __post_init__(self) -> None:
-        _check("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
-        _check("script", self.script, self.script in SCRIPTS, " or ".join(SCRIPTS))
-        _check("script", self.script, self.expressions or self.script == FREE, "a face with expressions")
-        _check("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
-        _check("cameras", self.cameras, self.cameras in CAMERAS, "1 or 2")
+        check_option("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
+        check_option("script", self.script, self.script in SCRIPTS, " or ".join(SCRIPTS))
+        check_option(
+            "script", self.script, self.expressions or self.script == FREE, "a face with expressions"
+        )
+        check_option("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
+        check_option("cameras", self.cameras, self.cameras in CAMERAS, "1 or 2")
         for name in ("identity", "seed"):
-            _check(name, getattr(self, name), getattr(self, name) >= 0, "0 or more")
+            check_option(name, getattr(self, name), getattr(self, name) >= 0, "0 or more")
         ranges = {
             "frames": (self.frames, 1, MOST_FRAMES),
             "fps": (self.fps, 1.0, 1000.0),
@@ -82,17 +84,12 @@ class HeadSynthOptions:
             "baseline": (self.baseline_mm, *BASELINES_MM),
         }
         for name, (value, low, high) in ranges.items():
-            _check(name, value, low <= value <= high, f"{low:g} to {high:g}")
+            check_option(name, value, low <= value <= high, f"{low:g} to {high:g}")
         low, high = SIZES_PX
         good = low <= min(self.width, self.height) and max(self.width, self.height) <= high
-        _check("image-size", f"{self.width}x{self.height}", good, f"sides of {low} to {high} pixels")
+        check_option("image-size", f"{self.width}x{self.height}", good, f"sides of {low} to {high} pixels")
 
     @property
     def duration_s(self) -> float:
         """From the first to the last frame's stamp."""
         return (self.frames - 1) / self.fps
-
-
-def _check(name: str, value: object, good: bool, expected: str) -> None:
-    if not good:
-        raise UsageError(f"--{name} cannot be used", found=value, expected=expected)

@@ -9,15 +9,14 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face import MEAN_SHAPE
 from posetrack_cli.synthesis.head.expressions import belongs_below, displacements
-from posetrack_cli.synthesis.head.form import MOUTH_X, MOUTH_Y, angle_of, smooth_head
-from posetrack_cli.synthesis.head.hair import hair_share
-from posetrack_cli.synthesis.head.identity import Identity
-from posetrack_cli.synthesis.head.interpolation import Displacements
-from posetrack_cli.synthesis.head.relief import forward
+from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
+from posetrack_cli.synthesis.head.form import MOUTH_X, MOUTH_Y, angle_of, forward, smooth_head
+from posetrack_cli.synthesis.head.identity import Identity, hair_share
 from posetrack_cli.synthesis.head.skin_grid import POCKET_MM, SkinGrid
-from posetrack_cli.synthesis.head.surroundings import ear_vertices
 
 REACH_MM = 30.0
+EAR_MIDDLE = np.array([72.0, -16.0, -88.0])
+EAR_MM = np.array([7.0, 31.0, 17.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +105,7 @@ def _below(grid: SkinGrid) -> FloatArray:
     x, y = grid.places[..., 0], grid.places[..., 1]
     share = belongs_below(x, y)
     between = (np.abs(x) < MOUTH_X - 1e-9) & (np.abs(y - MOUTH_Y) < 1e-9) & (grid.places[..., 2] > 0.0)
-    s = np.clip((grid.pocket - 0.35) / 0.3, 0.0, 1.0)
-    rows = np.broadcast_to((s * s * (3.0 - 2.0 * s))[:, None], share.shape)
+    rows = np.broadcast_to(smooth_step((grid.pocket - 0.35) / 0.3)[:, None], share.shape)
     return np.where(between, rows, share)
 
 
@@ -118,3 +116,16 @@ def _hair(grid: SkinGrid, identity: Identity) -> FloatArray:
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
     displacement: FloatArray = identity.looks.hair_volume * share[..., None] * outward
     return displacement
+
+
+def ear_vertices(side: float) -> FloatArray:
+    """Return the grid (13, 25, 3) of an ear, mm, head's frame; side 1 is the subject's left, -1 the right."""
+    across = np.linspace(-np.pi, np.pi, 25)[None, :]
+    down = np.linspace(0.5 * np.pi, -0.5 * np.pi, 13)[:, None]
+    y, z = np.broadcast_arrays(np.sin(down), np.cos(down) * np.cos(across))
+    x = np.cos(down) * np.sin(across)
+    rim = 1.0 - 0.75 * np.exp(-0.5 * ((np.hypot(y, 1.3 * z)) / 0.45) ** 2)  # hollow in the middle
+    ear = np.stack([x * rim, y, z - 0.2 * y], axis=-1) * EAR_MM
+    ear[..., 0] += 0.3 * np.maximum(-ear[..., 2], 0.0)
+    placed: FloatArray = (ear + EAR_MIDDLE) * [side, 1.0, 1.0]
+    return placed

@@ -2,39 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from posetrack_cli import __version__
-from posetrack_cli.errors import UsageError
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.outputs import check_output, whole_or_nothing
-from posetrack_cli.recording.conversion import CHUNK_BYTES
+from posetrack_cli.outputs import check_output, check_place, is_taken, part_path
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
 from posetrack_cli.results import messages
-from posetrack_cli.synthesis.head.encoding import FORMATS, image_message, message_class
 from posetrack_cli.synthesis.head.expression_script import deforming_interval
-from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD, check_folder_output, write_folder
 from posetrack_cli.synthesis.head.frames import Plan, SyntheticHeadFrame, make_plan, render_plan
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.truth import TruthChannels
+from posetrack_cli.synthesis.recording import (
+    Synthesis,
+    TruthChannels,
+    check_option,
+    numbers_text,
+    reported,
+    synth_record,
+    write_all,
+    write_file,
+    write_message,
+)
 
+FORMATS = ("jpeg", "png", "raw")
+SUFFIXES = {"jpeg": ".jpg", "png": ".png"}
+JPEG_QUALITY = 95
+PNG_LEVEL = 1
+"""Noise does not compress: level 9 takes ten times as long for some per cent."""
 TRANSFORMS_TOPIC = "/tf"
+TRUTH_FILE_NAME = "truth.mcap"
+OWN_NAMES = {CAMERA_FILE_NAME, STAMPS_FILE_NAME, TRUTH_FILE_NAME, "left", "right", "camera"}
 
 Report = Callable[[SyntheticHeadFrame], None]
-
-
-@dataclass(frozen=True)
-class Synthesis:
-    """What was written: frames, images that are missing of them, seconds from the first to the last stamp."""
-
-    frames: int
-    missing: int
-    seconds: float
 
 
 def write_synthetic(
@@ -66,82 +79,161 @@ def write_synthetic(
         RenderingError: there is no working GL.
     """
     is_file = out.suffix == ".mcap"
-    _check_format(image_format, is_file)
+    formats = FORMATS if is_file else tuple(SUFFIXES)
+    check_option("image-format", image_format, image_format in formats, " or ".join(formats))
     check = check_output if is_file else check_folder_output
     check(out, overwrite=overwrite)
     plan = make_plan(options)
-    frames = (_reported(frame, report) for frame in render_plan(plan, options))
-    record = synth_record(options, plan)
+    record, frames = synth_record(options, _facts(plan)), reported(render_plan(plan), report)
     if is_file:
-        with (
-            whole_or_nothing(out) as part,
-            McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink,
-        ):
-            sink.metadata(SYNTH_RECORD, record)
-            channels = RecordingChannels(sink, plan, image_format)
-            for frame in frames:
-                channels.write(frame)
-            sink.finish()
+        write_file(out, record, frames, lambda sink: _Channels(sink, plan, image_format))
     else:
-        write_folder(out, plan, frames, image_format, record)
-    return Synthesis(options.frames, int(plan.dropped.sum()), options.duration_s)
+        with _whole_folder(out) as folder:
+            _write_cameras(folder, plan, SUFFIXES[image_format])
+            with McapSink(folder / TRUTH_FILE_NAME) as sink:
+                write_all(sink, record, frames, lambda sink: _Folder(sink, plan, folder, image_format))
+    return Synthesis(options.frames, int(plan.timeline.dropped.sum()), options.duration_s)
 
 
-def synth_record(options: HeadSynthOptions, plan: Plan) -> dict[str, str]:
-    """Return the metadata that tells how a recording was made, and when what happens in it."""
-    deforming = deforming_interval(options)
-    turn = plan.movement.turn_interval
-    record = {
-        "version": __version__,
-        **{f.name: str(getattr(options, f.name)) for f in fields(options)},
-        "neutral_shape_mm": _numbers(plan.person.points),
-        "deforming_s": "" if deforming is None else _numbers(deforming),
-        "turn_s": "" if turn is None else _numbers(turn),
-        "occlusion_s": "" if plan.passing is None else _numbers(plan.passing.interval),
-        **{f"looks.{f.name}": str(getattr(plan.identity.looks, f.name)) for f in fields(plan.identity.looks)},
+def _facts(plan: Plan) -> dict[str, str]:
+    """What the metadata tells beside the options: who is seen, and when what happens."""
+    times = {
+        "deforming_s": deforming_interval(plan.options),
+        "turn_s": plan.movement.turn_interval,
+        "occlusion_s": plan.occluder.interval if plan.occluder else None,
     }
-    return dict(sorted(record.items()))
+    return {
+        "neutral_shape_mm": numbers_text(plan.person.points),
+        **{name: "" if interval is None else numbers_text(interval) for name, interval in times.items()},
+        **{f"looks.{name}": str(value) for name, value in asdict(plan.identity.looks).items()},
+    }
 
 
-class RecordingChannels:
+class _Channels:
     """Puts a recording's images, calibration and truth on their topics."""
 
     def __init__(self, sink: McapSink, plan: Plan, image_format: str) -> None:
         self._sink, self._plan, self._format = sink, plan, image_format
-        self._calibrate(int(plan.stamps_ns[0]))
-        image = message_class(image_format)
-        self._images = [sink.channel(f"/{camera.name}/image", image) for camera in plan.cameras]
-        self._truth = TruthChannels(sink, plan.cameras[0].name)
+        self._calibrate(int(plan.timeline.stamps_ns[0]))
+        kind = RawImage if image_format == "raw" else CompressedImage
+        self._images = [sink.channel(f"/{camera.name}/image", kind) for camera in plan.cameras]
+        self._truth = TruthChannels(sink, plan.subject, "expression")
 
     def write(self, frame: SyntheticHeadFrame) -> None:
         """Write one frame and the truth about it."""
         for channel, camera, image in zip(self._images, self._plan.cameras, frame.images, strict=True):
             if image is not None:
-                data = image_message(image, self._format, camera.name, frame.stamp_ns)
-                self._sink.write(channel, frame.stamp_ns, data)
+                message = image_message(image, self._format, camera.name, frame.stamp_ns)
+                write_message(self._sink, channel, frame.stamp_ns, message)
         self._truth.write(frame)
 
     def _calibrate(self, stamp_ns: int) -> None:
-        for camera in self._plan.cameras:
-            message = calibration_message(camera, stamp_ns, camera.name)
-            channel = self._sink.channel(f"/{camera.name}/calibration", type(message))
-            self._sink.write(channel, stamp_ns, message.SerializeToString(deterministic=True))
-        if len(self._plan.cameras) > 1:
-            transforms = messages.camera_transforms(self._plan.cameras, self._plan.cameras[0].name, stamp_ns)
-            channel = self._sink.channel(TRANSFORMS_TOPIC, type(transforms))
-            self._sink.write(channel, stamp_ns, transforms.SerializeToString(deterministic=True))
+        cameras = self._plan.cameras
+        said = {f"/{c.name}/calibration": calibration_message(c, stamp_ns, c.name) for c in cameras}
+        if len(cameras) > 1:
+            said[TRANSFORMS_TOPIC] = messages.camera_transforms(cameras, cameras[0].name, stamp_ns)
+        for topic, message in said.items():
+            write_message(self._sink, self._sink.channel(topic, type(message)), stamp_ns, message)
 
 
-def _check_format(image_format: str, is_file: bool) -> None:
-    known = FORMATS if is_file else FORMATS[:2]
-    if image_format not in known:
-        raise UsageError("--image-format cannot be used", found=image_format, expected=" or ".join(known))
+def image_message(image: ImageArray, image_format: str, frame_id: str, stamp_ns: int) -> Any:
+    """Return an image as a foxglove message, mono8 or compressed."""
+    if image_format == "raw":
+        height, width = image.shape
+        content = {"width": width, "height": height, "encoding": "mono8", "step": width}
+        message = RawImage(frame_id=frame_id, data=image.tobytes(), **content)
+    else:
+        data = encoded(image, image_format)
+        message = CompressedImage(frame_id=frame_id, format=image_format, data=data)
+    message.timestamp.FromNanoseconds(stamp_ns)
+    return message
 
 
-def _reported(frame: SyntheticHeadFrame, report: Report) -> SyntheticHeadFrame:
-    report(frame)
-    return frame
+def encoded(image: ImageArray, image_format: str) -> bytes:
+    """Return an image (height, width) uint8 as JPEG or PNG."""
+    options = {
+        "jpeg": [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY],
+        "png": [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL],
+    }
+    _, data = cv2.imencode(SUFFIXES[image_format], image, options[image_format])
+    return data.tobytes()
 
 
-def _numbers(values: Any) -> str:
-    return " ".join(f"{value:.6g}" for value in np.ravel(values))
+# Folders, as cameras' software leaves them
+
+
+class _Folder:
+    """Puts images in the cameras' folders and the truth on its topics."""
+
+    def __init__(self, sink: McapSink, plan: Plan, folder: Path, image_format: str) -> None:
+        self._places = [folder / camera.name for camera in plan.cameras]
+        self._format = image_format
+        self._truth = TruthChannels(sink, plan.subject, "expression")
+
+    def write(self, frame: SyntheticHeadFrame) -> None:
+        """Write one frame and the truth about it."""
+        for place, image in zip(self._places, frame.images, strict=True):
+            if image is not None:
+                path = place / f"{frame.index:06d}{SUFFIXES[self._format]}"
+                path.write_bytes(encoded(image, self._format))
+        self._truth.write(frame)
+
+
+def check_folder_output(out: Path, *, overwrite: bool) -> None:
+    """Refuse a folder that cannot be written, or would replace what it must not.
+
+    Raises:
+        UsageError: something is there that may not be replaced: without ``overwrite`` anything, with it
+            what is no synthetic recording.
+        ResultError: the folder above does not exist.
+    """
+    if out.suffix:
+        raise UsageError("output cannot be used", where=out, expected="NAME.mcap, or a folder without a dot")
+    check_place(out)
+    if not is_taken(out):
+        return
+    if not overwrite:
+        raise UsageError("exists already", where=out, hint="use --overwrite to replace it")
+    if not _is_synthetic(out):
+        raise UsageError("is no synthetic recording, so it is not replaced", where=out)
+
+
+@contextmanager
+def _whole_folder(out: Path) -> Iterator[Path]:
+    """Yield the new folder NAME.part, which becomes ``out`` at the end, and is deleted after any failure.
+
+    Raises:
+        ResultError: it cannot be written.
+    """
+    part = part_path(out)
+    try:
+        if part.exists():
+            shutil.rmtree(part)
+        part.mkdir()
+        yield part
+        if out.exists():
+            shutil.rmtree(out)
+        part.replace(out)
+    except OSError as error:
+        raise ResultError("cannot be written", where=out, found=error.strerror or error) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _write_cameras(folder: Path, plan: Plan, suffix: str) -> None:
+    """Write the stamps of all frames that any camera has, the cameras, and a folder for each."""
+    taken = np.flatnonzero((~plan.timeline.dropped).any(axis=0)).tolist()
+    rows = [f"{index:06d}{suffix},{int(plan.timeline.stamps_ns[index])}\n" for index in taken]
+    (folder / STAMPS_FILE_NAME).write_text("".join(["filename,stamp_ns\n", *rows]), encoding="utf-8")
+    comments = ["Cameras of a synthetic recording; the truth is in truth.mcap."]
+    (folder / CAMERA_FILE_NAME).write_text(camera_file_text(plan.cameras, comments), encoding="utf-8")
+    for camera in plan.cameras:
+        (folder / camera.name).mkdir()
+
+
+def _is_synthetic(out: Path) -> bool:
+    """Whether a folder holds what is written here, and nothing else."""
+    if out.is_symlink() or not out.is_dir():
+        return False
+    names = {entry.name for entry in out.iterdir()}
+    return not names or (TRUTH_FILE_NAME in names and names <= OWN_NAMES)

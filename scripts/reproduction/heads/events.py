@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap.records import Metadata
 
 from posetrack_cli.mcap.stream import read_extras
-from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD
+from posetrack_cli.synthesis.recording import SYNTH_RECORD
 
 Interval = tuple[float, float]
 

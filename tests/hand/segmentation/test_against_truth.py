@@ -17,8 +17,10 @@ from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, 
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
-from posetrack_cli.synthesis.hand import CAMERA, Switches, SynthOptions, synthesise
+from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
 from posetrack_cli.synthesis.hand.scene import Scene
+from posetrack_cli.synthesis.hand.sensor import CAMERA
 
 HAND = average_hand()
 ANATOMY, SAMPLER, SETTINGS = HAND.anatomy, PixelSampler(CAMERA), SegmentationSettings()

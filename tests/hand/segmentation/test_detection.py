@@ -19,7 +19,9 @@ from posetrack_cli.hand.segmentation.detection import coarse_window
 from posetrack_cli.hand.segmentation.palms import surfaces_of
 from posetrack_cli.hand.segmentation.region import region_around
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand import CAMERA, SynthOptions, synthesise
+from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.options import SynthOptions
+from posetrack_cli.synthesis.hand.sensor import CAMERA
 from support.hand import KINECT
 
 SETTINGS = DetectionSettings()

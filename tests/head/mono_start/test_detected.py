@@ -17,7 +17,7 @@ from posetrack_cli.head.start.start import NO_FACE, NoStart
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.rig import make_cameras
+from posetrack_cli.synthesis.head.sensor import make_cameras
 from support.mono_start_scenes import BLANK, PLAIN, Says, found, head
 
 SETTINGS = MonoStartSettings()

@@ -8,18 +8,18 @@ import pytest
 
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand import Switches, SyntheticFrame, SynthOptions, make_plan, synthesise
-from posetrack_cli.synthesis.hand.edges import MISSING_FRACTIONS
-from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.synthesis.hand.frames import SyntheticHandFrame, make_plan, synthesise
+from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
+from posetrack_cli.synthesis.hand.sensor import CAMERA, MISSING_FRACTIONS
 
 BARE = Switches()
 
 
-def frames(device: RenderingDevice, **options: Any) -> list[SyntheticFrame]:
+def frames(device: RenderingDevice, **options: Any) -> list[SyntheticHandFrame]:
     return list(synthesise(SynthOptions(**{"switches": BARE, "frames": 4, **options}), device=device))
 
 
-def first(device: RenderingDevice, **options: Any) -> SyntheticFrame:
+def first(device: RenderingDevice, **options: Any) -> SyntheticHandFrame:
     return frames(device, frames=1, **options)[0]
 
 

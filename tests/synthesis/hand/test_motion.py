@@ -10,10 +10,18 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.synthesis.hand.motion import Motion, make_motion
 from posetrack_cli.synthesis.hand.natural import difference, natural_motion
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.region import Region, folded, start_pose, walk_region
 from posetrack_cli.synthesis.hand.sensor import CAMERA
 from posetrack_cli.synthesis.hand.shapes import SHAPES, coupled, inside_limits, minimum_jerk
-from posetrack_cli.synthesis.hand.walk import WalkNoise, pose_walk, reflected, velocity_walk
+from posetrack_cli.synthesis.hand.walk import (
+    Region,
+    WalkNoise,
+    folded,
+    pose_walk,
+    reflected,
+    start_pose,
+    velocity_walk,
+    walk_region,
+)
 
 FRAME_S = 1.0 / 30.0
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])

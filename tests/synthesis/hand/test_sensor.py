@@ -3,8 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.synthesis.hand.edges import MISSING_FRACTIONS, missing_beside_edges, missing_fraction
-from posetrack_cli.synthesis.hand.sensor import CAMERA, noise_sd, noisy, quantised
+from posetrack_cli.synthesis.hand.sensor import (
+    CAMERA,
+    MISSING_FRACTIONS,
+    missing_beside_edges,
+    missing_fraction,
+    noise_sd,
+    noisy,
+    quantised,
+)
 
 SHAPE = (CAMERA.height, CAMERA.width)
 

@@ -13,15 +13,10 @@ from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.fields import check_estimate
-from posetrack_cli.synthesis.hand import (
-    SUBJECT,
-    SYNTH_RECORD,
-    Switches,
-    SynthOptions,
-    synthesise,
-    truth_estimate,
-    write_synthetic,
-)
+from posetrack_cli.synthesis.hand.frames import SUBJECT, synthesise
+from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
+from posetrack_cli.synthesis.hand.writing import write_synthetic
+from posetrack_cli.synthesis.recording import SYNTH_RECORD
 
 TRUTH_TOPICS = {f"/truth/hand/{name}" for name in ("odometry", "joint_states", "estimate")}
 
@@ -32,7 +27,7 @@ def test_the_file_reads_as_a_recording_with_its_truth(tmp_path: Path) -> None:
     recording = open_recording(tmp_path / "a.mcap")
     expected = list(synthesise(options))
     frames = list(recording.frames())
-    assert len(frames) == made.frames == len(expected) and made.frames + made.dropped == 40
+    assert len(frames) == made.frames == len(expected) and made.frames + made.missing == 40
     assert recording.cameras[0].fx == 365.0 and not recording.losses
     truth = list(recording.truth())
     assert {message.topic for message in truth} == TRUTH_TOPICS
@@ -73,7 +68,7 @@ def test_truth_of_a_random_walk_has_no_velocity(tmp_path: Path) -> None:
 
 def test_the_pose_rate_is_that_of_the_quaternion() -> None:
     frame = list(synthesise(SynthOptions(motion="B", frames=5, switches=Switches())))[-1]
-    estimate = truth_estimate(frame)
+    estimate = frame.truth()
     assert frame.twist is not None
     assert estimate.pose_rate is not None
     assert estimate.pose_rate[3:7] == pytest.approx(quaternion_rate(frame.pose[3:7], frame.twist[3:6]))

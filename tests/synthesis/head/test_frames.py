@@ -14,8 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import SyntheticHeadFrame, make_plan, render_plan, synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.rig import make_cameras
-from posetrack_cli.synthesis.head.sensor import EXPOSURE, READ_SD, SHOT, Sensor
+from posetrack_cli.synthesis.head.sensor import EXPOSURE, READ_SD, SHOT, Sensor, make_cameras
 
 SHORT = HeadSynthOptions(frames=3, identity=1, seed=1)
 
@@ -117,15 +116,15 @@ def test_an_object_hides_one_half_of_the_face_only(device: RenderingDevice) -> N
     """Once it has come; the other half is as it would be without."""
     options = replace(SHORT, frames=31, fps=10.0, motion="still", cameras=1, noise=0.0, light="steady")
     plan = make_plan(replace(options, occlusion=True))
-    assert plan.passing is not None
-    index = round((plan.passing.start_s + 0.5) * 10.0)
-    hidden = next(islice(render_plan(plan, options, device=device), index, None))
+    assert plan.occluder is not None
+    index = round((plan.occluder.start_s + 0.5) * 10.0)
+    hidden = next(islice(render_plan(plan, device=device), index, None))
     plain = next(islice(synthesise(options, device=device), index, None))
     difference = np.abs(hidden.images[0].astype(float) - plain.images[0])
     changed = cv2.blur(difference, (9, 9)) > 4.0  # the object may be as grey as a single pixel of the face
     ten = np.rint(pixels(plan.cameras[0], plain)).astype(int)
     covered = changed[ten[:, 1], ten[:, 0]]
-    expected = ten[:, 0] > ten[:, 0].mean() if plan.passing.side > 0 else ten[:, 0] < ten[:, 0].mean()
+    expected = ten[:, 0] > ten[:, 0].mean() if plan.occluder.side > 0 else ten[:, 0] < ten[:, 0].mean()
     outer = [0, 3, 4, 5]  # the points far from the middle
     np.testing.assert_array_equal(covered[outer], expected[outer])
     assert plain.images[0].std() > 20.0

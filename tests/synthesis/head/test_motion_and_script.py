@@ -15,8 +15,8 @@ from posetrack_cli.synthesis.head.expressions import BOTH_WAYS, EXPRESSIONS
 from posetrack_cli.synthesis.head.identity import Identity
 from posetrack_cli.synthesis.head.illumination import make_illumination
 from posetrack_cli.synthesis.head.movement import FACING, TURN_RAD_S, make_movement
+from posetrack_cli.synthesis.head.occluder import BEFORE_MM, STAY_S, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.passing import BEFORE_MM, STAY_S, make_passing
 from posetrack_cli.synthesis.head.person import make_person
 from posetrack_cli.synthesis.head.skin_grid import skin_grid
 
@@ -119,15 +119,15 @@ def test_a_slight_motion_faces_the_camera() -> None:
 
 def test_an_object_covers_one_side_for_one_second() -> None:
     options = replace(MINUTE, occlusion=True)
-    passing = make_passing(options, np.random.default_rng(5))
-    assert passing is not None
-    assert make_passing(MINUTE, np.random.default_rng(5)) is None
+    occluder = make_occluder(options, np.random.default_rng(5))
+    assert occluder is not None
+    assert make_occluder(MINUTE, np.random.default_rng(5)) is None
     head = np.array([10.0, 20.0, 700.0])
-    aside = np.array([passing.place(t, head)[0] - head[0] for t in seconds]) * passing.side
+    aside = np.array([occluder.place(t, head)[0] - head[0] for t in seconds]) * occluder.side
     covering = aside < 60.0
     assert covering.sum() / 30.0 == pytest.approx(STAY_S, abs=0.35)
     assert (aside > 0.0).all() and aside[0] > 400.0 and aside[-1] > 400.0
-    assert passing.place(0.0, head)[2] == head[2] - BEFORE_MM
+    assert occluder.place(0.0, head)[2] == head[2] - BEFORE_MM
 
 
 def test_light_drifts_slowly_and_switches_when_asked() -> None:

@@ -18,12 +18,11 @@ from posetrack_cli.recording.opening import open_images
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
-from posetrack_cli.synthesis.head.folder_writing import SYNTH_RECORD
-from posetrack_cli.synthesis.head.frames import make_plan, synthesise
+from posetrack_cli.synthesis.head.frames import COMPONENTS, make_plan, synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.rig import make_cameras
-from posetrack_cli.synthesis.head.truth import COMPONENTS, truth_estimate
+from posetrack_cli.synthesis.head.sensor import make_cameras
 from posetrack_cli.synthesis.head.writing import write_synthetic
+from posetrack_cli.synthesis.recording import SYNTH_RECORD
 
 SMALL = HeadSynthOptions(frames=3, seed=5, width=160, height=120)
 TOPICS = {f"/truth/head/{name}" for name in ("odometry", "expression", "estimate")}
@@ -95,7 +94,7 @@ def test_the_same_options_give_the_same_bytes(tmp_path: Path) -> None:
 def test_truth_has_rates_of_the_pose_and_the_expressions_by_name(tmp_path: Path) -> None:
     options = replace(SMALL, frames=40, fps=10.0, width=64, height=64, cameras=1)
     frames = list(synthesise(options))
-    estimate = truth_estimate(frames[20])
+    estimate = frames[20].truth()
     assert estimate.pose_rate is not None and estimate.twist is not None
     expected = quaternion_rate(estimate.quaternion, estimate.twist[3:])
     np.testing.assert_allclose(estimate.pose_rate, [*estimate.twist[:3], *expected])
@@ -149,13 +148,15 @@ def test_images_that_are_missing_are_those_of_the_plan(tmp_path: Path, name: str
     options = replace(SMALL, cameras=cameras, frames=20, seed=73, width=64, height=64, drops=True)
     plan = make_plan(options)
     made = write_synthetic(options, tmp_path / name, image_format="png")
-    assert made.missing == plan.dropped.sum() > 0
-    assert not plan.dropped[:, 0].any() and (cameras == 1 or not plan.dropped.all(axis=0).any())
-    taken = np.flatnonzero(~plan.dropped.all(axis=0))
+    assert made.missing == plan.timeline.dropped.sum() > 0
+    assert not plan.timeline.dropped[:, 0].any() and (
+        cameras == 1 or not plan.timeline.dropped.all(axis=0).any()
+    )
+    taken = np.flatnonzero(~plan.timeline.dropped.all(axis=0))
     whole = list(synthesise(replace(options, drops=False)))
     for frame, index in zip(open_images(tmp_path / name).frames(), taken, strict=True):
-        assert frame.stamp_ns == plan.stamps_ns[index]
+        assert frame.stamp_ns == plan.timeline.stamps_ns[index]
         for image, dropped, expected in zip(
-            frame.images, plan.dropped[:, index], whole[index].images, strict=True
+            frame.images, plan.timeline.dropped[:, index], whole[index].images, strict=True
         ):
             assert image is None if dropped else np.array_equal(image, expected)

@@ -1,4 +1,4 @@
-"""When the frames of a synthetic recording are taken, and which of them are missing."""
+"""When the frames of a synthetic recording are taken, and which frames or images are missing."""
 
 from __future__ import annotations
 
@@ -20,6 +20,9 @@ LATE_S = (0.002, 0.015)
 MOST_LATE = 0.45
 """A frame is late by at most this part of the frame interval, so that order is kept at any rate."""
 
+BURSTS_PER_FRAME, LONGEST_BURST = 0.01, 12
+"""Of images that one camera misses: a burst takes 1 to so many."""
+
 
 @dataclass(frozen=True)
 class Timeline:
@@ -27,7 +30,7 @@ class Timeline:
 
     Attributes:
         stamps_ns: (T,) when each frame is taken, strictly increasing; also of the dropped ones.
-        dropped: (T,) which frames are missing; never the first.
+        dropped: (T,) which frames are missing, or (C, T) which image of each camera; never the first.
     """
 
     stamps_ns: IntArray
@@ -55,9 +58,15 @@ def make_timeline(frames: int, fps: float, *, drops: bool, late: bool, rng: np.r
     """
     delays = _delays(frames, fps, rng)
     dropped = _dropped(frames, rng)
-    nominal = START_NS + np.rint(np.arange(frames) * (1e9 / fps)).astype(np.int64)
+    nominal = nominal_stamps(frames, fps)
     stamps = nominal + np.rint(delays * 1e9).astype(np.int64) if late else nominal
     return Timeline(stamps, dropped if drops else np.zeros(frames, dtype=np.bool_))
+
+
+def nominal_stamps(frames: int, fps: float) -> IntArray:
+    """Return the stamps (T,) ns of frames that are all on time, at a rate in Hz."""
+    since = np.rint(np.arange(frames) * (1e9 / fps)).astype(np.int64)
+    return np.asarray(START_NS + since, dtype=np.int64)
 
 
 def _delays(frames: int, fps: float, rng: np.random.Generator) -> FloatArray:
@@ -75,4 +84,16 @@ def _dropped(frames: int, rng: np.random.Generator) -> BoolArray:
     for first in np.flatnonzero(begins):
         dropped[first : first + lengths[first]] = True
     dropped[0] = False
+    return dropped
+
+
+def dropped_images(cameras: int, frames: int, rng: np.random.Generator) -> BoolArray:
+    """Return which images (C, T) are missing: never of the first frame, never all of a frame of several."""
+    dropped = np.zeros((cameras, frames), dtype=np.bool_)
+    for row in dropped:
+        for first in np.flatnonzero(rng.random(frames) < BURSTS_PER_FRAME):
+            row[first : first + rng.integers(1, LONGEST_BURST + 1)] = True
+    dropped[:, 0] = False
+    if cameras > 1:
+        dropped[0, dropped.all(axis=0)] = False
     return dropped

@@ -10,7 +10,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.synthesis.head.curves import pulse
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
-PASSING_PART = 0.45
+OCCLUDED_PART = 0.45
 """Part of the recording at which the object has come."""
 COME_S, STAY_S = 0.35, 1.0
 AWAY_MM, COVERING_MM, BEFORE_MM = 520.0, 52.0, 150.0
@@ -19,7 +19,7 @@ camera."""
 
 
 @dataclass(frozen=True)
-class Passing:
+class Occluder:
     """An object's way: it covers half of the face from ``start_s``; side 1 is the image's right."""
 
     start_s: float
@@ -38,7 +38,7 @@ class Passing:
         return place
 
 
-def make_passing(options: HeadSynthOptions, rng: np.random.Generator) -> Passing | None:
+def make_occluder(options: HeadSynthOptions, rng: np.random.Generator) -> Occluder | None:
     """Return the object's way, None without an object; the side is drawn in any case."""
     side = 1.0 if rng.random() < 0.5 else -1.0
-    return Passing(PASSING_PART * options.duration_s, side) if options.occlusion else None
+    return Occluder(OCCLUDED_PART * options.duration_s, side) if options.occlusion else None

@@ -1,0 +1,151 @@
+"""A synthetic recording as hands and heads share it: its frames, its truth, its file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from posetrack_cli import __version__
+from posetrack_cli.errors import UsageError
+from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.outputs import whole_or_nothing
+from posetrack_cli.recording.base import TRUTH_PREFIX
+from posetrack_cli.recording.conversion import CHUNK_BYTES
+from posetrack_cli.results import messages
+from posetrack_cli.results.estimate import Estimate, Subject
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA, ESTIMATE_SCHEMA_NAME, estimate_to_json
+
+SYNTH_RECORD = "posetrack.synth"
+"""The metadata that tells how a recording was made."""
+
+
+class SyntheticFrame(Protocol):
+    """What every frame tells of itself."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """When it was taken, integer nanoseconds; the truth is of the same time."""
+
+    def truth(self) -> Estimate:
+        """The truth as an estimate without doubt: confidence 1, all variances 0, no particles."""
+
+    def joint_states(self) -> messages.JointStates:
+        """What moves in itself: the angles of fingers, the strengths of expressions."""
+
+
+Frame = TypeVar("Frame", bound=SyntheticFrame)
+FrameContra = TypeVar("FrameContra", bound=SyntheticFrame, contravariant=True)
+
+
+class Writer(Protocol[FrameContra]):
+    """Puts frames on their topics."""
+
+    def write(self, frame: FrameContra) -> None:
+        """Write one frame and the truth about it."""
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """What was written.
+
+    Attributes:
+        frames: number of frames written.
+        missing: number of frames, or of images of several cameras, that were left out.
+        seconds: from the first to the last frame's stamp.
+    """
+
+    frames: int
+    missing: int
+    seconds: float
+
+
+def check_option(name: str, value: object, good: bool, expected: str) -> None:
+    """Raise UsageError, which names an option, unless its value can be used."""
+    if not good:
+        raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
+
+
+def reported(frames: Iterator[Frame], report: Callable[[Frame], None]) -> Iterator[Frame]:
+    """Yield frames, each after it was reported."""
+    for frame in frames:
+        report(frame)
+        yield frame
+
+
+def synth_record(options: Any, facts: Mapping[str, str]) -> dict[str, str]:
+    """Return the metadata that tells how a recording was made: the options of one value each, and facts.
+
+    Args:
+        options: a dataclass.
+        facts: what else is told.
+    """
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    plain = {name: str(value) for name, value in values.items() if not is_dataclass(value)}
+    return dict(sorted({"version": __version__, **plain, **facts}.items()))
+
+
+def numbers_text(values: Any) -> str:
+    """Return numbers as metadata has them."""
+    return " ".join(f"{value:.6g}" for value in np.ravel(values))
+
+
+def write_file(
+    out: Path, record: Mapping[str, str], frames: Iterator[Frame], writer: Callable[[McapSink], Writer[Frame]]
+) -> None:
+    """Write a recording as an MCAP file: ``out`` + ``.part``, renamed when it is complete.
+
+    Raises:
+        ResultError: the file cannot be written.
+    """
+    with (
+        whole_or_nothing(out) as part,
+        McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink,
+    ):
+        write_all(sink, record, frames, writer)
+
+
+def write_all(
+    sink: McapSink,
+    record: Mapping[str, str],
+    frames: Iterator[Frame],
+    writer: Callable[[McapSink], Writer[Frame]],
+) -> None:
+    """Write the metadata ``posetrack.synth`` and all frames, and finish the file."""
+    sink.metadata(SYNTH_RECORD, record)
+    opened = writer(sink)
+    for frame in frames:
+        opened.write(frame)
+    sink.finish()
+
+
+class TruthChannels:
+    """Writes truth below ``/truth/SUBJECT/``: ``odometry`` and ``estimate``, as results do, and joint states.
+
+    Args:
+        sink: where to.
+        subject: who it is about.
+        joints: the last part of the joint states' topic.
+    """
+
+    def __init__(self, sink: McapSink, subject: Subject, joints: str) -> None:
+        self._sink, self._subject = sink, subject
+        prefix = f"{TRUTH_PREFIX}{subject.name}"
+        self._odometry = sink.channel(f"{prefix}/odometry", messages.Odometry)
+        self._joints = sink.channel(f"{prefix}/{joints}", messages.JointStates)
+        self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, ESTIMATE_SCHEMA)
+
+    def write(self, frame: SyntheticFrame) -> None:
+        """Write the truth about one frame."""
+        truth = frame.truth()
+        write_message(self._sink, self._odometry, frame.stamp_ns, messages.odometry(truth, self._subject))
+        write_message(self._sink, self._joints, frame.stamp_ns, frame.joint_states())
+        self._sink.write(self._estimate, frame.stamp_ns, estimate_to_json(truth))
+
+
+def write_message(sink: McapSink, channel: int, stamp_ns: int, message: Any) -> None:
+    """Write a protobuf message; equal messages have equal bytes."""
+    sink.write(channel, stamp_ns, message.SerializeToString(deterministic=True))
