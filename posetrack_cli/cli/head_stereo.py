@@ -15,14 +15,14 @@ from posetrack_cli.cli.head_options import (
     start_options,
     track_head,
 )
-from posetrack_cli.cli.image_options import image_arguments, image_options
+from posetrack_cli.cli.recording_options import image_options, reading_options
 from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadStereoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
-    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
@@ -58,9 +58,9 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
 def _opened(recording: Path, options: dict[str, Any]) -> Recording:
     """The recording, of two cameras at least."""
-    from posetrack_cli.recording.opening import open_images
+    from posetrack_cli.recording.opening import open_recording
 
-    source = open_images(recording, **image_arguments(options))
+    source = open_recording(recording, "grey", **reading_options(options))
     if len(source.cameras) < 2:
         raise UsageError(
             "too few cameras",
@@ -74,16 +74,14 @@ def _opened(recording: Path, options: dict[str, Any]) -> Recording:
 
 def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.head.clicked_tracker import ClickedTracker
     from posetrack_cli.head.run import HeadRun
-    from posetrack_cli.head.stereo_estimates import components_of
-    from posetrack_cli.head.stereo_tracker import make_stereo_tracker
     from posetrack_cli.head.subject import head_subject
+    from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
+
+    clicked = None if options.init is None else Path(options.init)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        if options.init is None:
-            return make_stereo_tracker(config, source.cameras, known)
-        return ClickedTracker(config, source.cameras, Path(options.init), known)
+        return make_stereo_tracker(config, source.cameras, known, clicked=clicked)
 
     return HeadRun(
         source,

@@ -26,14 +26,14 @@ from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.views import Person
-from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.multilinear.model_file import load_face_model
-from posetrack_cli.head.subject import HeadNumbers
+from posetrack_cli.head.adjustment.views import PersonParameters
+from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.multilinear.face_model import load_face_model
+from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.opening import open_images, open_recording
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import Estimate, Status
 from posetrack_cli.synthesis.hand.sensor import CAMERA
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
@@ -133,7 +133,7 @@ def test_a_long_recording_of_a_head_shows_both_cameras_to_and_fro(tmp_path: Path
             image = np.full((camera.height, camera.width), offset + 10 * k, np.uint8)
             cv2.imwrite(str(seen / camera.name / f"{k:06d}.png"), image)
     link_recording(tmp_path / "long", seen, 7)
-    frames = list(open_images(tmp_path / "long", fps=30.0).frames())
+    frames = list(open_recording(tmp_path / "long", "grey", fps=30.0).frames())
     shown = [[int(image[0, 0]) for image in frame.images if image is not None] for frame in frames]
     assert shown == [[10 * k, 100 + 10 * k] for k in (0, 1, 2, 1, 0, 1, 2)]
 
@@ -201,7 +201,7 @@ def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
     camera = make_cameras(HeadSynthOptions(frames=1))[0]
     views = one_camera.seen_views(model, camera, 5)
-    person = Person(model.identity_mean, np.zeros_like(model.mean))
+    person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
     found = adjust(views, person, model, camera, settings, iterations=10, wide=True)
     assert np.sqrt(np.mean(found.residuals**2)) < 3.0 * one_camera.NOISE_PX
     start = [
@@ -214,7 +214,7 @@ def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
 def test_a_video_shows_the_images(tmp_path: Path) -> None:
     images = [np.full((48, 64), value, np.uint8) for value in (40, 90, 140)]
     one_camera.write_video(tmp_path / "v.mp4", images)
-    frames = list(open_images(tmp_path / "v.mp4", guess=Guess()).frames())
+    frames = list(open_recording(tmp_path / "v.mp4", "grey", guess=Guess()).frames())
     means = [float(image.mean()) for frame in frames for image in frame.images if image is not None]
     assert means == pytest.approx([40.0, 90.0, 140.0], abs=4.0)  # what MPEG-4 leaves of an even grey
 
@@ -259,7 +259,7 @@ def test_a_walker_steps_and_counts_lost_frames() -> None:
 
 @pytest.mark.parametrize("learnt", [0, 2, 5])
 def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
-    numbers = HeadNumbers(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
+    numbers = StereoDiagnostics(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
     assert deformations_of(replace(nothing_seen(), numbers=numbers)) == learnt
     assert deformations_of(None) == 0
 

@@ -1,0 +1,154 @@
+"""Describe an MCAP file, intact or not, in one pass over its messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Attachment, Metadata
+
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import (
+    CALIBRATION,
+    MessageDecoder,
+    UndecodableMessageError,
+    frame_id_of,
+    stamp_of,
+)
+from posetrack_cli.mcap.stream import McapItem, read_extras, read_messages
+from posetrack_cli.mcap.summary import read_summary
+from posetrack_cli.recording.base import RUN_RECORD
+from posetrack_cli.recording.description import described_cameras, described_losses, opened
+from posetrack_cli.recording.grey import holds_grey
+from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.mcap_calibration import camera_from_message
+from posetrack_cli.recording.mcap_source import open_grey_mcap
+from posetrack_cli.recording.mcap_topics import Topic, TopicScan
+from posetrack_cli.recording.timeline import Timeline
+
+SHOWN_CHARACTERS = 60
+
+
+class McapSurvey:
+    """Collects topics, stamps and losses from a file's messages.
+
+    Stamps are those a reader uses: the message's own for images and calibrations, else the log time.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.losses = LossLog()
+        self._scan = TopicScan()
+        self._decoder = MessageDecoder()
+        self._timelines: dict[str, Timeline] = {}
+        self._add_indexed(path)
+        for item in read_messages(path, self.losses):
+            self._add(item)
+
+    def topics(self) -> list[dict[str, Any]]:
+        """Return one description per topic, sorted by name."""
+        return [self._topic(self._scan.topics[name]) for name in sorted(self._scan.topics)]
+
+    def cameras(self) -> list[dict[str, Any]]:
+        """Return the intrinsics of every calibration topic, or why they cannot be used."""
+        topics = sorted(self._scan.topics.values(), key=lambda topic: topic.name)
+        return [_camera(topic) for topic in topics if topic.kind == CALIBRATION and topic.first is not None]
+
+    def has_several_cameras(self) -> bool:
+        """Whether there are two topics of images that can be made grey, depth aside."""
+        images = [topic for topic in self._scan.topics.values() if topic.image is not None]
+        return sum(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images) > 1
+
+    def _add_indexed(self, path: Path) -> None:
+        """Take topics from the index, which lists those without any message, too."""
+        summary = read_summary(path)
+        if summary is None:
+            return
+        for channel in summary.channels.values():
+            self._scan.topic(summary.schemas.get(channel.schema_id), channel)
+
+    def _add(self, item: McapItem) -> None:
+        topic = self._scan.inspect(item)
+        stamp = item[2].log_time
+        if topic.kind is not None:
+            try:
+                stamp = stamp_of(self._decoder.decode(*item), item[2])
+            except UndecodableMessageError as error:
+                self.losses.add(str(error), f"at {stamp} ns")
+        if topic.name not in self._timelines:
+            self._timelines[topic.name] = Timeline()
+        self._timelines[topic.name].add(stamp)
+
+    def _topic(self, topic: Topic) -> dict[str, Any]:
+        image, timeline = topic.image, self._timelines.get(topic.name, Timeline())
+        return {
+            "topic": topic.name,
+            "type": topic.type_name,
+            "message_encoding": topic.message_encoding,
+            "encoding": image.encoding if image is not None else None,
+            "width": image.width if image is not None else None,
+            "height": image.height if image is not None else None,
+            "depth": topic.is_depth,
+            "frame_id": frame_id_of(topic.first) if topic.first is not None else None,
+            **timeline.summary(),
+            "remarks": [] if image is None else list(timeline.remarks),
+        }
+
+
+def describe_mcap(path: Path) -> dict[str, Any]:
+    """Describe an MCAP file; what is cut off or damaged is in ``losses``."""
+    survey = McapSurvey(path)
+    extras = list(_extras(path))
+    several = survey.has_several_cameras() and not any(values["name"] == RUN_RECORD for _, values in extras)
+    rig, no_rig = opened(lambda: open_grey_mcap(path, {})) if several else (None, None)
+    return {
+        "name": shown_name(path.resolve()),
+        "kind": "mcap",
+        "bytes": path.stat().st_size,
+        "complete": not survey.losses.losses,
+        "topics": survey.topics(),
+        "cameras": survey.cameras(),
+        "rig": described_cameras(rig),
+        "no_rig": no_rig,
+        "metadata": [values for kind, values in extras if kind == "metadata"],
+        "attachments": [values for kind, values in extras if kind == "attachment"],
+        "losses": described_losses(survey.losses.losses),
+    }
+
+
+def _camera(topic: Topic) -> dict[str, Any]:
+    try:
+        camera = camera_from_message(topic.first, frame_id_of(topic.first), topic.name)
+    except PosetrackError as error:
+        return {"topic": topic.name, "problem": str(error)}
+    return {"topic": topic.name, **camera.values()}
+
+
+def _extras(path: Path) -> Any:
+    for record in read_extras(path):
+        if isinstance(record, Metadata):
+            yield "metadata", _metadata(record)
+        elif isinstance(record, Attachment):
+            yield (
+                "attachment",
+                {
+                    "name": record.name,
+                    "media_type": record.media_type,
+                    "bytes": len(record.data),
+                },
+            )
+
+
+def _metadata(record: Metadata) -> dict[str, Any]:
+    """Return a record's name and number of entries; of a run record also the entries, shortened."""
+    values: dict[str, Any] = {"name": record.name, "entries": len(record.metadata)}
+    return values | {"values": _shortened(record.metadata)} if record.name == RUN_RECORD else values
+
+
+def _shortened(entries: Mapping[str, str]) -> dict[str, str]:
+    flat = {key: " ".join(value.split()) for key, value in entries.items()}
+    return {
+        key: value if len(value) <= SHOWN_CHARACTERS else value[: SHOWN_CHARACTERS - 1] + "…"
+        for key, value in flat.items()
+    }
