@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Metric, error, number
@@ -143,16 +144,21 @@ GENERAL: tuple[Metric, ...] = (
 )
 """What every subject is measured by."""
 
-CATALOGUE = tuple(
-    metric
-    for group in GROUP_TITLES
-    for metric in dict.fromkeys((*GENERAL, *(own for kind in KINDS.values() for own in kind.metrics)))
-    if metric.group == group
-)
-"""Every metric, in the order of every table."""
 
-_BY_NAME = {metric.name: metric for metric in CATALOGUE}
-_PLACES = {metric.name: place for place, metric in enumerate(CATALOGUE)}
+@cache
+def _catalogue(kinds: tuple[SubjectKind, ...]) -> dict[str, Metric]:
+    """Every metric of some kinds of subjects, by name, in the order of every table."""
+    every = dict.fromkeys((*GENERAL, *(own for kind in kinds for own in kind.metrics)))
+    return {m.name: m for group in GROUP_TITLES for m in every if m.group == group}
+
+
+def catalogue() -> dict[str, Metric]:
+    """Return every metric by name, in the order of every table; also of kinds that were listed since."""
+    return _catalogue(tuple(KINDS.values()))
+
+
+CATALOGUE = tuple(catalogue().values())
+"""Every metric of our own kinds of subjects."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +177,9 @@ class Address:
 
 def place_of(address: str) -> int:
     """Return where in the catalogue an address's metric stands; behind all others if it is none."""
-    return _PLACES.get(address.split(".")[0], len(_PLACES))
+    names = list(catalogue())
+    name = address.split(".")[0]
+    return names.index(name) if name in names else len(names)
 
 
 def metric_of(address: str) -> Metric:
@@ -181,9 +189,10 @@ def metric_of(address: str) -> Metric:
         UsageError: there is no such metric; names the nearest and all known ones.
     """
     name = address.split(".")[0]
-    if name not in _BY_NAME:
-        raise UsageError(f"no metric '{name}'", hint=_known(name, _BY_NAME))
-    return _BY_NAME[name]
+    known = catalogue()
+    if name not in known:
+        raise UsageError(f"no metric '{name}'", hint=_known(name, known))
+    return known[name]
 
 
 def label_and_unit(address: str) -> tuple[str, str]:
@@ -227,7 +236,7 @@ def addresses(
     """
     kind = KINDS[subject]
     found: list[str] = []
-    for metric in CATALOGUE:
+    for metric in catalogue().values():
         if is_measured(metric, kind):
             parts = kind.part_names(metric, point_names, shape_names)
             found += [metric.name, *(f"{metric.name}.{part}" for part in parts)]

@@ -22,7 +22,7 @@ CompareImages: TypeAlias = Callable[[Result, Recording, str], Mapping[str, Float
 """Measures a track of a result, by name, against images: values (N,) by metric, NaN where there is none."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SubjectKind:
     """A kind of subject.
 
