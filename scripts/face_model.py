@@ -15,10 +15,9 @@ import click
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import EYES, POINT_NAMES
+from posetrack_cli.head.face.points import EYES, POINT_NAMES
 from posetrack_cli.head.multilinear.build import BuiltModel, build_model, mirrored
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import SHIPPED, save_face_model
+from posetrack_cli.head.multilinear.face_model import SHIPPED, FaceModel, save_face_model
 
 SOURCE = "statistics of ICT-FaceKit (USC Institute for Creative Technologies, MIT licence)"
 PEOPLE, SEED = 60, 1

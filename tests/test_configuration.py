@@ -17,8 +17,7 @@ from posetrack_cli.configuration import (
 )
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.mono_config import HeadMonoConfig
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 
 
 class Inner(Settings):

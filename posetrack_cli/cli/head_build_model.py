@@ -63,8 +63,8 @@ def head_build_model(
     jaw together, each several times. Two people or more are needed; 10 identity parameters take five.
     Use it with posetrack head mono RECORDING --face-model FACE.npz.
     """
+    from posetrack_cli.head.multilinear.face_model import save_face_model
     from posetrack_cli.head.multilinear.learning import learn_model
-    from posetrack_cli.head.multilinear.model_file import save_face_model
     from posetrack_cli.head.multilinear.observed_face import read_face
 
     _check_outputs(results, output, picture, overwrite=overwrite)
@@ -109,7 +109,7 @@ def _say_limits(learned: LearnedModel, *asked: int) -> None:
 
 def _show(learned: LearnedModel) -> None:
     """Tables: people and their frames, what the model leaves, and what its parameters hold."""
-    from posetrack_cli.head.multilinear.quality import cumulative_contribution, distances_by_kind
+    from posetrack_cli.head.multilinear.build import cumulative_contribution, distances_by_kind
 
     _show_people(learned)
     built = learned.built
@@ -126,7 +126,7 @@ def _show(learned: LearnedModel) -> None:
 
 
 def _show_people(learned: LearnedModel) -> None:
-    from posetrack_cli.head.multilinear.examples import MOTIONS, RATES
+    from posetrack_cli.head.multilinear.learning import MOTIONS, RATES
 
     width = max(6, *(len(face.path.name) for face in learned.faces))
     rates = "".join(f"{100 * rate:>5.0f}%" for rate in RATES)

@@ -21,7 +21,7 @@ from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.head.mono_config import HeadMonoConfig
+    from posetrack_cli.head.config import HeadMonoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
     from posetrack_cli.tracking.run import Report
@@ -73,7 +73,7 @@ def head_mono(recording: Path, **options: Any) -> None:
     sees no scale: distance and size rest on what faces are like, and on the focal length, which is guessed
     where neither recording nor --camera tells it. The same input, configuration and seed give the same bytes.
     """
-    from posetrack_cli.head.mono_config import HeadMonoConfig
+    from posetrack_cli.head.config import HeadMonoConfig
 
     source = _opened(recording, options)
     config = head_configuration(HeadMonoConfig, options, OWN_CONFIGURED)
@@ -127,10 +127,10 @@ def _run(
     first_pass: Report,
 ) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.head.mono_subject import mono_subject
-    from posetrack_cli.head.mono_trackers import make_mono_tracker
-    from posetrack_cli.head.multilinear.model_file import load_face_model
+    from posetrack_cli.head.multilinear.face_model import load_face_model
     from posetrack_cli.head.run import HeadRun
+    from posetrack_cli.head.subject import mono_subject
+    from posetrack_cli.head.tracker.mono import make_mono_tracker
 
     (camera,) = source.cameras
     file = None if config.model.file is None else Path(config.model.file)

@@ -17,8 +17,7 @@ from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.head.config import HeadStereoConfig
-    from posetrack_cli.head.mono_config import HeadMonoConfig
+    from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.base import Recording
     from posetrack_cli.tracking.run import Report

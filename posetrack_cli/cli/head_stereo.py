@@ -74,16 +74,14 @@ def _opened(recording: Path, options: dict[str, Any]) -> Recording:
 
 def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report) -> HeadRun:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.head.clicked_tracker import ClickedTracker
     from posetrack_cli.head.run import HeadRun
-    from posetrack_cli.head.stereo_estimates import components_of
-    from posetrack_cli.head.stereo_tracker import make_stereo_tracker
     from posetrack_cli.head.subject import head_subject
+    from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
+
+    clicked = None if options.init is None else Path(options.init)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        if options.init is None:
-            return make_stereo_tracker(config, source.cameras, known)
-        return ClickedTracker(config, source.cameras, Path(options.init), known)
+        return make_stereo_tracker(config, source.cameras, known, clicked=clicked)
 
     return HeadRun(
         source,

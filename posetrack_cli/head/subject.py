@@ -1,8 +1,11 @@
-"""What a head's result holds beside its pose: names of points, deformation coefficients and further numbers.
+"""What a head's result holds beside its pose: names of points, deformation coefficients and diagnostics.
 
-``Estimate.points`` are the recalculated points M', in camera axes; in the head's own axes they are the 3K
-numbers of its shape, which is how they are exported. ``Estimate.shape`` holds the B deformation coefficients
-a of the model, mm along orthonormal directions (3.1). Further numbers tell how far the model has been learnt.
+``Estimate.points`` are the recalculated points, in camera axes: M' of several cameras, m^ at the depths of
+the adjusted face of one. In the head's own axes they are the 3K numbers of its shape, which is how they are
+exported. ``Estimate.shape`` holds the deformation: of several cameras the B coefficients a of the learnt
+model, mm along orthonormal directions (3.1), of one camera the A' parameters a of (4.15), without unit.
+``Estimate.numbers`` tell how far the model has been learnt, or who the person is taken for: the identity
+parameters s, and how far they moved over the last adjustments.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import LINES, POINT_COUNT, POINT_NAMES
+from posetrack_cli.head.face.points import LINES, POINT_COUNT, POINT_NAMES
+from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
 
 HEAD = "head"
@@ -36,12 +40,12 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
         point_parents=(-1,) * POINT_COUNT,
         colour=COLOUR,
         lines=LINES,
-        number_names=number_names(components) if numbers is None else numbers,
+        number_names=stereo_diagnostic_names(components) if numbers is None else numbers,
     )
 
 
-def number_names(components: int) -> tuple[str, ...]:
-    """Return the names of the M = B + 3 + K further numbers, in the order of ``HeadNumbers.array``."""
+def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
+    """Return the names of the M = B + 3 + K further numbers, in the order of ``StereoDiagnostics.array``."""
     return (
         *(f"eigenvalue_{b + 1}_mm2" for b in range(components)),
         "contribution_ratio",
@@ -52,7 +56,7 @@ def number_names(components: int) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class HeadNumbers:
+class StereoDiagnostics:
     """The further numbers of one frame; what is not known is NaN.
 
     Attributes:
@@ -71,9 +75,56 @@ class HeadNumbers:
     weights: FloatArray | None = None
 
     def array(self, components: int) -> FloatArray:
-        """Return the (M,) numbers for B components, in the order of ``number_names``."""
+        """Return the (M,) numbers for B components, in the order of ``stereo_diagnostic_names``."""
         known = np.asarray(self.eigenvalues, dtype=float)[:components]
         eigenvalues = np.pad(known, (0, components - len(known)), constant_values=np.nan)
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
         single = (self.contribution_ratio, float(self.learnt_frames), self.score)
         return np.concatenate([eigenvalues, single, weights])
+
+
+def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
+    """Return the subject of a head that one camera sees."""
+    return head_subject(camera_frame, model.deformation_size, mono_diagnostic_names(model.identity_size))
+
+
+def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
+    """Return the names of the M = 2 S' + 4 + K further numbers, in the order of ``MonoDiagnostics.array``."""
+    return (
+        *(f"identity_{s + 1}" for s in range(identities)),
+        *(f"identity_spread_{s + 1}" for s in range(identities)),
+        "person",
+        "adjusted_frames",
+        "adjustment_rms_px",
+        "score",
+        *(f"{WEIGHT}{name}" for name in POINT_NAMES),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MonoDiagnostics:
+    """The further numbers of one frame; what is not known is NaN.
+
+    Attributes:
+        identity: (S,) s, the mean of the last adjustments, (4.36).
+        spread: (S,) standard deviation of s over them.
+        person: how many other people were seen before this one.
+        adjusted_frames: how many frames this person was adjusted from.
+        rms_px: root mean square distance of the points from the adjusted face, pixels.
+        score: mean correlation of the visible points, -1 to 1.
+        weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
+    """
+
+    identity: FloatArray
+    spread: FloatArray
+    person: int = 0
+    adjusted_frames: int = 0
+    rms_px: float = np.nan
+    score: float = np.nan
+    weights: FloatArray | None = None
+
+    def array(self) -> FloatArray:
+        """Return the (M,) numbers, in the order of ``mono_diagnostic_names``."""
+        weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
+        single = (float(self.person), float(self.adjusted_frames), self.rms_px, self.score)
+        return np.concatenate([self.identity, self.spread, single, weights])

@@ -19,9 +19,8 @@ from posetrack_cli.configuration import load_settings
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.stereo_estimates import components_of
-from posetrack_cli.head.stereo_tracker import make_stereo_tracker
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.synthesis.head.options import HeadSynthOptions

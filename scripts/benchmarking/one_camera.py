@@ -21,17 +21,16 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.views import Person, PointView
+from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.mono_start.detected import DetectedFace, detect_face
-from posetrack_cli.head.mono_start.start import begin
-from posetrack_cli.head.mono_subject import mono_subject
-from posetrack_cli.head.mono_trackers import make_mono_tracker
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import load_face_model
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.initialisation.detected_face import DetectedFace, detect_face
+from posetrack_cli.head.initialisation.mono import initialise
+from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.subject import mono_subject
+from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_images
@@ -109,7 +108,7 @@ def beginning(camera: Camera, frames: Sequence[Frame]) -> Iterator[Row]:
         if isinstance(face, DetectedFace):
             found.append(face)
     chosen = found[: config.start.frames]
-    times = [seconds_of(lambda: begin(chosen, camera, model, config)) for _ in range(BEGINNINGS)]
+    times = [seconds_of(lambda: initialise(chosen, camera, model, config)) for _ in range(BEGINNINGS)]
     yield Row("head mono, search for a face in one frame", median_ms(searching[1:]), "ms")
     count = len(chosen)
     yield Row(f"head mono, start after detection in {count} frames", median_ms(times[1:]), "ms", START_MS)
@@ -118,7 +117,7 @@ def beginning(camera: Camera, frames: Sequence[Frame]) -> Iterator[Row]:
 def adjusting(camera: Camera, repeats: int) -> Iterator[Row]:
     """Time of an adjustment against its n views, in turn, and how far it is from a straight line."""
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
-    person = Person(model.identity_mean, np.zeros_like(model.mean))
+    person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
     views = {count: seen_views(model, camera, count) for count in VIEWS}
     times: dict[int, list[float]] = {count: [] for count in VIEWS}
     for repeat in range(repeats + 1):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.head.multilinear.model_file import load_face_model
+from posetrack_cli.head.multilinear.face_model import load_face_model
 from support.face_people import people, performance, write_stereo_result
 
 

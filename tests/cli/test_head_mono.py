@@ -13,13 +13,13 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.model_file import model_bytes
-from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.mono_subject import mono_subject
-from posetrack_cli.head.mono_trackers import make_mono_tracker
-from posetrack_cli.head.multilinear.model_file import load_face_model
+from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.subject import mono_subject
+from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import load_arrays, read_result

@@ -14,11 +14,10 @@ import pytest
 from posetrack_cli.cli.main import run
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.stereo_estimates import components_of
-from posetrack_cli.head.stereo_tracker import make_stereo_tracker
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.opening import open_images
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import load_arrays, read_result

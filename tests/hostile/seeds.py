@@ -244,7 +244,7 @@ def rig_toml(cameras: tuple[str, ...] = ("left", "right")) -> str:
 
 
 def clicked_csv(cameras: tuple[str, ...] = ("left",)) -> str:
-    from posetrack_cli.head.face import POINT_NAMES
+    from posetrack_cli.head.face.points import POINT_NAMES
 
     rows = [f"{c},{name},{60 + 4 * k},{50 + 3 * k}" for c in cameras for k, name in enumerate(POINT_NAMES)]
     return "\n".join(["camera,point,x,y", *rows]) + "\n"

@@ -10,10 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from face_model import NEUTRAL, SIDEWAYS, VERTICAL, build, main, motion, read_statistics
-from posetrack_cli.head.face import EYES, MEAN_SHAPE, POINT_NAMES
-from posetrack_cli.head.multilinear.build import mirrored
-from posetrack_cli.head.multilinear.model_file import SHIPPED, load_face_model
-from posetrack_cli.head.multilinear.quality import cumulative_contribution, distances_by_kind
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, POINT_NAMES
+from posetrack_cli.head.multilinear.build import cumulative_contribution, distances_by_kind, mirrored
+from posetrack_cli.head.multilinear.face_model import SHIPPED, load_face_model
 
 MODES_MM = (6.0, 4.0, 3.0)
 

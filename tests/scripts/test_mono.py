@@ -19,8 +19,8 @@ from posetrack_cli.cli.head_synth import head_synth
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry import rotations
-from posetrack_cli.head.face import MEAN_SHAPE, MOUTH
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.rig_file import camera_file_text
 from posetrack_cli.results import Estimate, ResultWriter, Status, read_result

@@ -14,8 +14,8 @@ from posetrack_cli.cli.head_synth import head_synth
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face import MEAN_SHAPE, MOUTH, POINT_NAMES
-from posetrack_cli.head.subject import HeadNumbers, head_subject
+from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH, POINT_NAMES
+from posetrack_cli.head.subject import StereoDiagnostics, head_subject
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import Estimate, ResultWriter, Status
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
@@ -168,7 +168,7 @@ def estimate(index: int, status: Status, shift: float = 0.0) -> Estimate:
         points=moved.points(points),
         effective_sample_size=None,
         resampled=False,
-        numbers=HeadNumbers(np.zeros(0), 0.25 if index > 3 else np.nan).array(0),
+        numbers=StereoDiagnostics(np.zeros(0), 0.25 if index > 3 else np.nan).array(0),
         milliseconds=5.0,
     )
 

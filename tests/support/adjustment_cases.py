@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from posetrack_cli.head.adjustment.solver.equations import linearise, make_equations, make_rows
-from posetrack_cli.head.adjustment.solver.shape import deformation_basis
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.adjustment.solver.problem import deformation_basis
+from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_reference import Case
 from support.bundles import LENSES, moved_away, noisy, random_bundle
 

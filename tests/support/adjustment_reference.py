@@ -11,8 +11,8 @@ from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import normalised_from_pixels
 from posetrack_cli.head.adjustment.preparation import make_problem, make_start, offset_deviations
 from posetrack_cli.head.adjustment.solver.problem import Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.refinement.refine import point_values
 
@@ -22,7 +22,7 @@ class Case:
     """An adjustment problem and its start."""
 
     views: tuple[PointView, ...]
-    person: Person
+    person: PersonParameters
     model: FaceModel
     camera: Camera
     settings: AdjustmentSettings

@@ -9,12 +9,11 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.config import PointSettings
-from posetrack_cli.head.face import MEAN_SHAPE, SHAPE_SD
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.head.config import AdjustmentSettings, PointSettings
+from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.pose import HeadPose
 
 CAMERA = Camera(640, 480, 700.0, 702.0, 321.0, 238.0)
 LENSES = {
@@ -48,7 +47,7 @@ class Bundle:
     model: FaceModel
     camera: Camera
     views: tuple[PointView, ...]
-    person: Person
+    person: PersonParameters
 
 
 def random_pose(rng: np.random.Generator) -> HeadPose:
@@ -72,13 +71,18 @@ def random_bundle(
     identity = model.identity_mean + np.clip(rng.normal(size=model.identity_size), -spread, spread) * (
         model.identity_deviations
     )
-    person = Person(identity, offset_mm * rng.normal(size=(10, 3)))
+    person = PersonParameters(identity, offset_mm * rng.normal(size=(10, 3)))
     views = tuple(random_view(rng, model, person, camera, i, spread) for i in range(count))
     return Bundle(model, camera, views, person)
 
 
 def random_view(
-    rng: np.random.Generator, model: FaceModel, person: Person, camera: Camera, index: int, spread: float
+    rng: np.random.Generator,
+    model: FaceModel,
+    person: PersonParameters,
+    camera: Camera,
+    index: int,
+    spread: float,
 ) -> PointView:
     """One view of a person, its points where they are seen."""
     whitened = np.clip(rng.normal(size=model.deformation_size), -spread, spread)
@@ -99,7 +103,9 @@ def noisy(bundle: Bundle, sd: float, seed: int) -> Bundle:
     return replace(bundle, views=views)
 
 
-def moved_away(bundle: Bundle, seed: int, amount: float = 1.0) -> tuple[tuple[PointView, ...], Person]:
+def moved_away(
+    bundle: Bundle, seed: int, amount: float = 1.0
+) -> tuple[tuple[PointView, ...], PersonParameters]:
     """A start off the truth: ``amount`` times (8 mm, 0.06 rad, 0.4 sigma)."""
     rng = np.random.default_rng([seed, 2])
     model = bundle.model
@@ -111,4 +117,4 @@ def moved_away(bundle: Bundle, seed: int, amount: float = 1.0) -> tuple[tuple[Po
 
     change = 0.4 * amount * rng.uniform(-1.0, 1.0, model.identity_size) * model.identity_deviations
     views = tuple(away(view) for view in bundle.views)
-    return views, Person(bundle.person.identity + change, np.zeros((10, 3)))
+    return views, PersonParameters(bundle.person.identity + change, np.zeros((10, 3)))

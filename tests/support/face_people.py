@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.face import POINT_NAMES
+from posetrack_cli.head.face.points import POINT_NAMES
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.build import mirrored
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.subject import HeadNumbers, head_subject
+from posetrack_cli.head.subject import StereoDiagnostics, head_subject
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.synthesis.head.identity import random_points
@@ -103,5 +103,5 @@ def _estimate(index: int, status: Status, shape: np.ndarray, weights: np.ndarray
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=HeadNumbers(np.zeros(0), weights=weights).array(0),
+        numbers=StereoDiagnostics(np.zeros(0), weights=weights).array(0),
     )

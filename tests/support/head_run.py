@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.face import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.subject import HeadNumbers
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.results.estimate import Estimate, Status
@@ -99,7 +99,7 @@ class FakeTracker:
             points=pose.points(MEAN_SHAPE + state.mean),
             effective_sample_size=None,
             resampled=False,
-            numbers=HeadNumbers(np.array([4.0]), ratio, state.seen, 0.8).array(COMPONENTS),
+            numbers=StereoDiagnostics(np.array([4.0]), ratio, state.seen, 0.8).array(COMPONENTS),
         )
 
     def learned(self, state: FakeState) -> dict[str, np.ndarray[Any, Any]]:

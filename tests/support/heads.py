@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
 from reproduction.accuracy.options import Targets
 
 FRAME_NS = 33_333_333

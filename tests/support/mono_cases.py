@@ -8,17 +8,15 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.adjustment.album import Album
-from posetrack_cli.head.adjustment.history import IdentityHistory
-from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.following import Following
-from posetrack_cli.head.mono_start.detected import DetectedFace
+from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.templates import WINDOW, TemplateSet
+from posetrack_cli.head.initialisation.detected_face import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.particles import HeadParticles
-from posetrack_cli.head.person import KnownPerson, shape_of
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.templates import WINDOW, TemplateSet
+from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.tracker.frame_tracker import TrackState
+from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 
 
 def assert_same(first: object, second: object, where: str = "it") -> None:
@@ -73,14 +71,14 @@ def random_view(rng: np.random.Generator, stamp_ns: int, model: FaceModel) -> Po
 def random_known(seed: int, model: FaceModel, views: int = 3, sets: int = 2) -> KnownPerson:
     """A person who was adjusted from some frames."""
     rng, album = np.random.default_rng(seed), Album()
-    person = Person(rng.normal(size=model.identity_size), rng.normal(size=(POINT_COUNT, 3)))
+    person = PersonParameters(rng.normal(size=model.identity_size), rng.normal(size=(POINT_COUNT, 3)))
     history = IdentityHistory(rng.normal(size=(4, model.identity_size)), 6)
     frames = tuple(random_view(rng, 10**18 + index, model) for index in range(views))
     for view in frames:
         album = album.added(view, rng.random())
     templates = tuple(random_templates(seed + index) for index in range(sets))
     return KnownPerson(
-        person, history, frames, album, shape_of(model, person), templates, views, rng.random()
+        person, history, frames, album, person_shape(model, person), templates, views, rng.random()
     )
 
 
@@ -92,8 +90,8 @@ def random_detected(seed: int, stamp_ns: int) -> DetectedFace:
     return DetectedFace(stamp_ns, pixels, responses, score, distance, random_pose(rng), misfit)
 
 
-def random_following(seed: int, model: FaceModel, seen: bool = True) -> Following:
-    """A head that is followed."""
+def random_track(seed: int, model: FaceModel, seen: bool = True) -> TrackState:
+    """A head that is tracked."""
     rng, size = np.random.default_rng(seed), model.deformation_size
     weights = rng.random(20)
     particles = HeadParticles(
@@ -104,5 +102,5 @@ def random_following(seed: int, model: FaceModel, seen: bool = True) -> Followin
         model.of_person(rng.normal(size=model.identity_size)),
     )
     shape = rng.normal(size=(POINT_COUNT, 3))
-    previous = random_templates(seed) if seen else None
-    return Following(10**18 + seed, random_pose(rng), rng.normal(size=6), particles, shape, previous)
+    templates = random_templates(seed) if seen else None
+    return TrackState(10**18 + seed, random_pose(rng), rng.normal(size=6), particles, shape, templates)

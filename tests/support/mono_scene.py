@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 
-from posetrack_cli.head import mono_finder
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import Detection
-from posetrack_cli.head.detection.guess import FaceGuess
+from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
-from posetrack_cli.head.face import POINT_COUNT
-from posetrack_cli.head.mono_config import HeadMonoConfig
-from posetrack_cli.head.mono_state import MonoState
-from posetrack_cli.head.mono_subject import mono_subject
-from posetrack_cli.head.mono_tracker import MonoTracker
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import load_face_model
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.projection import project
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.initialisation.clicked import ClickedPoints
+from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
+from posetrack_cli.head.subject import mono_subject
+from posetrack_cli.head.tracker import mono
+from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.fields import check_estimate
@@ -78,14 +78,15 @@ class Scene:
     told: Told = field(default_factory=Told)
     known: dict[str, np.ndarray] | None = None
     clicked: np.ndarray | None = None
-    tracker: MonoTracker = field(init=False)
+    tracker: mono.MonoTracker = field(init=False)
     subject: Subject = field(default_factory=lambda: mono_subject("camera", MODEL))
     state: MonoState | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def __post_init__(self) -> None:
-        with patch.object(mono_finder, "FaceDetector", lambda settings: self.told):
-            self.tracker = MonoTracker(self.config, CAMERA, MODEL, clicked=self.clicked, known=self.known)
+        clicked = None if self.clicked is None else ClickedPoints(Path("clicked.csv"), self.clicked[None])
+        with patch.object(mono, "FaceDetector", lambda settings: self.told):
+            self.tracker = mono.mono_tracker(self.config, CAMERA, MODEL, clicked=clicked, known=self.known)
 
     def frame(self, index: int, blank: bool = False) -> Frame:
         (image,) = self.face.render((CAMERA,), pose_at(index), SHAPE, noise=NOISE, seed=index)

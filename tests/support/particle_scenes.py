@@ -7,10 +7,10 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
-from posetrack_cli.head.face import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.particle_scores import Observation
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.shape_model import ShapeModel
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.particles.scores import PatchObservation
 
 SPOT = 48
 """Side of a point's texture, pixels."""
@@ -60,4 +60,4 @@ def observation(pose, shape, used, visibility=None):
     corner = (SPOT - 16) // 2
     templates = np.array([spots()[:, corner : corner + 16, corner : corner + 16]] * len(used))
     visible = np.ones((len(used), POINT_COUNT)) if visibility is None else visibility
-    return Observation([picture(camera, pose, shape) for camera in used], templates, visible)
+    return PatchObservation([picture(camera, pose, shape) for camera in used], templates, visible)

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import canonical
-from posetrack_cli.head.detection.features import FEATURES
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.start.views import View
+from posetrack_cli.head.face.points import FEATURES
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.initialisation.views import CameraImage
 
 LEFT = Camera(640, 480, 900.0, 900.0, 320.0, 240.0, name="left")
 
@@ -31,4 +31,4 @@ def turned_head(yaw: float = 0.2, pitch: float = 0.1, distance: float = 700.0) -
 def face_pixels(cameras: tuple[Camera, ...], pose: HeadPose, shape: np.ndarray = FEATURES) -> np.ndarray:
     """Where each camera sees the points of a shape, (C, K, 2)."""
     blank = np.zeros((480, 640), np.uint8)
-    return np.array([View(camera, blank).pixels_of(pose.points(shape))[0] for camera in cameras])
+    return np.array([CameraImage(camera, blank).pixels_of(pose.points(shape))[0] for camera in cameras])

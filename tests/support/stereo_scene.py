@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.projection import project
-from posetrack_cli.head.start.start import NO_FACE, NoStart, Start
-from posetrack_cli.head.stereo_tracker import StereoTracker
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
+from posetrack_cli.head.initialisation.stereo import StereoInitialisation
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.head.tracker.stereo import StereoTracker, stereo_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.fields import check_estimate
@@ -39,16 +40,16 @@ class Told:
 
     index: int = 0
     there: bool = True
-    failure: NoStart = field(default_factory=lambda: NoStart(NO_FACE, 0.3))
+    failure: InitFailure = field(default_factory=lambda: InitFailure(NO_FACE, 0.3))
     asked: int = 0
 
-    def __call__(self, images: object) -> Start | NoStart:
+    def find(self, frame: object, *, is_first: bool) -> StereoInitialisation | InitFailure:
         self.asked += 1
         if not self.there:
             return self.failure
         pose = pose_at(self.index).moved(np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0]))
         pixels = project(CAMERAS, pose.points(SHAPE)).pixels
-        return Start(pose, SHAPE.copy(), pixels, np.ones(len(SHAPE), dtype=bool), 0.9)
+        return StereoInitialisation(pose, SHAPE.copy(), pixels, np.ones(len(SHAPE), dtype=bool), 0.9)
 
 
 @dataclass
@@ -63,7 +64,7 @@ class Scene:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def __post_init__(self) -> None:
-        self.tracker = StereoTracker(self.config, CAMERAS, self.told)
+        self.tracker = stereo_tracker(self.config, CAMERAS, self.told)
 
     def frame(self, index: int, seen: tuple[bool, ...] = (True, True), blank: bool = False) -> Frame:
         images = self.face.render(CAMERAS, pose_at(index), SHAPE, noise=NOISE, seed=index)

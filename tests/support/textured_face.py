@@ -9,8 +9,8 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import undistort
-from posetrack_cli.head.face import MEAN_SHAPE, POINT_NORMALS
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NORMALS
+from posetrack_cli.head.face.pose import HeadPose
 
 SHAPE = MEAN_SHAPE.copy()
 SHAPE[6:8, 0] *= 2.2

@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.evaluation.viewing.captions import caption
 from posetrack_cli.evaluation.viewing.colours import SKIN, TEXT, Colour
-from posetrack_cli.head.face import LINES, POINT_NAMES
+from posetrack_cli.head.face.points import LINES, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 
 IDENTITY_AXES, DEFORMATION_AXES = 2, 3

@@ -12,19 +12,18 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import canonical, exponential, multiply
 from posetrack_cli.head.adjustment.preparation import clipped, make_boxes, make_problem, make_start
 from posetrack_cli.head.adjustment.solver.cost import cost
-from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages
-from posetrack_cli.head.adjustment.solver.outcome import all_lengths, identity_variances
+from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
 from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.views import Adjusted, Person, PointView
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
+from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.pose import HeadPose
 from posetrack_cli.head.refinement.refine import point_values
 
 
 def adjust(
     views: Sequence[PointView],
-    person: Person,
+    person: PersonParameters,
     model: FaceModel,
     camera: Camera,
     settings: AdjustmentSettings,
@@ -96,11 +95,11 @@ def _views(
     )
 
 
-def _person(unknowns: Unknowns, problem: Problem, model: FaceModel) -> Person:
+def _person(unknowns: Unknowns, problem: Problem, model: FaceModel) -> PersonParameters:
     """Return the adjusted person."""
     size = model.identity_size
     identity = (unknowns.shared[:size] + problem.identity_centre) * model.identity_deviations
-    return Person(identity, unknowns.shared[size:].reshape(-1, 3) * problem.offset_deviations)
+    return PersonParameters(identity, unknowns.shared[size:].reshape(-1, 3) * problem.offset_deviations)
 
 
 def _residuals(problem: Problem, unknowns: Unknowns, settings: AdjustmentSettings) -> FloatArray:

@@ -13,9 +13,9 @@ from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import largest_radius, normalised_from_pixels, pixels_from_normalised
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Problem, Unknowns
-from posetrack_cli.head.adjustment.views import Person, PointView
-from posetrack_cli.head.face import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
-from posetrack_cli.head.mono_config import AdjustmentSettings, OffsetSettings
+from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings
+from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.refinement.refine import point_values
 
@@ -91,7 +91,9 @@ def offset_deviations(settings: OffsetSettings) -> FloatArray:
     return deviations
 
 
-def make_start(views: Sequence[PointView], person: Person, model: FaceModel, problem: Problem) -> Unknowns:
+def make_start(
+    views: Sequence[PointView], person: PersonParameters, model: FaceModel, problem: Problem
+) -> Unknowns:
     """Return the start: the views' own poses, deformations and the person, whitened."""
     local = np.zeros((len(views), POSE + model.deformation_size))
     for row, view in zip(local, views, strict=True):

@@ -7,11 +7,9 @@ from pathlib import Path
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.head.detection.guess import FaceFinder
-from posetrack_cli.head.detection.haar import HaarFaces
+from posetrack_cli.head.config import DetectionSettings
+from posetrack_cli.head.detection.finders import FaceFinder, HaarFaces, YunetFaces
 from posetrack_cli.head.detection.points import FacePoints, find_points
-from posetrack_cli.head.detection.settings import DetectionSettings
-from posetrack_cli.head.detection.yunet import YunetFaces
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.head.detection.features import FEATURES, FITTED
 from posetrack_cli.head.detection.patch import MIDDLE, PIXELS_PER_MM
-from posetrack_cli.head.face import MOUTH
+from posetrack_cli.head.face.points import FEATURES, FITTED, MOUTH
 
 IN_CAMERA = np.array([1.0, -1.0, -1.0])
 """The head's axes in the camera's, of a head that looks at the camera."""

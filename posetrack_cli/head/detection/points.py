@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.head.detection.finders import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.fit import fit_face, projected
-from posetrack_cli.head.detection.guess import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.patch import FacePatch, cut_patch
 from posetrack_cli.head.detection.peaks import find_peak
 from posetrack_cli.head.detection.responses import response_maps
-from posetrack_cli.head.face import NOSTRILS, POINT_COUNT
+from posetrack_cli.head.face.points import NOSTRILS, POINT_COUNT
 
 # A point lies within these of where the fitted mean face has it, pixels of the patch.
 POINT_SD = (3.5, 3.0)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import MEAN_SHAPE, MIRRORED
+from posetrack_cli.head.face.points import BROWS, EYES, MEAN_SHAPE, MIRRORED, MOUTH, NOSTRILS
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.multilinear.tensor import Decomposition, hooi, singular_values
 
@@ -129,3 +130,24 @@ def _to_mean(basis: FloatArray, core: FloatArray, mode: int) -> FloatArray:
     others = np.linalg.svd(rest)[0][:, : len(mean) - 1]
     signs = np.where(others[np.argmax(np.abs(others), axis=0), range(len(mean) - 1)] < 0.0, -1.0, 1.0)
     return np.column_stack([first, others * signs])
+
+
+KINDS: Mapping[str, slice] = {"eyes": EYES, "mouth": MOUTH, "nostrils": NOSTRILS, "brows": BROWS}
+
+
+def distances_by_kind(differences: FloatArray) -> dict[str, float]:
+    """Return the root mean square distance, mm, of each kind of point and of ``all``.
+
+    Args:
+        differences: (..., K, 3) mm.
+    """
+    squares = np.sum(np.square(differences), axis=-1)
+    kinds = {name: float(np.sqrt(np.mean(squares[..., points]))) for name, points in KINDS.items()}
+    return kinds | {"all": float(np.sqrt(np.mean(squares)))}
+
+
+def cumulative_contribution(spectrum: FloatArray) -> FloatArray:
+    """Return the share, 0 to 1, of a tensor's square that the first 1, 2, ... singular values hold."""
+    squares = np.square(spectrum)
+    shares: FloatArray = np.cumsum(squares) / np.sum(squares)
+    return shares

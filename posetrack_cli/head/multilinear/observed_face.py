@@ -11,7 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.poses import in_object
-from posetrack_cli.head.face import EYES, POINT_NAMES
+from posetrack_cli.head.face.points import EYES, POINT_NAMES
 from posetrack_cli.head.multilinear.build import mirrored
 from posetrack_cli.head.subject import HEAD, WEIGHT
 from posetrack_cli.losses import Loss

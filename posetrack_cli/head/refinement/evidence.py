@@ -16,7 +16,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.patches import GRID, SIZE, differentiate, normalise, product, sample_grid
+from posetrack_cli.head.face.patches import GRID, SIZE, differentiate, normalise, product, sample_grid
 from posetrack_cli.head.refinement.scene import Optics, Robustness, Scene
 
 
@@ -36,7 +36,7 @@ class Evidence(NamedTuple):
     pixels: FloatArray
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Arrays that are written over for every point."""
 
     grid: FloatArray
@@ -57,9 +57,9 @@ def make_evidence(cameras: int) -> Evidence:
 
 
 @kernel
-def make_room(cameras: int) -> Room:
+def make_workspace(cameras: int) -> Workspace:
     """Return room for one point."""
-    return Room(
+    return Workspace(
         np.zeros((GRID, GRID)),
         np.zeros((cameras, SIZE)),
         np.zeros((cameras, 2, SIZE)),
@@ -92,37 +92,37 @@ def project_point(optics: Optics, c: int, k: int, X: FloatArray, pixel: FloatArr
 
 
 @kernel
-def gather(scene: Scene, k: int, X: FloatArray, room: Room, out: Evidence) -> None:
+def gather_evidence(scene: Scene, k: int, X: FloatArray, work: Workspace, out: Evidence) -> None:
     """Write the evidence of point k at X (3,)."""
     out.hessian[:] = 0.0
     out.gradient[:] = 0.0
     for c in range(len(scene.images.sizes)):
         out.correlations[c] = np.nan
-        _look(scene, c, k, X, room, out.pixels[c])
-        if room.norms[c] > 0.0:
-            _add_templates(scene, c, k, room, out)
+        _sample_patch(scene, c, k, X, work, out.pixels[c])
+        if work.norms[c] > 0.0:
+            _add_templates(scene, c, k, work, out)
     for pair in range(len(scene.targets.pairs)):
-        _add_pair(scene, pair, k, room, out)
+        _add_pair(scene, pair, k, work, out)
 
 
 @kernel
-def _look(scene: Scene, c: int, k: int, X: FloatArray, room: Room, pixel: FloatArray) -> None:
+def _sample_patch(scene: Scene, c: int, k: int, X: FloatArray, work: Workspace, pixel: FloatArray) -> None:
     """Sample the patch of point k on camera c; its norm is 0 where there is none."""
-    room.norms[c] = 0.0
+    work.norms[c] = 0.0
     pixel[:] = np.nan
-    if not project_point(scene.optics, c, k, X, pixel, room.jacobians[c]):
+    if not project_point(scene.optics, c, k, X, pixel, work.jacobians[c]):
         return
     images = scene.images
     u, v = pixel[0] - images.corners[c, 0], pixel[1] - images.corners[c, 1]
-    room.warp[0, 0], room.warp[0, 1], room.warp[1, 0], room.warp[1, 1] = 1.0, 0.0, 0.0, 1.0
-    if sample_grid(images.windows[c], images.sizes[c, 0], images.sizes[c, 1], u, v, room.warp, room.grid):
-        room.norms[c] = normalise(room.grid, room.patches[c])
-    if room.norms[c] > 0.0:
-        differentiate(room.grid, room.patches[c], room.norms[c], room.gradients[c])
+    work.warp[0, 0], work.warp[0, 1], work.warp[1, 0], work.warp[1, 1] = 1.0, 0.0, 0.0, 1.0
+    if sample_grid(images.windows[c], images.sizes[c, 0], images.sizes[c, 1], u, v, work.warp, work.grid):
+        work.norms[c] = normalise(work.grid, work.patches[c])
+    if work.norms[c] > 0.0:
+        differentiate(work.grid, work.patches[c], work.norms[c], work.gradients[c])
 
 
 @inlined
-def belief(robustness: Robustness, ncc: float) -> float:
+def comparison_weight(robustness: Robustness, ncc: float) -> float:
     """The weight of a comparison that correlates so."""
     above = (ncc - robustness.floor) / (1.0 - robustness.floor)
     return robustness.precision * above**robustness.power if above > 0.0 else 0.0
@@ -137,15 +137,15 @@ def likeness(robustness: Robustness, ncc: float) -> float:
 
 
 @kernel
-def _add_templates(scene: Scene, c: int, k: int, room: Room, out: Evidence) -> None:
-    targets, gradient, J = scene.targets, room.gradients[c], room.jacobians[c]
+def _add_templates(scene: Scene, c: int, k: int, work: Workspace, out: Evidence) -> None:
+    targets, gradient, J = scene.targets, work.gradients[c], work.jacobians[c]
     total, g0, g1 = 0.0, 0.0, 0.0
     for s in range(len(targets.patches)):
         if targets.weights[s, c, k] <= 0.0:
             continue
         q = targets.patches[s, c, k]
-        ncc = product(room.patches[c], q)
-        weight = targets.weights[s, c, k] * belief(scene.robustness, ncc)
+        ncc = product(work.patches[c], q)
+        weight = targets.weights[s, c, k] * comparison_weight(scene.robustness, ncc)
         if s >= targets.stored:
             weight *= likeness(scene.robustness, out.correlations[c])
         total += weight
@@ -164,30 +164,32 @@ def _add_templates(scene: Scene, c: int, k: int, room: Room, out: Evidence) -> N
 
 
 @kernel
-def _add_pair(scene: Scene, pair: int, k: int, room: Room, out: Evidence) -> None:
+def _add_pair(scene: Scene, pair: int, k: int, work: Workspace, out: Evidence) -> None:
     """Compare the patch of camera c with camera b's image under the warp between them."""
     targets, images = scene.targets, scene.images
     c, b = targets.pairs[pair, 0], targets.pairs[pair, 1]
-    if targets.pair_weights[pair, k] <= 0.0 or room.norms[c] <= 0.0 or np.isnan(out.pixels[b, 0]):
+    if targets.pair_weights[pair, k] <= 0.0 or work.norms[c] <= 0.0 or np.isnan(out.pixels[b, 0]):
         return
     u, v = out.pixels[b, 0] - images.corners[b, 0], out.pixels[b, 1] - images.corners[b, 1]
     W = targets.pair_warps[pair, k]
-    if not sample_grid(images.windows[b], images.sizes[b, 0], images.sizes[b, 1], u, v, W, room.grid):
+    if not sample_grid(images.windows[b], images.sizes[b, 0], images.sizes[b, 1], u, v, W, work.grid):
         return
-    norm = normalise(room.grid, room.other)
+    norm = normalise(work.grid, work.other)
     if norm <= 0.0:
         return
-    differentiate(room.grid, room.other, norm, room.other_gradient)
-    weight = targets.pair_weights[pair, k] * belief(scene.robustness, product(room.patches[c], room.other))
-    _pair_rows(room, c, b, W)
-    _add_quadratic(room, c, weight, out)
+    differentiate(work.grid, work.other, norm, work.other_gradient)
+    weight = targets.pair_weights[pair, k] * comparison_weight(
+        scene.robustness, product(work.patches[c], work.other)
+    )
+    _pair_rows(work, c, b, W)
+    _add_quadratic(work, c, weight, out)
 
 
 @kernel
-def _pair_rows(room: Room, c: int, b: int, W: FloatArray) -> None:
+def _pair_rows(work: Workspace, c: int, b: int, W: FloatArray) -> None:
     """Write (4, 3): how the centres of both grids move with X, in each grid's pixels; the second negative."""
     determinant = W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]
-    J, K, rows = room.jacobians[c], room.jacobians[b], room.rows
+    J, K, rows = work.jacobians[c], work.jacobians[b], work.rows
     for j in range(3):
         rows[0, j], rows[1, j] = J[0, j], J[1, j]
         rows[2, j] = -(W[1, 1] * K[0, j] - W[0, 1] * K[1, j]) / determinant
@@ -195,14 +197,14 @@ def _pair_rows(room: Room, c: int, b: int, W: FloatArray) -> None:
 
 
 @kernel
-def _add_quadratic(room: Room, c: int, weight: float, out: Evidence) -> None:
+def _add_quadratic(work: Workspace, c: int, weight: float, out: Evidence) -> None:
     """Add weight/2 |p_c - p_b|^2 with d (p_c - p_b) = [G_c, G_b] rows dX."""
-    rows, gram, slope = room.rows, np.empty((4, 4)), np.empty(4)
+    rows, gram, slope = work.rows, np.empty((4, 4)), np.empty(4)
     for i in range(4):
-        left = room.gradients[c, i] if i < 2 else room.other_gradient[i - 2]
-        slope[i] = -product(left, room.other) if i < 2 else product(left, room.patches[c])
+        left = work.gradients[c, i] if i < 2 else work.other_gradient[i - 2]
+        slope[i] = -product(left, work.other) if i < 2 else product(left, work.patches[c])
         for j in range(4):
-            right = room.gradients[c, j] if j < 2 else room.other_gradient[j - 2]
+            right = work.gradients[c, j] if j < 2 else work.other_gradient[j - 2]
             gram[i, j] = product(left, right)
     for n in range(4):
         for i in range(3):

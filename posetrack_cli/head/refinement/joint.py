@@ -18,7 +18,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import rotate_in_place
-from posetrack_cli.head.refinement.evidence import Evidence, gather, make_evidence, make_room
+from posetrack_cli.head.refinement.evidence import Evidence, gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.scene import Scene
 
 POSE = 6
@@ -54,7 +54,7 @@ class Prior(NamedTuple):
     pose: FloatArray
 
 
-class Joint(NamedTuple):
+class FaceUnknowns(NamedTuple):
     """The unknowns; written over by ``descend``.
 
     Attributes:
@@ -75,19 +75,19 @@ class Joint(NamedTuple):
 
 
 @kernel
-def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Joint) -> None:
+def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: FaceUnknowns) -> None:
     """Take Gauss-Newton steps until no point moves any more, then look once more at where it ended."""
     count, size = len(face.mean), POSE + len(face.precisions)
     cameras = len(scene.images.sizes)
-    evidence, room = make_evidence(cameras), make_room(cameras)
+    evidence, work = make_evidence(cameras), make_workspace(cameras)
     matrix, vector, step = np.empty((size, size)), np.empty(size), np.empty(size)
     arms = np.empty((count, 3))
     hessians, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
     for _ in range(iterations):
-        start(face, prior, state, matrix, vector)
+        start_equations(face, prior, state, matrix, vector)
         for k in range(count):
-            place(face, state, k, arms[k])
-            gather(scene, k, arms[k] + state.position, room, evidence)
+            point_in_camera(face, state, k, arms[k])
+            gather_evidence(scene, k, arms[k] + state.position, work, evidence)
             hessians[k], gradients[k] = evidence.hessian, evidence.gradient
             eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
         step[:] = np.linalg.solve(matrix, -vector)
@@ -95,25 +95,27 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Join
         for k in range(count):
             moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)
             farthest = max(farthest, moved)
-        move(state, step)
+        apply_step(state, step)
         if farthest < CONVERGED_PX * state.position[2] / scene.optics.intrinsics[0, 0]:
             break
-    look(scene, face, state, arms[0], evidence)
+    write_correlations(scene, face, state, arms[0], evidence)
 
 
 @kernel
-def look(scene: Scene, face: Face, state: Joint, arm: FloatArray, evidence: Evidence) -> None:
+def write_correlations(
+    scene: Scene, face: Face, state: FaceUnknowns, arm: FloatArray, evidence: Evidence
+) -> None:
     """Write correlations at the present unknowns."""
-    room = make_room(len(scene.images.sizes))
+    work = make_workspace(len(scene.images.sizes))
     for k in range(len(face.mean)):
-        place(face, state, k, arm)
-        gather(scene, k, arm + state.position, room, evidence)
+        point_in_camera(face, state, k, arm)
+        gather_evidence(scene, k, arm + state.position, work, evidence)
         for c in range(len(evidence.correlations)):
             state.correlations[c, k] = evidence.correlations[c]
 
 
 @inlined
-def place(face: Face, state: Joint, k: int, arm: FloatArray) -> None:
+def point_in_camera(face: Face, state: FaceUnknowns, k: int, arm: FloatArray) -> None:
     """Write R M_k (3,), the point from the head's origin in camera axes."""
     local = np.empty(3)
     for i in range(3):
@@ -127,7 +129,9 @@ def place(face: Face, state: Joint, k: int, arm: FloatArray) -> None:
 
 
 @kernel
-def start(face: Face, prior: Prior, state: Joint, matrix: FloatArray, vector: FloatArray) -> None:
+def start_equations(
+    face: Face, prior: Prior, state: FaceUnknowns, matrix: FloatArray, vector: FloatArray
+) -> None:
     """Begin the normal equations with the priors of pose and deformation."""
     matrix[:] = 0.0
     for i in range(POSE):
@@ -146,7 +150,7 @@ def tail_precision(prior: Prior, k: int, squared: float) -> float:
 
 
 @kernel
-def jacobian(face: Face, state: Joint, k: int, arm: FloatArray, T: FloatArray) -> None:
+def jacobian(face: Face, state: FaceUnknowns, k: int, arm: FloatArray, T: FloatArray) -> None:
     """Write dX_k / d (translation, rotation, a), (3, 6 + B): (1, -[R M]_x, R V)."""
     T[:] = 0.0
     for i in range(3):
@@ -174,7 +178,7 @@ def invert(A: FloatArray, added: float, out: FloatArray) -> None:
 
 
 @kernel
-def _residual(state: Joint, k: int, out: FloatArray) -> float:
+def _residual(state: FaceUnknowns, k: int, out: FloatArray) -> float:
     """Write R delta_k, camera axes; return its squared length."""
     squared = 0.0
     for i in range(3):
@@ -189,7 +193,7 @@ def _residual(state: Joint, k: int, out: FloatArray) -> float:
 def eliminate(
     face: Face,
     prior: Prior,
-    state: Joint,
+    state: FaceUnknowns,
     k: int,
     arm: FloatArray,
     evidence: Evidence,
@@ -231,7 +235,7 @@ def eliminate(
 def back_substitute(
     face: Face,
     prior: Prior,
-    state: Joint,
+    state: FaceUnknowns,
     k: int,
     arm: FloatArray,
     H: FloatArray,
@@ -267,7 +271,7 @@ def back_substitute(
 
 
 @kernel
-def move(state: Joint, step: FloatArray) -> None:
+def apply_step(state: FaceUnknowns, step: FloatArray) -> None:
     """Add a step to pose and deformation: t + d, exp(w) R, a + da."""
     for i in range(POSE):
         state.moved[i] += step[i]

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.face import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.templates import TemplateSet, take_templates
 from posetrack_cli.head.refinement.evidence import project_point
-from posetrack_cli.head.refinement.joint import Face, Joint, Prior, descend
-from posetrack_cli.head.refinement.printed import Printed, recalculate_as_printed
-from posetrack_cli.head.refinement.printed_2d import recalculate_2d_as_printed
-from posetrack_cli.head.refinement.recalculation import recalculate_points
+from posetrack_cli.head.refinement.joint import Face, FaceUnknowns, Prior, descend
+from posetrack_cli.head.refinement.recalculation import (
+    Printed,
+    recalculate_2d_as_printed,
+    recalculate_as_printed,
+    recalculate_points,
+)
 from posetrack_cli.head.refinement.scene import Scene, make_scene
-from posetrack_cli.head.shape_model import ShapeModel
-from posetrack_cli.head.templates import TemplateSet
 
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
 """(6,) standard deviations about the predicted pose, mm and rad: keep what no patch tells."""
@@ -35,7 +38,7 @@ class Refined:
         pose: of the head.
         coefficients: (B,) a, mm.
         residuals: (K, 3) delta, how far each point lies from the model, in the head's frame, mm.
-        correlations: (C, K) the best with a template of ``sets``; NaN where there is none.
+        correlations: (C, K) the best with a template of ``templates``; NaN where there is none.
         visibility: (C, K) cosine of normal and ray at the predicted pose; 0 from behind and without an image.
         scene: the frame as it was looked at, for ``recalculate``.
     """
@@ -66,7 +69,7 @@ class Recalculated:
 def refine(
     images: Sequence[ImageArray | None],
     cameras: Sequence[Camera],
-    sets: Sequence[TemplateSet],
+    templates: Sequence[TemplateSet],
     previous: TemplateSet | None,
     model: ShapeModel,
     pose: HeadPose,
@@ -87,9 +90,9 @@ def refine(
         settings: weights, priors, steps.
     """
     residuals = np.zeros_like(model.mean)
-    for _ in range(_looks(cameras)):
+    for _ in range(_rounds(cameras)):
         shape = model.shapes(coefficients) + residuals
-        scene, seen = make_scene(images, cameras, sets, previous, pose, shape, settings)
+        scene, seen = make_scene(images, cameras, templates, previous, pose, shape, settings)
         state = _descended(scene, model, pose, coefficients, residuals, settings)
         pose, coefficients, residuals = _pose(state), state.coefficients, state.residuals
     return Refined(pose, coefficients, residuals, state.correlations, seen, scene)
@@ -145,7 +148,7 @@ def _seen_at(scene: Scene, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return pixels, jacobians
 
 
-def _looks(cameras: Sequence[Camera]) -> int:
+def _rounds(cameras: Sequence[Camera]) -> int:
     """Lenses are linearised about the start, so with a distorted one a second round begins where it ended."""
     return 2 if any(camera.is_distorted for camera in cameras) else 1
 
@@ -157,9 +160,9 @@ def _descended(
     coefficients: FloatArray,
     residuals: FloatArray,
     settings: RefinementSettings,
-) -> Joint:
+) -> FaceUnknowns:
     count = (len(scene.images.sizes), len(model.mean))
-    state = Joint(
+    state = FaceUnknowns(
         pose.rotation,
         pose.position.copy(),
         np.array(coefficients, dtype=np.float64),
@@ -179,7 +182,7 @@ def _descended(
     return state
 
 
-def _pose(state: Joint) -> HeadPose:
+def _pose(state: FaceUnknowns) -> HeadPose:
     return HeadPose(state.position, quaternions_from_matrices(state.rotation))
 
 
@@ -194,3 +197,51 @@ def point_values(settings: PointSettings) -> FloatArray:
     values[EYES], values[MOUTH] = settings.eyes, settings.mouth
     values[NOSTRILS], values[BROWS] = settings.nostrils, settings.brows
     return values
+
+
+ROUNDS, STEPS = 3, 5
+"""A point that came nearer or went away is looked at from there again."""
+
+
+def refine_initial_depth(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    pose: HeadPose,
+    shape: FloatArray,
+    settings: RefinementSettings,
+) -> FloatArray:
+    """Return the shape (K, 3), mm, at which the patches of all cameras agree best **[ours]**.
+
+    A point of a shape that was just found may lie some mm before or behind the skin that its patches show:
+    then the reference templates of two cameras ask for one depth and the comparison between the cameras
+    for another, and every later pose is pulled to and fro. Here the first camera with an image holds the
+    point at its pixel, and the comparison between the cameras moves it along the ray.
+
+    Args:
+        images: grey, uint8, one a camera; None where a camera gave none.
+        cameras: of the recording.
+        pose: of the head.
+        shape: (K, 3) as found, mm.
+        settings: weights, steps.
+    """
+    prior = make_prior(np.full(len(shape), settings.settling_mm), settings)
+    points = np.array(shape, dtype=np.float64)
+    for _ in range(ROUNDS):
+        templates = take_templates(images, cameras, pose, points)
+        held = replace(templates, seen=_first_camera_only(templates.seen))
+        scene, _seen = make_scene(images, cameras, [held], None, pose, points, settings)
+        correlations = np.empty(templates.seen.shape)
+        pixels = np.empty((*templates.seen.shape, 2))
+        most = STEPS
+        recalculate_points(
+            scene, pose.rotation, pose.position, shape, prior, most, points, correlations, pixels
+        )
+    return points
+
+
+def _first_camera_only(seen: BoolArray) -> BoolArray:
+    """Return (C, K) where the first camera that sees anything sees a point."""
+    first: BoolArray = np.zeros_like(seen)
+    camera = int(np.argmax(seen.any(axis=1)))
+    first[camera] = seen[camera]
+    return first

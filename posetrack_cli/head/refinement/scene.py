@@ -10,10 +10,17 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.patches import GRID
-from posetrack_cli.head.pose import HeadPose
-from posetrack_cli.head.projection import Projection, project
-from posetrack_cli.head.templates import TemplateSet, tangents, unwarped, visibility, warped, warps_between
+from posetrack_cli.head.face.patches import GRID
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.projection import Projection, project
+from posetrack_cli.head.face.templates import (
+    TemplateSet,
+    tangents,
+    unwarped,
+    visibility,
+    warped,
+    warps_between,
+)
 
 MARGIN = 48
 """Pixels kept around the predicted points: half a patch and how far a point may be refined."""
@@ -97,7 +104,7 @@ class Scene(NamedTuple):
 def make_scene(
     images: Sequence[ImageArray | None],
     cameras: Sequence[Camera],
-    sets: Sequence[TemplateSet],
+    templates: Sequence[TemplateSet],
     previous: TemplateSet | None,
     pose: HeadPose,
     shape: FloatArray,
@@ -120,9 +127,9 @@ def make_scene(
     return Scene(
         _cut_images(images, projection.pixels),
         _optics(cameras, projection),
-        _targets(sets, previous, now, seen**settings.visibility_power, settings),
+        _targets(templates, previous, now, seen**settings.visibility_power, settings),
         _robustness(settings),
-        _raw(sets[0], previous, settings),
+        _raw(templates[0], previous, settings),
     ), seen
 
 
@@ -151,14 +158,14 @@ def _optics(cameras: Sequence[Camera], projection: Projection) -> Optics:
 
 
 def _targets(
-    sets: Sequence[TemplateSet],
+    templates: Sequence[TemplateSet],
     previous: TemplateSet | None,
     now: FloatArray,
     seen: FloatArray,
     settings: RefinementSettings,
 ) -> Targets:
-    weights = [settings.reference, *[settings.keyframe] * (len(sets) - 1)]
-    found = [warped(one, now) for one in sets]
+    weights = [settings.reference, *[settings.keyframe] * (len(templates) - 1)]
+    found = [warped(one, now) for one in templates]
     if previous is not None:
         weights.append(settings.previous)
         found.append(warped(previous, now))
@@ -166,7 +173,7 @@ def _targets(
     known = np.stack([one[1] for one in found])
     return Targets(
         patches,
-        len(sets),
+        len(templates),
         np.array(weights)[:, None, None] * seen * known,
         *_pairs(now, seen, settings.between_cameras),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import EYES, MEAN_SHAPE
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE
 from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
 from posetrack_cli.synthesis.head.form import (
     AXIS_Z,

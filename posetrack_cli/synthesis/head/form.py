@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import MEAN_SHAPE
+from posetrack_cli.head.face.points import MEAN_SHAPE
 
 AXIS_Z = -82.0
 """Depth of the vertical axis, mm: between the ears."""

@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.rendering.devices import device_or_default
 from posetrack_cli.rendering.port import RenderingDevice

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
 from posetrack_cli.synthesis.head.fields import smooth_step
 from posetrack_cli.synthesis.head.form import Relief
 

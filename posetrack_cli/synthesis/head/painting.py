@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
-from posetrack_cli.head.face import MEAN_SHAPE
+from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.canvas import Box, Canvas, blob, inside
 from posetrack_cli.synthesis.head.fields import smooth_field
 from posetrack_cli.synthesis.head.form import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import MEAN_SHAPE
+from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.expressions import belongs_below, displacements
 from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
 from posetrack_cli.synthesis.head.form import MOUTH_X, MOUTH_Y, angle_of, forward, smooth_head

@@ -8,7 +8,7 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.poses import in_camera
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
 from posetrack_cli.synthesis.head.fields import layered_field, smooth_field, smooth_step
 from posetrack_cli.synthesis.head.identity import Looks

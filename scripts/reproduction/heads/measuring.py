@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.metrics.pose_errors import distances
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry.poses import in_object
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face import MOUTH, NOSTRILS, POINT_COUNT
+from posetrack_cli.head.face.points import MOUTH, NOSTRILS, POINT_COUNT
 from reproduction.heads.events import Events, events_of
 from reproduction.heads.tasks import Task
 

@@ -20,7 +20,7 @@ import click
 
 import posetrack_cli
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.head.face import MEAN_SHAPE, SHAPE_SD
+from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
 from posetrack_cli.recording.identity import files_digest
 from reproduction.accuracy.tasks import code_digest, command
@@ -28,14 +28,14 @@ from reproduction.heads_data import camera_file_text, frame_rate
 
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
 DRAWING = (
-    "head/synthesis/*.py",
-    "head/pose.py",
+    "synthesis/head/*.py",
+    "head/face/pose.py",
     "geometry/camera.py",
     "geometry/distortion.py",
     "geometry/poses.py",
     "geometry/rotations.py",
-    "rendering/textured.py",
-    "rendering/shaders/textured.*",
+    "rendering/gl/textured.py",
+    "rendering/gl/shaders/textured.*",
 )
 """What a synthetic recording's images and truth come from, beside the average face."""
 ENTRANTS: dict[str, tuple[str, ...]] = {

@@ -14,7 +14,7 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.face import LINES
+from posetrack_cli.head.face.points import LINES
 from posetrack_cli.recording.opening import open_images
 from reproduction.figures import STYLE, save
 from reproduction.one_camera.figures import pose_columns

@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.viewing.face_model_picture import (
     IDENTITY_AXES,
     face_model_picture,
 )
-from posetrack_cli.head.multilinear.model_file import load_face_model
+from posetrack_cli.head.multilinear.face_model import load_face_model
 
 ROWS, COLUMNS = 1 + 2 * IDENTITY_AXES, 1 + 2 * DEFORMATION_AXES
 

@@ -15,8 +15,8 @@ from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.adjust import adjust
 from posetrack_cli.head.adjustment.preparation import clipped, make_boxes
 from posetrack_cli.head.adjustment.solver.cost import cost
-from posetrack_cli.head.adjustment.views import Person
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.adjustment.views import PersonParameters
+from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
 from support.bundles import FREE, LENSES, moved_away, noisy, random_bundle
 
@@ -213,7 +213,7 @@ def test_a_gross_outlier_moves_little():
 
 def test_a_held_person_stays_to_the_bit():
     case = case_of(24)
-    far = replace(case, person=Person(case.person.identity * 9.0, case.person.offsets + 1.0))
+    far = replace(case, person=PersonParameters(case.person.identity * 9.0, case.person.offsets + 1.0))
     found = run(far, hold_person=True)
     np.testing.assert_array_equal(found.person.identity, far.person.identity)
     np.testing.assert_array_equal(found.person.offsets, far.person.offsets)

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.adjustment.album import CELL_DEG, PER_CELL, Album
-from posetrack_cli.head.adjustment.views import PointView
-from posetrack_cli.head.pose import HeadPose
+from posetrack_cli.head.adjustment.views import CELL_DEG, PER_CELL, Album, PointView
+from posetrack_cli.head.face.pose import HeadPose
 
 WITHIN = 0.45
 """Of a cell: directions farther from its middle would be the next one's."""

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.head.adjustment.choice import spread, spreads_without, with_new
-from posetrack_cli.head.adjustment.views import PointView
+from posetrack_cli.head.adjustment.views import PointView, choose_views, spread, spreads_without
 from support.bundles import random_pose
 
 ROUNDING = 1e-12
@@ -44,7 +43,7 @@ def test_spreads_without_each_are_those_of_the_others(seed, count):
 def test_new_frame_replaces_the_one_that_leaves_most_variance(seed, count):
     rng = np.random.default_rng(seed)
     views, new = [view(rng, i) for i in range(count)], view(rng, count)
-    found = with_new(views, new, count)
+    found = choose_views(views, new, count)
     assert found[-1] is new and len(found) == count
     combinations = [[v for v in views if v is not out] + [new] for out in views]
     best = max(spread(np.array([v.pose.facing for v in one])) for one in combinations)
@@ -55,7 +54,7 @@ def test_while_there_are_few_frames_none_goes():
     rng = np.random.default_rng(3)
     views: tuple[PointView, ...] = ()
     for index in range(5):
-        views = with_new(views, view(rng, index), 5)
+        views = choose_views(views, view(rng, index), 5)
     assert [one.stamp_ns for one in views] == [0, 1, 2, 3, 4]
 
 
@@ -63,9 +62,9 @@ def test_of_equal_directions_the_oldest_goes():
     rng = np.random.default_rng(4)
     same = view(rng)
     views = tuple(PointView(i, same.pixels, same.weights, same.pose, same.deformation) for i in range(3))
-    assert [one.stamp_ns for one in with_new(views, view(rng, 3), 3)] == [1, 2, 3]
+    assert [one.stamp_ns for one in choose_views(views, view(rng, 3), 3)] == [1, 2, 3]
 
 
 def test_too_many_frames_are_reduced():
     rng = np.random.default_rng(5)
-    assert len(with_new([view(rng, i) for i in range(6)], view(rng, 6), 3)) == 3
+    assert len(choose_views([view(rng, i) for i in range(6)], view(rng, 6), 3)) == 3

@@ -7,10 +7,10 @@ import pytest
 
 from posetrack_cli.head.adjustment.solver.elimination import (
     Held,
+    eliminate_views,
     factorise,
     inverse_diagonal,
     make_elimination,
-    reduce,
     solve,
 )
 from posetrack_cli.head.adjustment.solver.problem import Part
@@ -28,8 +28,8 @@ def held_of(equations, share, seed=6):
     )
 
 
-def joined_step(room):
-    return np.concatenate([room.local.ravel(), room.shared])
+def joined_step(work):
+    return np.concatenate([work.local.ravel(), work.shared])
 
 
 @pytest.mark.parametrize("shared", [0, 10, 40])
@@ -38,24 +38,24 @@ def joined_step(room):
 def test_step_is_that_of_the_dense_equations(shared, damping, share):
     case = case_of()
     equations = equations_at(case.problem, somewhere(case), Part(0, 3, 11, shared))
-    held, room = held_of(equations, share), make_elimination(equations)
-    assert solve(equations, held, damping, room)
+    held, work = held_of(equations, share), make_elimination(equations)
+    assert solve(equations, held, damping, work)
     matrix, gradient = dense(equations)
     matrix += damping * np.diag(np.diag(matrix))
     free = ~np.concatenate([held.local.ravel(), held.shared])
     wanted = np.zeros(len(gradient))
     wanted[free] = np.linalg.solve(matrix[np.ix_(free, free)], -gradient[free])
     scale = np.sqrt(np.diag(matrix))
-    found = joined_step(room)
+    found = joined_step(work)
     np.testing.assert_allclose(found * scale, wanted * scale, atol=ROUNDING * np.abs(wanted * scale).max())
 
 
 def test_variances_are_the_dense_inverse_s():
     case = case_of()
     equations = equations_at(case.problem, somewhere(case), case.everything)
-    room, found = make_elimination(equations), np.empty(10)
-    assert reduce(equations, held_of(equations, 0.0), 0.0, room)
-    inverse_diagonal(room.reduced, found)
+    work, found = make_elimination(equations), np.empty(10)
+    assert eliminate_views(equations, held_of(equations, 0.0), 0.0, work)
+    inverse_diagonal(work.reduced, found)
     wanted = np.diag(np.linalg.inv(dense(equations)[0]))[33:43]
     np.testing.assert_allclose(found, wanted, rtol=1e-7)
 

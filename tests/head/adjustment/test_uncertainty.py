@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.mono_config import AdjustmentSettings
+from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_cases import dense, equations_at
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
 from support.bundles import CAMERA, UNIT_SD, random_bundle, random_model

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.detection.settings import DetectionSettings
-from posetrack_cli.head.face import EYES, MIRRORED
+from posetrack_cli.head.face.points import EYES, MIRRORED
 
 # The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is
 # off: medians over frames, of the worst point of a kind.

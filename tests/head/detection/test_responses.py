@@ -7,7 +7,7 @@ import numpy as np
 
 from posetrack_cli.head.detection.patch import HEIGHT, WIDTH
 from posetrack_cli.head.detection.responses import arc, bar, disc, response_maps, wedge
-from posetrack_cli.head.face import MIRRORED, POINT_COUNT
+from posetrack_cli.head.face.points import MIRRORED, POINT_COUNT
 
 SKIN, DARK = 170.0, 60.0
 

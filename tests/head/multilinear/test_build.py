@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
 
-from posetrack_cli.head.face import MEAN_SHAPE, POINT_COUNT
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.multilinear.build import (
     BuiltModel,
     build_model,
@@ -17,8 +17,7 @@ from posetrack_cli.head.multilinear.build import (
     possible_ranks,
     symmetric_halves,
 )
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import load_face_model
+from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from support.face_people import acting, motions, people
 
 ROUNDING_MM = 1e-9

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.head.face import EYES, POINT_NAMES
-from posetrack_cli.head.multilinear.examples import RATES, examples_of, neutral_of
-from posetrack_cli.head.multilinear.learning import learn_model
+from posetrack_cli.head.face.points import EYES, POINT_NAMES
+from posetrack_cli.head.multilinear.learning import RATES, examples_of, learn_model, neutral_of
 from posetrack_cli.head.multilinear.observed_face import ObservedFace, read_face
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.head.face import EYES, MEAN_SHAPE, POINT_NAMES
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.head.multilinear.build import build_model, mirrored
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.multilinear.model_file import SHIPPED, load_face_model, save_face_model
+from posetrack_cli.head.multilinear.face_model import SHIPPED, FaceModel, load_face_model, save_face_model
 from support.face_people import acting, people
 
 

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.patches import GRID, SIZE, normalise, sample_grid
-from posetrack_cli.head.refinement.evidence import belief, gather, make_evidence, make_room, project_point
+from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
+from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement.evidence import (
+    comparison_weight,
+    gather_evidence,
+    make_evidence,
+    make_workspace,
+    project_point,
+)
 from posetrack_cli.head.refinement.scene import make_scene
-from posetrack_cli.head.templates import take_templates
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}
@@ -28,7 +34,7 @@ def scene_of(**weights):
 
 def evidence_at(scene, k, X):
     out = make_evidence(2)
-    gather(scene, k, X, make_room(2), out)
+    gather_evidence(scene, k, X, make_workspace(2), out)
     return out
 
 
@@ -50,13 +56,13 @@ def cost(scene, k, X, weights_at):
             weight = scene.targets.weights[s, c, k]
             if weight > 0.0:
                 q = scene.targets.patches[s, c, k]
-                w = weight * belief(scene.robustness, patch(scene, c, k, weights_at, upright) @ q)
+                w = weight * comparison_weight(scene.robustness, patch(scene, c, k, weights_at, upright) @ q)
                 total += 0.5 * w * np.sum((patch(scene, c, k, X, upright) - q) ** 2)
     weight, warp = scene.targets.pair_weights[0, k], scene.targets.pair_warps[0, k]
     if weight > 0.0:
         there = patch(scene, 1, k, weights_at, upright) @ patch(scene, 0, k, weights_at, warp)
         difference = patch(scene, 1, k, X, upright) - patch(scene, 0, k, X, warp)
-        total += 0.5 * weight * belief(scene.robustness, there) * np.sum(difference**2)
+        total += 0.5 * weight * comparison_weight(scene.robustness, there) * np.sum(difference**2)
     return total
 
 
@@ -102,7 +108,7 @@ def test_one_camera_does_not_see_depth():
     ids=["same", "half", "floor", "below"],
 )
 def test_belief_falls_with_the_sixth_power_above_the_floor(ncc, wanted):
-    assert belief(scene_of().robustness, ncc) == pytest.approx(wanted)
+    assert comparison_weight(scene_of().robustness, ncc) == pytest.approx(wanted)
 
 
 def like_stored(scene, k, X, ncc):

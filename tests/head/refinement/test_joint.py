@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.refinement.evidence import gather, make_evidence, make_room
+from posetrack_cli.head.face.shape_model import ShapeModel, rigid_model
+from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement.evidence import gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.joint import (
     Face,
-    Joint,
+    FaceUnknowns,
     Prior,
     descend,
     invert,
     jacobian,
-    place,
+    point_in_camera,
     tail_precision,
 )
 from posetrack_cli.head.refinement.refine import point_values, refine
 from posetrack_cli.head.refinement.scene import make_scene
-from posetrack_cli.head.shape_model import ShapeModel, rigid_model
-from posetrack_cli.head.templates import take_templates
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 MOTION = np.array([1.5, -1.0, 3.0, 0.015, -0.02, 0.01])
@@ -121,7 +121,7 @@ def test_images_that_show_nothing_leave_everything_where_it_was():
 
 def state_at(pose, coefficients, residuals):
     unknowns = pose.rotation, pose.position.copy(), coefficients.copy(), residuals.copy()
-    return Joint(*unknowns, np.zeros(6), np.empty((2, 10)))
+    return FaceUnknowns(*unknowns, np.zeros(6), np.empty((2, 10)))
 
 
 def problem():
@@ -143,7 +143,7 @@ def test_jacobian_of_a_point_is_the_difference_of_moved_poses():
     state, arm, T, h = state_at(pose, coefficients, residuals), np.empty(3), np.empty((3, 8)), 1e-5
     model = ShapeModel(face.mean, face.basis, np.ones(2))
     for k in (0, 5):
-        place(face, state, k, arm)
+        point_in_camera(face, state, k, arm)
         jacobian(face, state, k, arm, T)
         for n, step in enumerate(h * np.eye(8)):
             ahead, behind = (
@@ -175,11 +175,11 @@ def dense_equations(scene, face, prior, pose, coefficients, residuals):
     H[:size, :size] = np.diag(np.concatenate([prior.pose, face.precisions]))
     g[6:size] = face.precisions * coefficients
     state, arm, T = state_at(pose, coefficients, residuals), np.empty(3), np.empty((3, size))
-    evidence, room = make_evidence(2), make_room(2)
+    evidence, work = make_evidence(2), make_workspace(2)
     for k in range(10):
-        place(face, state, k, arm)
+        point_in_camera(face, state, k, arm)
         jacobian(face, state, k, arm, T)
-        gather(scene, k, arm + pose.position, room, evidence)
+        gather_evidence(scene, k, arm + pose.position, work, evidence)
         rows = np.zeros((3, size + 30))
         rows[:, :size] = T
         rows[:, size + 3 * k : size + 3 * k + 3] = np.eye(3)

@@ -7,12 +7,11 @@ import pytest
 from scipy.optimize import minimize
 
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.patches import GRID, SIZE, normalise, sample_grid
-from posetrack_cli.head.projection import project
-from posetrack_cli.head.refinement.printed import Printed
-from posetrack_cli.head.refinement.printed_2d import recalculate_2d_as_printed
+from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
 from posetrack_cli.head.refinement.scene import make_scene
-from posetrack_cli.head.templates import take_templates
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 CAMERAS = stereo(1)
@@ -40,13 +39,13 @@ def region(image, pixel):
     return grid
 
 
-def cost(printed, image, before, k, place):
+def cost(printed, image, before, k, point_in_camera):
     """E of (4.42)-(4.44) of one point, from the definition."""
-    now = region(image, place)[1:-1, 1:-1]
+    now = region(image, point_in_camera)[1:-1, 1:-1]
     to_first = now - region(FIRST[0], EXPECTED[k])[1:-1, 1:-1]
     to_before = now - region(before, EXPECTED[k])[1:-1, 1:-1]
     regions = printed.rho * np.sum(to_before**2) + np.sum(to_first**2)
-    return regions + printed.epsilon * np.sum((place - EXPECTED[k]) ** 2)
+    return regions + printed.epsilon * np.sum((point_in_camera - EXPECTED[k]) ** 2)
 
 
 @pytest.mark.parametrize("epsilon", [4000.0, 40.0])
@@ -59,7 +58,7 @@ def test_no_place_nearby_costs_less(epsilon):
     _, pixels, _ = recalculated(images, printed, previous)
     for k in range(10):
         best = minimize(
-            lambda place, k=k: cost(printed, images[0], before[0], k, place),
+            lambda point_in_camera, k=k: cost(printed, images[0], before[0], k, point_in_camera),
             pixels[k],
             method="Nelder-Mead",
             options={"initial_simplex": pixels[k] + np.array([[0.5, 0.0], [-0.3, 0.4], [-0.3, -0.4]])},

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.patches import GRID, PATCH, SIZE, normalise, sample_grid
-from posetrack_cli.head.projection import project
-from posetrack_cli.head.refinement.refine import recalculate
+from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement.refine import recalculate, refine_initial_depth
 from posetrack_cli.head.refinement.scene import make_scene
-from posetrack_cli.head.refinement.settling import settle
-from posetrack_cli.head.templates import take_templates
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 OFFSETS = np.random.default_rng(8).uniform(-1.2, 1.2, (10, 3))
@@ -46,25 +45,27 @@ def grid_at(image, pixel):
     return grid
 
 
-def neighbours(place):
+def neighbours(point_in_camera):
     steps = (-AROUND, 0.0, AROUND)
-    return [place + np.array(step) for step in product(steps, steps, (-4 * AROUND, 0.0, 4 * AROUND))]
+    return [
+        point_in_camera + np.array(step) for step in product(steps, steps, (-4 * AROUND, 0.0, 4 * AROUND))
+    ]
 
 
 def search(cost, start):
     """The least cost on a grid about a start, walked to from neighbour to neighbour."""
-    place = start
+    point_in_camera = start
     while True:
-        best = min(neighbours(place), key=cost)
-        if cost(best) >= cost(place):
-            return place
-        place = best
+        best = min(neighbours(point_in_camera), key=cost)
+        if cost(best) >= cost(point_in_camera):
+            return point_in_camera
+        point_in_camera = best
 
 
-def joint_cost(scene, cameras, images, k, place):
+def joint_cost(scene, cameras, images, k, point_in_camera):
     """E_k + the prior, with constant belief, from the definitions."""
-    total = 0.5 * 7.0 * np.log1p(np.sum((place - SHAPE[k]) ** 2) / (4.0 * SD**2))
-    projection = project(cameras, FACING.points(place[None]))
+    total = 0.5 * 7.0 * np.log1p(np.sum((point_in_camera - SHAPE[k]) ** 2) / (4.0 * SD**2))
+    projection = project(cameras, FACING.points(point_in_camera[None]))
     for c, image in enumerate(images):
         patch = np.empty(SIZE)
         normalise(grid_at(image, projection.pixels[c, 0]), patch)
@@ -81,7 +82,9 @@ def test_no_place_around_costs_less():
     scene, result = found(settings)
     cameras, images, _ = drawn()
     for k in range(10):
-        wanted = search(lambda place, k=k: joint_cost(scene, cameras, images, k, place), SHAPE[k])
+        wanted = search(
+            lambda point_in_camera, k=k: joint_cost(scene, cameras, images, k, point_in_camera), SHAPE[k]
+        )
         away = np.abs(result.shape[k] - wanted)
         assert np.all(away <= [2 * AROUND, 2 * AROUND, 8 * AROUND]), (k, away)
 
@@ -99,11 +102,11 @@ def test_points_are_found_where_they_were_drawn():
     )
 
 
-def printed_cost(cameras, images, first, settings, k, place):
+def printed_cost(cameras, images, first, settings, k, point_in_camera):
     """E of (3.3)-(3.6) for one point; reference and frame before are the same images ``first``."""
-    total = settings.epsilon * np.sum((place - SHAPE[k]) ** 2)
+    total = settings.epsilon * np.sum((point_in_camera - SHAPE[k]) ** 2)
     before = project(cameras, FACING.points(SHAPE)).pixels
-    now = project(cameras, FACING.points(place[None])).pixels
+    now = project(cameras, FACING.points(point_in_camera[None])).pixels
     for c, image in enumerate(images):
         difference = grid_at(image, now[c, 0]) - grid_at(first[c], before[c, k])
         total += (settings.rho + 1.0) * np.sum(difference[1:-1, 1:-1] ** 2)
@@ -117,7 +120,10 @@ def test_the_printed_one_minimises_the_printed_cost(epsilon):
     cameras, images, _ = drawn()
     first = textured_face().render(cameras, FACING, SHAPE)
     for k in (0, 4, 7, 9):
-        wanted = search(lambda place, k=k: printed_cost(cameras, images, first, settings, k, place), SHAPE[k])
+        wanted = search(
+            lambda point_in_camera, k=k: printed_cost(cameras, images, first, settings, k, point_in_camera),
+            SHAPE[k],
+        )
         away = np.abs(result.shape[k] - wanted)
         assert np.all(away <= [2 * AROUND, 2 * AROUND, 8 * AROUND]), (k, away)
 
@@ -136,7 +142,7 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
     points = FACING.points(SHAPE)
     wrong = points * (1.0 + np.linspace(-6.0, 6.0, 10)[:, None] / 700.0)  # along the reference's rays
     shape = (wrong - FACING.position) @ FACING.rotation
-    settled = settle(images, cameras, FACING, shape, RefinementSettings())
+    settled = refine_initial_depth(images, cameras, FACING, shape, RefinementSettings())
     away = np.abs(settled - SHAPE)
     assert away[:, :2].max() < 0.3
     assert away[:, 2].max() < 1.0  # a sixth of a pixel; 6 mm before
@@ -146,5 +152,5 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
 def test_settling_with_one_image_changes_nothing():
     cameras = stereo()
     images = textured_face().render(cameras, FACING, SHAPE)
-    settled = settle([images[0], None], cameras, FACING, SHAPE, RefinementSettings())
+    settled = refine_initial_depth([images[0], None], cameras, FACING, SHAPE, RefinementSettings())
     np.testing.assert_allclose(settled, SHAPE, atol=1e-6)

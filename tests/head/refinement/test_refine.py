@@ -9,12 +9,11 @@ import pytest
 
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.projection import project
-from posetrack_cli.head.refinement.printed import Printed
-from posetrack_cli.head.refinement.printed_2d import recalculate_2d_as_printed
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
 from posetrack_cli.head.refinement.refine import recalculate
 from posetrack_cli.head.refinement.scene import make_scene
-from posetrack_cli.head.templates import take_templates
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 (CAMERA,) = stereo(1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry import rotations
-from posetrack_cli.head.face import BROWS, MOUTH
+from posetrack_cli.head.face.points import BROWS, MOUTH
 from posetrack_cli.synthesis.head.curves import minimum_jerk, pulse, random_sway
 from posetrack_cli.synthesis.head.expression_script import deforming_interval, make_script
 from posetrack_cli.synthesis.head.expressions import BOTH_WAYS, EXPRESSIONS

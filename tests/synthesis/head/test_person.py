@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
 from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.form import MOUTH_X

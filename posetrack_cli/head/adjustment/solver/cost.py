@@ -7,8 +7,16 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import rotate_with_jacobian
-from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, deformation_basis, place, residual
+from posetrack_cli.head.adjustment.solver.problem import (
+    NEAREST_MM,
+    POSE,
+    Part,
+    Problem,
+    Unknowns,
+    deformation_basis,
+    point_in_camera,
+    residual,
+)
 
 
 @kernel
@@ -58,7 +66,7 @@ def view_lengths(
     local, position = unknowns.local[view], problem.positions[view]
     rotate_with_jacobian(local[3:6], problem.rotations[view], rotation, left)
     for k in range(len(lengths)):
-        place(problem, k, local, unknowns.shared, basis, rotation, arm)
+        point_in_camera(problem, k, local, unknowns.shared, basis, rotation, arm)
         x, y, z = (
             arm[0] + position[0] + local[0],
             arm[1] + position[1] + local[1],

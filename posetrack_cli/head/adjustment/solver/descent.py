@@ -3,7 +3,8 @@
 Every iteration linearises once. Unknowns at a bound that the gradient pushes outwards are held; for the
 others the damped equations are solved and the step is projected onto the box. A step that does not lower F is
 halved along its projection, (4.28); if that fails too, steepest descent (scaled by the diagonal) is searched
-the same way. F, the true robust cost, never rises.
+the same way. F, the true robust cost, never rises. How well the person is then known is told by the same
+equations.
 """
 
 from __future__ import annotations
@@ -12,8 +13,15 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.adjustment.solver.cost import cost_with_basis
-from posetrack_cli.head.adjustment.solver.elimination import Elimination, Held, make_elimination, solve
+from posetrack_cli.head.adjustment.solver.cost import cost_with_basis, view_lengths
+from posetrack_cli.head.adjustment.solver.elimination import (
+    Elimination,
+    Held,
+    eliminate_views,
+    inverse_diagonal,
+    make_elimination,
+    solve,
+)
 from posetrack_cli.head.adjustment.solver.equations import (
     Equations,
     Rows,
@@ -21,8 +29,14 @@ from posetrack_cli.head.adjustment.solver.equations import (
     make_equations,
     make_rows,
 )
-from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import deformation_basis
+from posetrack_cli.head.adjustment.solver.problem import (
+    POSE,
+    Boxes,
+    Part,
+    Problem,
+    Unknowns,
+    deformation_basis,
+)
 
 DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 EASIER, HARDER, STEEPEST = 0.1, 5.0, 100.0
@@ -56,35 +70,35 @@ def adjust_in_stages(problem: Problem, boxes: Boxes, unknowns: Unknowns, iterati
 def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iterations: int) -> int:
     """Lower F over a part of the unknowns, written over; return how many steps were taken."""
     equations, rows = make_equations(part), make_rows(problem)
-    room, held = make_elimination(equations), make_held(part)
+    work, held = make_elimination(equations), make_held(part)
     trial = Unknowns(unknowns.local.copy(), unknowns.shared.copy())
     deformation_basis(problem, unknowns.shared, rows.deformations)
     now, damping = cost_with_basis(problem, unknowns, part, rows.deformations), DAMPING
     for taken in range(iterations):
         linearise(problem, unknowns, part, rows, equations)
-        hold(boxes, unknowns, part, equations, held)
+        find_held(boxes, unknowns, part, equations, held)
         below, factor = now, STEEPEST
-        if solve(equations, held, damping, room):
-            if -slope(boxes, unknowns, part, equations, room, trial) <= CONVERGED * now:
+        if solve(equations, held, damping, work):
+            if -predicted_rise(boxes, unknowns, part, equations, work, trial) <= CONVERGED * now:
                 return taken
-            below, factor = search(problem, boxes, unknowns, trial, part, room, rows, now)
+            below, factor = search_along(problem, boxes, unknowns, trial, part, work, rows, now)
         if not below < now:
-            steepest(equations, held, room)
-            below, _ = search(problem, boxes, unknowns, trial, part, room, rows, now)
+            steepest_step(equations, held, work)
+            below, _ = search_along(problem, boxes, unknowns, trial, part, work, rows, now)
             factor = STEEPEST
         if not below < now:
             return taken
-        take(trial, part, unknowns)
+        accept_trial(trial, part, unknowns)
         now, damping = below, max(damping * factor, LEAST_DAMPING)
     return iterations
 
 
 @kernel
-def slope(
+def predicted_rise(
     boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, step: Elimination, trial: Unknowns
 ) -> float:
     """Return how much F would rise along the whole projected step if it were linear."""
-    project(boxes, unknowns, part, step, 1.0, trial)
+    project_step(boxes, unknowns, part, step, 1.0, trial)
     rise = 0.0
     for view in range(part.first, part.last):
         for a in range(part.local):
@@ -103,7 +117,7 @@ def make_held(part: Part) -> Held:
 
 
 @kernel
-def hold(boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, held: Held) -> None:
+def find_held(boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, held: Held) -> None:
     """Write which unknowns are at a bound, with F falling beyond it."""
     for view in range(part.first, part.last):
         i = view - part.first
@@ -129,7 +143,7 @@ def _at_bounds(
 
 
 @kernel
-def search(
+def search_along(
     problem: Problem,
     boxes: Boxes,
     unknowns: Unknowns,
@@ -146,7 +160,7 @@ def search(
     """
     length = 1.0
     for _ in range(TRIALS):
-        project(boxes, unknowns, part, step, length, trial)
+        project_step(boxes, unknowns, part, step, length, trial)
         if part.shared > 0:
             deformation_basis(problem, trial.shared, rows.deformations)
         below = cost_with_basis(problem, trial, part, rows.deformations)
@@ -157,7 +171,7 @@ def search(
 
 
 @kernel
-def project(
+def project_step(
     boxes: Boxes, unknowns: Unknowns, part: Part, step: Elimination, length: float, trial: Unknowns
 ) -> None:
     """Write P(x + length step), (4.27)."""
@@ -171,7 +185,7 @@ def project(
 
 
 @kernel
-def steepest(equations: Equations, held: Held, step: Elimination) -> None:
+def steepest_step(equations: Equations, held: Held, step: Elimination) -> None:
     """Write the step of steepest descent in units of the diagonal."""
     for view in range(len(step.local)):
         for a in range(len(step.local[view])):
@@ -185,10 +199,33 @@ def steepest(equations: Equations, held: Held, step: Elimination) -> None:
 
 
 @kernel
-def take(trial: Unknowns, part: Part, unknowns: Unknowns) -> None:
+def accept_trial(trial: Unknowns, part: Part, unknowns: Unknowns) -> None:
     """Move to the trial."""
     for view in range(part.first, part.last):
         for a in range(part.local):
             unknowns.local[view, a] = trial.local[view, a]
     for j in range(part.shared):
         unknowns.shared[j] = trial.shared[j]
+
+
+@kernel
+def all_lengths(problem: Problem, unknowns: Unknowns, out: FloatArray) -> None:
+    """Write (n, K) how far each point is off, in standard deviations."""
+    basis = np.empty((*problem.mean.shape, len(problem.deformation_centre)))
+    deformation_basis(problem, unknowns.shared, basis)
+    for view in range(len(out)):
+        view_lengths(problem, unknowns, view, basis, out[view])
+
+
+@kernel
+def identity_variances(problem: Problem, unknowns: Unknowns, part: Part, out: FloatArray) -> None:
+    """Write (S,) variances of u: the inverse Schur complement's diagonal; infinite where there is none."""
+    equations, rows, held = make_equations(part), make_rows(problem), make_held(part)
+    held.local[:], held.shared[:] = False, False
+    work = make_elimination(equations)
+    deformation_basis(problem, unknowns.shared, rows.deformations)
+    linearise(problem, unknowns, part, rows, equations)
+    if eliminate_views(equations, held, 0.0, work):
+        inverse_diagonal(work.reduced, out)
+    else:
+        out[:] = np.inf

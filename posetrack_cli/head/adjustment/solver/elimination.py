@@ -57,35 +57,35 @@ def make_elimination(equations: Equations) -> Elimination:
 
 
 @kernel
-def solve(equations: Equations, held: Held, damping: float, room: Elimination) -> bool:
+def solve(equations: Equations, held: Held, damping: float, work: Elimination) -> bool:
     """Write the step of the unknowns that are not held; return False where a matrix is not positive."""
-    if not reduce(equations, held, damping, room):
+    if not eliminate_views(equations, held, damping, work):
         return False
-    _forward(room.reduced, room.shared)
-    _backward(room.reduced, room.shared)
-    for view in range(len(room.local)):
-        for a in range(len(room.local[view])):
-            room.local[view, a] = room.middles[view, a]
-            for j in range(len(room.shared)):
-                room.local[view, a] -= room.halves[view, a, j] * room.shared[j]
-        _backward(room.factors[view], room.local[view])
-    _negate(room)
+    _forward(work.reduced, work.shared)
+    _backward(work.reduced, work.shared)
+    for view in range(len(work.local)):
+        for a in range(len(work.local[view])):
+            work.local[view, a] = work.middles[view, a]
+            for j in range(len(work.shared)):
+                work.local[view, a] -= work.halves[view, a, j] * work.shared[j]
+        _backward(work.factors[view], work.local[view])
+    _negate(work)
     return True
 
 
 @kernel
-def reduce(equations: Equations, held: Held, damping: float, room: Elimination) -> bool:
+def eliminate_views(equations: Equations, held: Held, damping: float, work: Elimination) -> bool:
     """Eliminate the views and factorise what is left; return False where a matrix is not positive."""
-    _damped(equations.shared, held.shared, damping, room.reduced)
-    for j in range(len(room.shared)):
-        room.shared[j] = 0.0 if held.shared[j] else equations.shared_gradient[j]
-    for view in range(len(room.local)):
-        _damped(equations.local[view], held.local[view], damping, room.factors[view])
-        if not factorise(room.factors[view]):
+    _damped(equations.shared, held.shared, damping, work.reduced)
+    for j in range(len(work.shared)):
+        work.shared[j] = 0.0 if held.shared[j] else equations.shared_gradient[j]
+    for view in range(len(work.local)):
+        _damped(equations.local[view], held.local[view], damping, work.factors[view])
+        if not factorise(work.factors[view]):
             return False
-        _cross(equations, held, view, room)
-        _eliminate(room, view)
-    return factorise(room.reduced)
+        _cross(equations, held, view, work)
+        _eliminate(work, view)
+    return factorise(work.reduced)
 
 
 @kernel
@@ -99,19 +99,19 @@ def _damped(matrix: FloatArray, held: BoolArray, damping: float, out: FloatArray
 
 
 @kernel
-def _cross(equations: Equations, held: Held, view: int, room: Elimination) -> None:
+def _cross(equations: Equations, held: Held, view: int, work: Elimination) -> None:
     """Begin Y and c with B and g."""
-    for a in range(len(room.middles[view])):
+    for a in range(len(work.middles[view])):
         stays = held.local[view, a]
-        room.middles[view, a] = 0.0 if stays else equations.local_gradient[view, a]
-        for j in range(len(room.shared)):
-            room.halves[view, a, j] = 0.0 if stays or held.shared[j] else equations.cross[view, a, j]
+        work.middles[view, a] = 0.0 if stays else equations.local_gradient[view, a]
+        for j in range(len(work.shared)):
+            work.halves[view, a, j] = 0.0 if stays or held.shared[j] else equations.cross[view, a, j]
 
 
 @kernel
-def _eliminate(room: Elimination, view: int) -> None:
+def _eliminate(work: Elimination, view: int) -> None:
     """Finish Y and c, and take Y' Y and Y' c from the Schur complement and its right side."""
-    factor, half, middle = room.factors[view], room.halves[view], room.middles[view]
+    factor, half, middle = work.factors[view], work.halves[view], work.middles[view]
     _forward(factor, middle)
     for a in range(len(factor)):
         for b in range(a):
@@ -121,9 +121,9 @@ def _eliminate(room: Elimination, view: int) -> None:
             half[a, j] /= factor[a, a]
     for a in range(len(factor)):
         for i in range(half.shape[1]):
-            room.shared[i] -= half[a, i] * middle[a]
+            work.shared[i] -= half[a, i] * middle[a]
             for j in range(i + 1):
-                room.reduced[i, j] -= half[a, i] * half[a, j]
+                work.reduced[i, j] -= half[a, i] * half[a, j]
 
 
 @kernel
@@ -162,13 +162,13 @@ def _backward(factor: FloatArray, vector: FloatArray) -> None:
 
 
 @inlined
-def _negate(room: Elimination) -> None:
+def _negate(work: Elimination) -> None:
     """Take the step downhill."""
-    for view in range(len(room.local)):
-        for a in range(len(room.local[view])):
-            room.local[view, a] = -room.local[view, a]
-    for j in range(len(room.shared)):
-        room.shared[j] = -room.shared[j]
+    for view in range(len(work.local)):
+        for a in range(len(work.local[view])):
+            work.local[view, a] = -work.local[view, a]
+    for j in range(len(work.shared)):
+        work.shared[j] = -work.shared[j]
 
 
 @kernel

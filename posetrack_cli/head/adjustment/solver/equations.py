@@ -14,8 +14,16 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import rotate_with_jacobian
-from posetrack_cli.head.adjustment.solver.problem import POSE, Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.solver.shape import NEAREST_MM, identity_basis, place, residual
+from posetrack_cli.head.adjustment.solver.problem import (
+    NEAREST_MM,
+    POSE,
+    Part,
+    Problem,
+    Unknowns,
+    identity_basis,
+    point_in_camera,
+    residual,
+)
 
 
 class Equations(NamedTuple):
@@ -89,7 +97,7 @@ def make_rows(problem: Problem) -> Rows:
 @kernel
 def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equations: Equations) -> None:
     """Write the equations at the unknowns, whose deformation basis stands in the rows."""
-    begin(problem, unknowns, part, equations)
+    start_equations(problem, unknowns, part, equations)
     for view in range(part.first, part.last):
         rotate_with_jacobian(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
         if part.shared > 0:
@@ -100,7 +108,7 @@ def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equa
 
 
 @kernel
-def begin(problem: Problem, unknowns: Unknowns, part: Part, equations: Equations) -> None:
+def start_equations(problem: Problem, unknowns: Unknowns, part: Part, equations: Equations) -> None:
     """Write the equations of the priors alone."""
     equations.local[:], equations.cross[:], equations.shared[:] = 0.0, 0.0, 0.0
     equations.local_gradient[:] = 0.0
@@ -121,7 +129,7 @@ def add_point(
     """Add what a point says, if it lies in front of the camera; beyond h it is weighed by h / e (Huber)."""
     arm, error = np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
-    place(problem, k, local, unknowns.shared, rows.deformations, rows.rotation, arm)
+    point_in_camera(problem, k, local, unknowns.shared, rows.deformations, rows.rotation, arm)
     x, y, z = (
         arm[0] + position[0] + local[0],
         arm[1] + position[1] + local[1],

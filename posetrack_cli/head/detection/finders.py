@@ -1,0 +1,169 @@
+"""Where a face roughly is in an image, by OpenCV's Haar cascades or by YuNet, a small neural network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.errors import PosetrackError, UsageError
+from posetrack_cli.files import utf8_name
+
+NO_EYES = (np.zeros((0, 2)), np.zeros((0, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class FaceGuess:
+    """One face that a detector found.
+
+    Attributes:
+        middle: (2,) pixels, middle between the eyes.
+        eye_distance: pixels between the eyes' centres, as if the face looked at the camera.
+        roll: rad, clockwise in the image, of the line through the eyes.
+        score: 0 to 1, how sure the detector is; it takes what reaches 0.5.
+        eyes: (n, 2) pixels of possible centres of the subject's right eye, and of the left eye.
+    """
+
+    middle: FloatArray
+    eye_distance: float
+    roll: float
+    score: float
+    eyes: tuple[FloatArray, FloatArray] = NO_EYES
+
+
+class FaceFinder(Protocol):
+    """Finds faces in a grey image."""
+
+    def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
+        """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
+
+
+FACE_CASCADE = "haarcascade_frontalface_alt2.xml"
+EYE_CASCADE = "haarcascade_eye_tree_eyeglasses.xml"
+# Measured on 72 faces (head.md), as fractions of the cascade's box.
+EYES_MIDDLE = np.array([0.502, 0.402])
+EYE_DISTANCE = 0.365
+EYE_ROWS = (0.15, 0.62)
+EYE_COLUMNS = ((0.0, 0.6), (0.4, 1.0))
+EYE_WIDTH = (0.13, 0.43)
+# Cascades find small eyes badly: the box is enlarged to this width.
+BOX_WIDTH_FOR_EYES = 300
+# The eye box's middle lies this far, in eye distances, from the middle of the eye's corners.
+EYE_BOX_OFFSET = np.array([-0.02, -0.04])
+NEIGHBOURS_OF_A_FACE = 3
+
+
+class HaarFaces:
+    """The default face finder.
+
+    Args:
+        least_width: pixels; narrower faces are not looked for. The cascade's box is about 2.7 eye distances.
+    """
+
+    def __init__(self, least_width: int = 80) -> None:
+        self._faces = _cascade(FACE_CASCADE)
+        self._eyes = _cascade(EYE_CASCADE)
+        self._least = least_width
+
+    def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
+        """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
+        least = (self._least, self._least)
+        boxes, neighbours = self._faces.detectMultiScale2(
+            image, scaleFactor=1.1, minNeighbors=1, minSize=least
+        )
+        found = sorted(zip(boxes, np.ravel(neighbours), strict=True), key=lambda face: -int(face[0][2]))
+        return tuple(self._guess(image, np.asarray(box, float), float(count)) for box, count in found)
+
+    def _guess(self, image: ImageArray, box: FloatArray, neighbours: float) -> FaceGuess:
+        score = neighbours / (neighbours + NEIGHBOURS_OF_A_FACE)
+        distance = EYE_DISTANCE * box[2]
+        right, left = (self._eyes_in(image, box, columns) for columns in EYE_COLUMNS)
+        offset = EYE_BOX_OFFSET * distance
+        eyes = (right - offset, left - offset)
+        return FaceGuess(box[:2] + EYES_MIDDLE * box[2:], float(distance), 0.0, score, eyes)
+
+    def _eyes_in(self, image: ImageArray, box: FloatArray, columns: tuple[float, float]) -> FloatArray:
+        """Return the centres (n, 2), pixels, of eyes in some columns of a face's box."""
+        x, y, width, height = box
+        top, bottom = (round(y + part * height) for part in EYE_ROWS)
+        left, right = (round(x + part * width) for part in columns)
+        corner = np.array([max(left, 0), max(top, 0)])
+        part = image[corner[1] : bottom, corner[0] : right]
+        scale = BOX_WIDTH_FOR_EYES / width
+        enlarged = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+        least, most = (round(fraction * BOX_WIDTH_FOR_EYES) for fraction in EYE_WIDTH)
+        boxes = self._eyes.detectMultiScale(
+            enlarged, scaleFactor=1.1, minNeighbors=1, minSize=(least, least), maxSize=(most, most)
+        )
+        found = np.asarray(boxes, dtype=float).reshape(-1, 4)
+        centres: FloatArray = (found[:, :2] + found[:, 2:] / 2.0) / scale + corner
+        return centres
+
+
+def _cascade(name: str) -> Any:
+    path = Path(cv2.__file__).parent / "data" / name
+    cascade = cv2.CascadeClassifier(str(path))
+    if cascade.empty():
+        raise PosetrackError(
+            "OpenCV's Haar cascade cannot be loaded", where=path.name, hint="install opencv-python 4"
+        )
+    return cascade
+
+
+# YuNet's own threshold for a face is 0.9; it becomes 0.5 as with every finder.
+SURE = 0.9
+UNSURE = 0.3
+# The mouth's corners lie this many eye distances below the eyes (head.md).
+MOUTH_BELOW_EYES = 1.09
+# In larger images nothing is gained, and time grows with the area.
+LONGEST_SIDE = 640
+
+
+class YunetFaces:
+    """Finds faces, eyes and mouths by YuNet.
+
+    Args:
+        model: the network's ONNX file.
+
+    Raises:
+        UsageError: the file is missing or is not a network that OpenCV can run.
+    """
+
+    def __init__(self, model: Path) -> None:
+        if not model.is_file():
+            raise UsageError("face detector's model not found", where=model)
+        try:
+            with utf8_name(model) as name:
+                self._network = cv2.FaceDetectorYN.create(name, "", (320, 320), score_threshold=UNSURE)
+        except cv2.error as error:
+            raise UsageError(
+                "not a model of YuNet",
+                where=model,
+                found=error.err,
+                expected="an ONNX file of FaceDetectorYN",
+            ) from None
+
+    def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
+        """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
+        scale = min(1.0, LONGEST_SIDE / max(image.shape))
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        self._network.setInputSize((small.shape[1], small.shape[0]))
+        _, rows = self._network.detect(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR))
+        faces = [_guess(np.asarray(row, float), scale) for row in ([] if rows is None else rows)]
+        return tuple(sorted(faces, key=lambda face: -face.eye_distance))
+
+
+def _guess(row: FloatArray, scale: float) -> FaceGuess:
+    """Read x, y, width, height, then five points (eyes, nose, mouth corners; right first), score."""
+    points = row[4:14].reshape(5, 2) / scale
+    right, left = points[:2]
+    middle, across = (right + left) / 2.0, left - right
+    down = points[3:].mean(axis=0) - middle
+    distance = max(float(np.hypot(*across)), float(np.hypot(*down)) / MOUTH_BELOW_EYES)
+    roll = float(np.arctan2(across[1], across[0]))
+    score = 0.5 + 0.5 * (row[14] - SURE) / (1.0 - SURE) if row[14] >= SURE else 0.5 * row[14] / SURE
+    return FaceGuess(middle, distance, roll, float(min(score, 1.0)), (right[None], left[None]))

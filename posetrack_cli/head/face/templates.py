@@ -1,0 +1,193 @@
+"""What the feature points looked like at some time, and how that looks from where the head is now.
+
+About each point the skin is taken for its tangent plane. With T the derivative (2, 2) of a camera's pixels by
+coordinates in that plane, a shift d of pixels now is a shift T_then T_now^-1 d of pixels then: templates are
+sampled under that affine warp **[ours]**, so that a head that turns or comes nearer keeps its reference.
+Templates of further directions, the keyframes, are kept beside the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
+from posetrack_cli.compiled import kernel
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
+from posetrack_cli.head.face.points import POINT_NORMALS
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.projection import Projection, project
+
+WINDOW = 48
+"""Side of what is kept about a point, pixels: a patch at up to twice its size and turned."""
+LARGEST_STRETCH = 4.0
+"""Pixels then for a pixel now at most; beyond, the plane is seen edge on."""
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateSet:
+    """The K feature points on the images of C cameras at one time.
+
+    Attributes:
+        windows: (C, K, WINDOW, WINDOW) image about each point.
+        centres: (C, K, 2) the point in its window, pixels.
+        tangents: (C, K, 2, 2) T, pixels per mm in the tangent plane.
+        seen: (C, K) whether camera and point had a window.
+        facing: (3,) direction out of the face, in the reference camera's axes.
+    """
+
+    windows: ImageArray
+    centres: FloatArray
+    tangents: FloatArray
+    seen: BoolArray
+    facing: FloatArray
+
+
+def take_templates(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    pose: HeadPose,
+    shape: FloatArray,
+    pixels: FloatArray | None = None,
+) -> TemplateSet:
+    """Return the templates of a frame.
+
+    Args:
+        images: grey, uint8, one a camera; None where a camera gave none.
+        cameras: of the recording.
+        pose: of the head.
+        shape: (K, 3) points in the head's frame, mm.
+        pixels: (C, K, 2) where the points are; without, where pose and shape put them.
+    """
+    projection = project(cameras, pose.points(shape))
+    pixels = projection.pixels if pixels is None else pixels
+    windows = np.zeros((*pixels.shape[:2], WINDOW, WINDOW), dtype=np.uint8)
+    corners = np.zeros(pixels.shape)
+    seen = np.zeros(pixels.shape[:2], dtype=bool)
+    for c, image in enumerate(images):
+        if image is not None:
+            corners[c], seen[c] = _cut(image, pixels[c], windows[c])
+    seen &= projection.in_front
+    return TemplateSet(windows, pixels - corners, tangents(projection, pose), seen, pose.facing)
+
+
+def tangents(projection: Projection, pose: HeadPose) -> FloatArray:
+    """Return T (C, K, 2, 2): how pixels change with coordinates in each point's tangent plane, per mm."""
+    planes = pose.rotation @ _planes()
+    found: FloatArray = projection.jacobians @ planes
+    return found
+
+
+def visibility(projection: Projection, pose: HeadPose) -> FloatArray:
+    """Return (C, K) how much each camera sees of each point: the cosine of normal and ray, 0 from behind."""
+    normals = POINT_NORMALS @ pose.rotation.T
+    cosines = np.einsum("kj,ckj->ck", normals, projection.rays)
+    return np.where(projection.in_front, np.maximum(cosines, 0.0), 0.0)
+
+
+def warped(templates: TemplateSet, now: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the templates as they look now.
+
+    Args:
+        templates: of some time.
+        now: (C, K, 2, 2) ``tangents`` at the head's present pose.
+
+    Returns:
+        (C, K, SIZE) patches of zero mean and unit norm, row by row, and (C, K) whether there is one: the
+        point was seen then, with some contrast, and is not seen edge on now.
+    """
+    warps = warps_between(now, templates.tangents)
+    patches = np.zeros((*templates.seen.shape, SIZE))
+    known = np.zeros(templates.seen.shape, dtype=np.bool_)
+    _sample_all(templates.windows, templates.centres, warps, templates.seen, patches, known)
+    return patches, known
+
+
+def unwarped(templates: TemplateSet) -> FloatArray:
+    """Return the intensities (C, K, GRID, GRID) about each point as they were; NaN where it was not seen."""
+    grids = np.full((*templates.seen.shape, GRID, GRID), np.nan)
+    for c, k in np.argwhere(templates.seen):
+        u, v = templates.centres[c, k]
+        sample_grid(templates.windows[c, k], WINDOW, WINDOW, u, v, np.eye(2), grids[c, k])
+    return grids
+
+
+def template_images(patches: FloatArray) -> ImageArray:
+    """Return patches (..., SIZE) as float32 images (..., PATCH, PATCH) for cv2.matchTemplate."""
+    return patches.reshape(*patches.shape[:-1], PATCH, PATCH).astype(np.float32)
+
+
+def warps_between(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Return T_target T_source^-1 (..., 2, 2), NaN where that cannot be told or stretches too much."""
+    a, b, c, d = source[..., 0, 0], source[..., 0, 1], source[..., 1, 0], source[..., 1, 1]
+    determinant = a * d - b * c
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    safe = np.where(np.abs(determinant) > 0.0, determinant, np.nan)
+    warps: FloatArray = target @ adjugate / safe[..., None, None]
+    stretched = ~(np.abs(warps).max(axis=(-2, -1)) <= LARGEST_STRETCH)
+    warps[stretched] = np.nan
+    return warps
+
+
+def _cut(image: ImageArray, pixels: FloatArray, windows: ImageArray) -> tuple[FloatArray, BoolArray]:
+    """Fill windows (K, WINDOW, WINDOW); return their corners (K, 2), and which lie wholly in the image.
+
+    A window at the image's edge is shifted into it.
+    """
+    height, width = image.shape
+    largest = np.array([width - WINDOW, height - WINDOW])
+    wanted = np.floor(np.nan_to_num(pixels, nan=-1e6)) - WINDOW // 2
+    corners = np.clip(wanted, 0, largest)
+    seen = np.all((np.abs(corners - wanted) < WINDOW // 2) & (largest >= 0), axis=-1)
+    for k in np.flatnonzero(seen):
+        x, y = int(corners[k, 0]), int(corners[k, 1])
+        windows[k] = image[y : y + WINDOW, x : x + WINDOW]
+    return corners, seen
+
+
+@cache
+def _planes() -> FloatArray:
+    """Return (K, 3, 2) two unit vectors across each point's normal, in the head's frame."""
+    across = np.cross([0.0, 1.0, 0.0], POINT_NORMALS)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([across, np.cross(POINT_NORMALS, across)], axis=-1)
+
+
+@kernel
+def _sample_all(
+    windows: ImageArray,
+    centres: FloatArray,
+    warps: FloatArray,
+    seen: BoolArray,
+    patches: FloatArray,
+    known: BoolArray,
+) -> None:
+    """Write the normalised patch of every window under its warp, and whether there is one."""
+    grid = np.empty((GRID, GRID))
+    for c in range(seen.shape[0]):
+        for k in range(seen.shape[1]):
+            if not seen[c, k] or np.isnan(warps[c, k, 0, 0]):
+                continue
+            u, v = centres[c, k, 0], centres[c, k, 1]
+            if sample_grid(windows[c, k], WINDOW, WINDOW, u, v, warps[c, k], grid):
+                known[c, k] = normalise(grid, patches[c, k]) > 0.0
+
+
+def nearest_templates(templates: Sequence[TemplateSet], facing: FloatArray) -> tuple[TemplateSet, ...]:
+    """Return the reference, and the keyframe whose direction is nearest to ``facing`` if it is nearer."""
+    nearest = min(templates, key=lambda one: angle_deg(one.facing, facing))
+    return (templates[0],) if nearest is templates[0] else (templates[0], nearest)
+
+
+def is_new_direction(templates: Sequence[TemplateSet], facing: FloatArray, apart_deg: float) -> bool:
+    """Whether a direction is farther than that from those of all templates."""
+    return all(angle_deg(one.facing, facing) > apart_deg for one in templates)
+
+
+def angle_deg(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle, degrees, between unit vectors (3,)."""
+    return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))

@@ -1,0 +1,131 @@
+"""An average face laid on measured points: which of them are wrong, and where the others must be.
+
+It also tells whether images belong to other cameras than they are said to **[ours]**. The epipolar error
+tells where the cameras' heights or directions differ. Cameras that converge on the face from the sides see it
+on the same lines either way; but exchanged, they see it hollow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.epipolar import better_order
+from posetrack_cli.geometry.projection import in_camera_axes
+from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.triangulation import triangulate
+from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
+from posetrack_cli.head.initialisation.views import CameraImage
+
+# A point so many standard deviations from an average face's was matched with something else.
+OUTLYING = 2.0
+# With more of them taken away anything can be made a face.
+MOST_OUTLIERS = 2
+
+
+def without_outliers(points: FloatArray, known: BoolArray) -> BoolArray:
+    """Return which points remain when the worst ones, two at most, that lie unlike a face's are taken away.
+
+    Args:
+        points: (K, 3) mm.
+        known: (K,) which of them are measured, more than five.
+    """
+    kept = known.copy()
+    for _ in range(MOST_OUTLIERS):
+        distances = np.array([_from_others(points, kept, k) if kept[k] else 0.0 for k in range(len(kept))])
+        worst = int(np.argmax(distances))
+        if distances[worst] <= OUTLYING:
+            break
+        kept[worst] = False
+    return kept
+
+
+def deviations(points: FloatArray, known: BoolArray) -> FloatArray:
+    """Return how far points (K, 3) mm lie from an average face on the known ones, in standard deviations.
+
+    The face is as large as the known points; each distance (K,) is a root mean square over coordinates.
+    """
+    average = average_face(points, known)
+    distances: FloatArray = np.sqrt(np.mean((points - average) ** 2, axis=1)) / FEATURE_SD
+    return distances
+
+
+def _from_others(points: FloatArray, known: BoolArray, point: int) -> float:
+    """Return the deviation of one point from the face that the other known ones make."""
+    others = known & (np.arange(len(known)) != point)
+    return float(deviations(points, others)[point])
+
+
+def average_face(points: FloatArray, known: BoolArray) -> FloatArray:
+    """Return the points (K, 3) of an average face, scaled, turned and moved onto the known ones."""
+    weights = np.where(known, FEATURE_SD**-2, 0.0)
+    size = relative_size(points, known)
+    rotation, shift = rigid_alignment(size * FEATURES, points, weights)
+    average: FloatArray = size * FEATURES @ rotation.T + shift
+    return average
+
+
+def relative_size(points: FloatArray, known: BoolArray) -> float:
+    """Return how large a face is, 1 for an average one: the ratio of the known points' weighted spreads."""
+    weights = np.where(known, FEATURE_SD**-2, 0.0)
+    return float(np.sqrt(_spread(points, weights) / _spread(FEATURES, weights)))
+
+
+def completed(points: FloatArray, known: BoolArray, view: CameraImage, pixels: FloatArray) -> FloatArray:
+    """Return the points (K, 3), mm, with those filled in that are not known.
+
+    Args:
+        points: (K, 3) in the reference camera's axes; anything where not known.
+        known: (K,) which points are measured, at least three.
+        view: the camera that saw all points.
+        pixels: (K, 2) where it saw them; an unknown point lies on the ray of its pixel, as deep as an average
+            face has it.
+    """
+    depths = in_camera_axes(view.camera, average_face(points, known))[:, 2]
+    return np.where(known[:, None], points, view.points_at(pixels, depths))
+
+
+def _spread(points: FloatArray, weights: FloatArray) -> float:
+    share = weights / weights.sum()
+    return float(share @ np.sum((points - share @ points) ** 2, axis=1))
+
+
+# Another order must be so many times more like a face, and as like one as this, to be believed.
+CLEARLY_BETTER = 1.6
+LIKE_A_FACE = 2.0
+# So many points must be in front of the cameras for a shape to be looked at.
+LEAST_POINTS = 8
+
+
+def exchanged_order(cameras: Sequence[Camera], faces: FloatArray) -> tuple[int, ...]:
+    """Return which image each camera should get, if that fits clearly better than as recorded; else nothing.
+
+    Args:
+        cameras: C of them.
+        faces: (C, K, 2) pixels of a face's points, found in each image by itself; NaN where there is none.
+    """
+    if np.isnan(faces).any():
+        return ()
+    by_lines = better_order(cameras, faces)
+    if by_lines is not None:
+        return by_lines.order
+    as_recorded, *others = permutations(range(len(cameras)))
+    best = min(others, key=lambda order: face_deviation(cameras, faces[list(order)]))
+    deviation = face_deviation(cameras, faces[list(best)])
+    limit = min(LIKE_A_FACE, face_deviation(cameras, faces[list(as_recorded)]) / CLEARLY_BETTER)
+    return best if deviation < limit else ()
+
+
+def face_deviation(cameras: Sequence[Camera], pixels: FloatArray) -> float:
+    """Return how unlike an average face the points with pixels (C, K, 2) are, root mean square deviations.
+
+    Infinite if too few of them lie in front of the cameras.
+    """
+    points, known = triangulate(cameras, pixels)
+    if known.sum() < LEAST_POINTS:
+        return np.inf
+    return float(np.sqrt(np.mean(deviations(points, known)[known] ** 2)))

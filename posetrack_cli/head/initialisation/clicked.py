@@ -1,0 +1,219 @@
+"""A head from points that a person clicked: a CSV file with the columns camera, point, x, y."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli import limits
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
+from posetrack_cli.files import read_text
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import StereoInitialisationSettings
+from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, POINT_COUNT, POINT_NAMES
+from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.stereo import (
+    StereoInitialisation,
+    StereoInitialiser,
+    head_from_pixels,
+    match_everywhere,
+)
+from posetrack_cli.head.initialisation.views import camera_images
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.tracking.two_pass import NothingFoundError
+
+COLUMNS = ("camera", "point", "x", "y")
+
+
+@dataclass(frozen=True, eq=False)
+class ClickedPoints:
+    """Points that a person clicked in the first frame.
+
+    Attributes:
+        path: of the table.
+        pixels: (C, K, 2), NaN where none was clicked.
+    """
+
+    path: Path
+    pixels: FloatArray
+
+    @classmethod
+    def read(cls, path: Path, cameras: Sequence[Camera]) -> ClickedPoints:
+        """Read a table; see ``read_clicked``."""
+        return cls(path, read_clicked(path, cameras))
+
+
+class ClickedInitialiser(StereoInitialiser):
+    """Finds the face where its points were clicked in the first frame, and by itself in later ones.
+
+    Args:
+        settings: what is good enough.
+        cameras: C >= 2, calibrated.
+        path: table of points, see ``read_clicked``.
+
+    Raises:
+        UsageError: no such table, or a face detector without its model.
+        PosetrackError: points that cannot be used.
+    """
+
+    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], path: Path) -> None:
+        self._clicked = ClickedPoints.read(path, cameras)
+        super().__init__(settings, cameras)
+
+    def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
+        """Return where the face is in a frame, or why none was found.
+
+        Raises:
+            NothingFoundError: the clicked points are not those of a face.
+        """
+        if not is_first:
+            return super().find(frame, is_first=False)
+        found = head_from_clicked(frame.images, self._cameras, self._clicked.pixels, self._settings)
+        if isinstance(found, InitFailure):
+            raise unusable_clicks(self._clicked.path, found)
+        return found
+
+
+def unusable_clicks(path: Path, failure: InitFailure) -> NothingFoundError:
+    """Return the error that says why clicked points begin no head."""
+    return NothingFoundError(
+        "clicked points begin no head",
+        where=path,
+        found=failure.reason,
+        hint="were they clicked in the first frame that is tracked? right is the subject's right",
+    )
+
+
+def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
+    """Return clicked points as pixels (C, K, 2), NaN where none was clicked.
+
+    The file has a header line and one line per point: the camera's name, the point's (``face.POINT_NAMES``)
+    and its pixel. One camera at least has all ten points; those of the others are found by matching.
+
+    Raises:
+        UsageError: no such file, or no such table.
+        PosetrackError: an unknown camera or point, a pixel outside the image, a point twice, or no camera
+            with all ten.
+    """
+    pixels = np.full((len(cameras), POINT_COUNT, 2), np.nan)
+    names = [camera.name for camera in cameras]
+    for line, row in _rows(path):
+        where = f"{path}, line {line}"
+        camera = _index(row["camera"], names, "camera", where)
+        point = _index(row["point"], POINT_NAMES, "point", where)
+        pixel = _pixel(row, cameras[camera], where)
+        if not np.isnan(pixels[camera, point, 0]):
+            raise PosetrackError(
+                "point clicked twice", where=where, found=f"{row['point']} in {row['camera']}"
+            )
+        pixels[camera, point] = pixel
+    if clicked_camera(pixels) is None:
+        raise PosetrackError(
+            "no camera has all points",
+            where=path,
+            found=_missing(pixels, names),
+            hint="click them all in one image",
+        )
+    return pixels
+
+
+def clicked_camera(pixels: FloatArray) -> int | None:
+    """Return the first camera with all of the clicked points (C, K, 2), None if there is none."""
+    complete = np.flatnonzero(~np.isnan(pixels[..., 0]).any(axis=1))
+    return int(complete[0]) if len(complete) else None
+
+
+def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    try:
+        lines = io.StringIO(read_text(path, limits.TEXT_BYTES, "utf-8-sig"), newline="")
+        reader = csv.DictReader(lines, skipinitialspace=True, restval="")
+        rows = [(reader.line_num, row) for row in reader]
+    except FileNotFoundError:
+        raise UsageError("clicked points not found", where=path) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        found = getattr(error, "strerror", None) or error
+        raise UsageError("clicked points cannot be read", where=path, found=found) from None
+    header = tuple(reader.fieldnames or ())
+    if not set(COLUMNS) <= set(header):
+        found = ", ".join(header) or "an empty file"
+        raise UsageError(
+            "not a table of clicked points", where=path, found=found, expected=", ".join(COLUMNS)
+        )
+    return rows
+
+
+def _index(name: str, names: Sequence[str], kind: str, where: str) -> int:
+    if name not in names:
+        raise PosetrackError(f"unknown {kind}", where=where, found=name, hint=nearest_name(name, names))
+    return list(names).index(name)
+
+
+def _pixel(row: dict[str, str], camera: Camera, where: str) -> FloatArray:
+    try:
+        pixel = np.array([float(row["x"]), float(row["y"])])
+    except ValueError:
+        pixel = np.array([np.nan, np.nan])
+    if not (np.all(pixel >= -0.5) and np.all(pixel < np.array([camera.width, camera.height]) - 0.5)):
+        raise PosetrackError(
+            "no pixel of the image",
+            where=where,
+            found=f"{row['x']}, {row['y']}",
+            expected=f"0 to {camera.width - 1}, 0 to {camera.height - 1}",
+        )
+    return pixel
+
+
+def _missing(pixels: FloatArray, names: Sequence[str]) -> str:
+    """Name the points that the camera with most of them lacks."""
+    known = ~np.isnan(pixels[..., 0])
+    camera = int(np.argmax(known.sum(axis=1)))
+    lacking = ", ".join(POINT_NAMES[k] for k in np.flatnonzero(~known[camera]))
+    return f"{names[camera]} without {lacking}"
+
+
+def head_from_clicked(
+    images: Sequence[ImageArray | None],
+    cameras: Sequence[Camera],
+    clicked: FloatArray,
+    settings: StereoInitialisationSettings = StereoInitialisationSettings(),  # noqa: B008
+) -> StereoInitialisation | InitFailure:
+    """Return the head whose points were clicked.
+
+    Where a point was clicked in several images they are believed; else it is matched as a found one would be.
+
+    Args:
+        images: (height, width) uint8, one per camera, None where a camera has none.
+        cameras: C >= 2, calibrated.
+        clicked: (C, K, 2) pixels as ``read_clicked`` returns them.
+        settings: what is good enough.
+    """
+    views = camera_images(images, cameras)
+    camera = clicked_camera(clicked)
+    if camera is None or views[camera] is None:
+        return InitFailure("no image of the camera whose points were clicked")
+    pixels_per_mm, rotation = weak_perspective(clicked[camera])
+    relief = FEATURES @ rotation[2]
+    pixels, correlations = match_everywhere(views, camera, clicked[camera], pixels_per_mm, relief, settings)
+    given = ~np.isnan(clicked[..., 0])
+    pixels[given] = clicked[given]
+    correlations[given.sum(axis=0) > 1] = 1.0
+    return head_from_pixels(views, camera, pixels, correlations, settings)
+
+
+def weak_perspective(pixels: FloatArray) -> tuple[float, FloatArray]:
+    """Return the scale, pixels per mm, and the rotation (3, 3) that lay an average face on pixels (K, 2).
+
+    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
+    """
+    weights = 1.0 / FEATURE_SD[:, None]
+    shape = np.column_stack([FEATURES, np.ones(len(FEATURES))])
+    solution, *_ = np.linalg.lstsq(weights * shape, weights * pixels, rcond=None)
+    u, values, vt = np.linalg.svd(solution[:3].T, full_matrices=False)
+    rows = u @ vt
+    return float(values.mean()), np.vstack([rows, np.cross(rows[0], rows[1])])

@@ -1,0 +1,212 @@
+"""The pose of a known shape from its pixels in one image (perspective n points) **[ours]**.
+
+The thesis begins its bundle adjustment with a face in the middle of the image that looks at the camera; here
+each frame's pose is found first, so that the adjustment begins near where it ends.
+
+A face is nearly flat: under weak perspective a plane and its mirror image in depth look the same, which
+exchanges looking up with looking down, left with right. A descent starts from both, and the better end is
+kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.distortion import distortion_jacobian
+from posetrack_cli.geometry.projection import normalised_from_pixels
+from posetrack_cli.geometry.rotations import quaternions_from_matrices
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+
+LEAST_POINTS = 4
+MOST_STEPS = 30
+# A step is the last that lowers the cost by less than this part of it, or than this many squared pixels.
+ROUGHLY, CONVERGED, CONVERGED_PX2 = 1e-3, 1e-6, 1e-9
+FIRST_DAMPING, MORE_DAMPING, LESS_DAMPING = 1e-4, 10.0, 0.1
+MOST_DAMPING = 1e6
+NEAREST_MM = 10.0
+"""No point of a face comes nearer to the camera's plane."""
+FARTHEST_MM = 1e6
+"""Where a descent begins at most: points in one place look like a face at infinity."""
+HUBER = 2.0
+"""Influence of a point is bounded at so many standard deviations of a coordinate's error."""
+LEAST_ERROR_PX = 0.05
+# How large an error is shows once its influence is bounded: the bound is estimated again while it falls.
+ROUNDS, SETTLED = 4, 0.8
+# The median length of a normal vector in two dimensions, in standard deviations of a coordinate.
+MEDIAN_LENGTH = 1.177
+# Poses nearer to each other than this, mm and rad, are one.
+ONE_POSE = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The points that count.
+
+    Attributes:
+        places: (n, 2) normalised coordinates.
+        scales: (n, 2, 2) roots of weights times pixels per normalised coordinate, lens included: an error's
+            length is in pixels as recorded, to first order.
+        roots: (n,) of the weights, the largest 1.
+        shape: (n, 3) mm.
+    """
+
+    places: FloatArray
+    scales: FloatArray
+    roots: FloatArray
+    shape: FloatArray
+
+
+def pose_of(
+    pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray
+) -> tuple[HeadPose, float]:
+    """Return the pose that lays a shape's projection on pixels, and how far off the points remain.
+
+    Minimises sum_k h(w_k |m_k - P(R M_k + t)|^2), h Huber's function with its bound from the median error, by
+    Levenberg and Marquardt's method. The lens is taken as linear about each pixel.
+
+    Args:
+        pixels: (K, 2) as recorded.
+        weights: (K,) relative; points of weight 0, without a pixel or beyond what the lens sees do not count.
+        camera: that sees them, in its own axes.
+        shape: (K, 3) in the head's frame, mm.
+
+    Returns:
+        The pose, and the weighted root mean square, pixels, of the points' distances.
+
+    Raises:
+        ValueError: fewer than four points count.
+    """
+    used = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
+    if used.sum() < LEAST_POINTS:
+        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
+    seen = _seen(pixels[used], weights[used] / weights[used].max(), camera, shape[used])
+    poses = [_descended(seen, start, np.inf, ROUGHLY) for start in _starts(seen)]
+    poses.sort(key=lambda pose: _cost(_lengths(seen, pose), np.inf))
+    if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
+        poses = poses[:1]
+    for _ in range(ROUNDS):
+        bound = _bound(seen, poses[0])
+        poses = [_descended(seen, pose, bound, ROUGHLY) for pose in poses]
+        poses.sort(key=lambda pose: _cost(_lengths(seen, pose), bound))
+        if _bound(seen, poses[0]) >= SETTLED * bound:
+            break
+    best = _descended(seen, poses[0], bound, CONVERGED)
+    return best, float(np.sqrt(np.sum(_lengths(seen, best) ** 2) / np.sum(seen.roots**2)))
+
+
+def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
+    places, roots = normalised_from_pixels(camera, pixels), np.sqrt(weights)
+    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
+    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
+    return _Seen(places, roots[:, None, None] * scales, roots, shape)
+
+
+def _starts(seen: _Seen) -> tuple[HeadPose, HeadPose]:
+    """Return the weak-perspective pose about the ray to the points' middle, and its mirror image in depth.
+
+    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
+    """
+    rays = np.column_stack([seen.places, np.ones(len(seen.places))])
+    towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
+    turn = _turned_to_z(towards)
+    turned = rays @ turn.T
+    flat = turned[:, :2] / turned[:, 2:]
+    shape = np.column_stack([seen.shape, np.ones(len(flat))])
+    solution, *_ = np.linalg.lstsq(seen.roots[:, None] * shape, seen.roots[:, None] * flat, rcond=None)
+    u, values, vt = np.linalg.svd(solution[:3].T, full_matrices=False)
+    rows = u @ vt
+    rotation = turn.T @ np.vstack([rows, np.cross(rows[0], rows[1])])
+    position = turn.T @ np.append(solution[3], 1.0) / max(float(values.mean()), 1.0 / FARTHEST_MM)
+    mirror = np.eye(3) - 2.0 * np.outer(towards, towards)
+    mirrored = mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
+    return _pose(rotation, position), _pose(mirrored, position)
+
+
+def _pose(rotation: FloatArray, position: FloatArray) -> HeadPose:
+    return HeadPose(position, quaternions_from_matrices(rotation))
+
+
+def _turned_to_z(direction: FloatArray) -> FloatArray:
+    """Return the smallest rotation (3, 3) that takes a unit vector with z > 0 to the z axis."""
+    x, y, z = direction
+    rotation = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [x, y, z]])
+    rotation[:2, :2] -= np.outer(direction[:2], direction[:2]) / (1.0 + z)
+    return rotation
+
+
+def _descended(seen: _Seen, pose: HeadPose, bound: float, tolerance: float) -> HeadPose:
+    """Return the pose of least cost near a start."""
+    damping = FIRST_DAMPING
+    lengths, matrix, vector = _normal_equations(seen, pose, bound)
+    cost = _cost(lengths, bound)
+    for _ in range(MOST_STEPS):
+        small = tolerance * cost + CONVERGED_PX2
+        step = _solved(matrix, damping, vector)
+        moved = pose.moved(step)
+        lower = _cost(_lengths(seen, moved), bound)
+        if lower < cost:
+            pose, gained, cost, damping = moved, cost - lower, lower, LESS_DAMPING * damping
+            if gained <= small:
+                break
+            _, matrix, vector = _normal_equations(seen, pose, bound)
+        elif damping > MOST_DAMPING or step @ vector <= small:
+            break
+        else:
+            damping *= MORE_DAMPING
+    return pose
+
+
+def _solved(matrix: FloatArray, damping: float, vector: FloatArray) -> FloatArray:
+    """Return the damped step; least squares where points in one place or on one line tell no more."""
+    damped = matrix + damping * np.diag(np.diagonal(matrix))
+    try:
+        step = np.linalg.solve(damped, vector)
+    except np.linalg.LinAlgError:
+        step, *_ = np.linalg.lstsq(damped, vector)
+    return np.asarray(step, dtype=np.float64)
+
+
+def _normal_equations(seen: _Seen, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the errors' lengths (n,), J^T W J (6, 6) and J^T W e (6,) in the pose's tangent vector."""
+    arms = seen.shape @ pose.rotation.T
+    x, y, z = (arms + pose.position).T
+    u, v = x / z, y / z
+    errors = np.einsum("kij,kj->ki", seen.scales, seen.places - np.stack([u, v], axis=1))
+    lengths = np.sqrt(np.sum(errors**2, axis=1))
+    roots = np.sqrt(bound / np.maximum(lengths, bound)) if np.isfinite(bound) else np.ones_like(lengths)
+    a, b, c = arms.T
+    none = np.zeros_like(z)
+    moving = [[none + 1.0, none, -u, -u * b, c + u * a, -b], [none, none + 1.0, -v, -c - v * b, v * a, a]]
+    jacobian = np.einsum("kij,jnk->kin", seen.scales, np.array(moving) / z)
+    rows = (roots[:, None, None] * jacobian).reshape(-1, POSE_SIZE)
+    return lengths, rows.T @ rows, rows.T @ (roots[:, None] * errors).ravel()
+
+
+def _lengths(seen: _Seen, pose: HeadPose) -> FloatArray:
+    """Return the weighted lengths (n,) of the points' errors; infinite where one is not before the camera."""
+    points = seen.shape @ pose.rotation.T + pose.position
+    if points[:, 2].min() < NEAREST_MM:
+        return np.full(len(points), np.inf)
+    errors = np.einsum("kij,kj->ki", seen.scales, seen.places - points[:, :2] / points[:, 2:])
+    lengths: FloatArray = np.sqrt(np.sum(errors**2, axis=1))
+    return lengths
+
+
+def _cost(lengths: FloatArray, bound: float) -> float:
+    """Return half a sum of squares, beyond the bound growing only as the length does."""
+    if not np.all(np.isfinite(lengths)):
+        return np.inf
+    small = np.minimum(lengths, bound)
+    return float(np.sum(small * (lengths - 0.5 * small)))
+
+
+def _bound(seen: _Seen, pose: HeadPose) -> float:
+    """Return where Huber's function ends to be a square, from the median error."""
+    lengths = _lengths(seen, pose)
+    freedom = np.sqrt(max(1.0 - POSE_SIZE / (2.0 * len(lengths)), 0.1))
+    spread = float(np.median(lengths)) / (MEDIAN_LENGTH * freedom)
+    return HUBER * max(float(spread), LEAST_ERROR_PX)

@@ -1,0 +1,1 @@
+"""The particle filter over pose and deformation of a head (thesis, 3.3)."""

@@ -1,0 +1,1 @@
+"""The head tracker, and what it keeps of the head and of the face between frames."""

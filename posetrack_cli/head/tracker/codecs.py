@@ -1,0 +1,220 @@
+"""How what head trackers keep becomes arrays: for checkpoints, model files and second passes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posetrack_cli import limits
+from posetrack_cli.errors import ResultError
+from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView
+from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.templates import WINDOW, TemplateSet
+from posetrack_cli.head.initialisation.search import Search
+from posetrack_cli.head.model_file import unusable
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.tracker.frame_tracker import TrackState
+from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
+from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, units
+from posetrack_cli.tracking.state_codec import (
+    Array,
+    Codec,
+    Fields,
+    Maybe,
+    Numbered,
+    Stacked,
+    Value,
+    real,
+    stamp,
+    whole,
+)
+
+PEOPLE = "people"
+"""Name of the array that says how many there are."""
+_ScoredView: TypeAlias = tuple[float, PointView]
+POSE: Codec[HeadPose] = Fields(HeadPose, position=Value(floats(3)), quaternion=Value(units(4)))
+_COEFFICIENTS = "coefficients?"
+
+
+def search_codec(cameras: int) -> Codec[Search]:
+    """Return the codec of a search with so many cameras."""
+
+    def build(best: float, counts: Array, order: Array, reasons: Array, times: Array) -> Search:
+        frames, exchanged = (int(value) for value in counts)
+        failures = Counter(dict(zip(reasons.tolist(), times.tolist(), strict=True)))
+        return Search(frames, best, failures, tuple(order.tolist()), exchanged)
+
+    return Fields(
+        build,
+        best=("best_score", real(floats(least=0.0))),
+        counts=(lambda one: [one.frames, one.exchanged], Value(counts(2))),
+        order=Value(counts("order?", most=cameras - 1)),
+        reasons=(lambda one: list(one.reasons.keys()), Value(Layout("str", ("reasons?",)))),
+        times=(lambda one: list(one.reasons.values()), Value(counts("reasons?"))),
+    )
+
+
+def template_codec(cameras: int) -> Codec[TemplateSet]:
+    """Return the codec of templates of so many cameras."""
+    seen = (cameras, POINT_COUNT)
+    return Fields(
+        TemplateSet,
+        windows=Value(Layout("uint8", (*seen, WINDOW, WINDOW))),
+        centres=Value(places(*seen, 2)),
+        tangents=Value(places(*seen, 2, 2)),
+        seen=Value(Layout("bool", seen)),
+        facing=Value(units(3)),
+    )
+
+
+def track_codec(cameras: int) -> Codec[TrackState]:
+    """Return the codec of a tracked head with so many cameras."""
+    model = Fields(
+        ShapeModel,
+        mean=Value(floats(POINT_COUNT, 3)),
+        basis=Value(floats(POINT_COUNT, 3, _COEFFICIENTS)),
+        deviations=Value(floats(_COEFFICIENTS, least=0.0)),
+    )
+    particles = Fields(
+        _particles,
+        pose=POSE,
+        coefficients=Value(floats(_COEFFICIENTS)),
+        deviations=Value(floats("particles", "state components")),
+        weights=Value(Layout("float64", ("particles",), least=0.0, most=1.0, shares=True)),
+        model=model,
+    )
+    return Fields(
+        TrackState,
+        stamp_ns=stamp(),
+        pose=POSE,
+        velocity=Value(floats(POSE_SIZE)),
+        particles=particles,
+        shape=Value(floats(POINT_COUNT, 3)),
+        templates=Maybe(template_codec(cameras)),
+    )
+
+
+def _particles(deviations: np.ndarray[Any, Any], coefficients: Array, **parts: Any) -> HeadParticles:
+    wanted = POSE_SIZE + len(coefficients)
+    if deviations.shape[1] != wanted:
+        raise LayoutError(f"'particles.deviations' of {deviations.shape[1]} components, not {wanted}")
+    return HeadParticles(deviations=deviations, coefficients=coefficients, **parts)
+
+
+def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[KnownPerson, ...]]:
+    """Return the codec of people whose faces a model makes."""
+
+    def known(
+        identity: Array,
+        offsets: Array,
+        history: Array,
+        counts: int,
+        single: Array,
+        sets: tuple[TemplateSet, ...],
+        **parts: Any,
+    ) -> KnownPerson:
+        person = PersonParameters(identity, offsets)
+        return KnownPerson(
+            person=person,
+            history=IdentityHistory(history, settings.average),
+            shape=person_shape(model, person),
+            templates=sets,
+            adjusted_frames=counts,
+            rms_px=float(single[0]),
+            usual_score=float(single[1]),
+            **parts,
+        )
+
+    one = Fields(
+        known,
+        identity=("person.identity", Value(floats(model.identity_size))),
+        offsets=("person.offsets", Value(floats(POINT_COUNT, 3))),
+        history=("history.identities", Value(floats("history", model.identity_size))),
+        counts=("adjusted_frames", whole()),
+        single=(lambda known: [known.rms_px, known.usual_score], Value(floats(2, missing=True))),
+        album=_AlbumCodec(model),
+        views=Stacked(Fields(_view, **_view_parts(model)), "views"),
+        sets=("templates", Stacked(template_codec(1), "sets", least=1)),
+    )
+    return Numbered(one, counted=PEOPLE, called="person", most=limits.PEOPLE)
+
+
+def known_people(learned: Arrays, model: FaceModel, settings: AdjustmentSettings) -> tuple[KnownPerson, ...]:
+    """Return the people whom another tracker with this face model has learned.
+
+    Raises:
+        ResultError: an array is missing, or not as ``people_codec`` states it.
+    """
+    try:
+        if PEOPLE not in learned:
+            raise LayoutError(f"no array '{PEOPLE}'")
+        return people_codec(model, settings).from_arrays(learned)
+    except LayoutError as error:
+        raise unusable_people(error) from error
+
+
+def unusable_people(found: object) -> ResultError:
+    """Return the error that says what of learned arrays is not as it must be."""
+    return unusable(found, "what --save-model wrote of a run with this face model")
+
+
+class _AlbumCodec(Codec[Album]):
+    """An album's frames with their scores, page by page; of an empty one there are no scores."""
+
+    def __init__(self, model: FaceModel) -> None:
+        of_view = {name: (_second(take), codec) for name, (take, codec) in _view_parts(model).items()}
+        self._frames: Stacked[_ScoredView] = Stacked(
+            Fields(
+                lambda scores, **view: (scores, _view(**view)),
+                scores=(lambda pair: pair[0], real()),
+                **of_view,
+            ),
+            "album",
+        )
+
+    def to_arrays(self, value: Album) -> dict[str, Array]:
+        """Return the scores and what ``Stacked`` makes of the frames."""
+        pages: Sequence[_ScoredView] = [scored for page in value.pages.values() for scored in page]
+        return self._frames.to_arrays(pages) or {"scores": np.zeros(0)}
+
+    def layouts(self, arrays: Arrays) -> dict[str, Layout]:
+        """Return the layouts of frames if there are any."""
+        if any(array.size for array in arrays.values()):
+            return self._frames.layouts(arrays)
+        return {name: floats(0) for name in arrays}
+
+    def build(self, arrays: Arrays) -> Album:
+        """Return the album that the frames were put into one after the other."""
+        album = Album()
+        for score, view in self._frames.build(arrays):
+            album = album.added(view, score)
+        return album
+
+
+def _view_parts(model: FaceModel) -> dict[str, tuple[Callable[[PointView], Any], Codec[Any]]]:
+    """What a view is taken apart into."""
+    return {
+        "stamps": (lambda view: view.stamp_ns, stamp()),
+        "pixels": (lambda view: view.pixels, Value(places(POINT_COUNT, 2))),
+        "weights": (lambda view: view.weights, Value(floats(POINT_COUNT, least=0.0))),
+        "positions": (lambda view: view.pose.position, Value(floats(3))),
+        "quaternions": (lambda view: view.pose.quaternion, Value(units(4))),
+        "deformations": (lambda view: view.deformation, Value(floats(model.deformation_size))),
+    }
+
+
+def _view(
+    stamps: int, pixels: Array, weights: Array, positions: Array, quaternions: Array, deformations: Array
+) -> PointView:
+    return PointView(stamps, pixels, weights, HeadPose(positions, quaternions), deformations)
+
+
+def _second(take: Callable[[PointView], Any]) -> Callable[[_ScoredView], Any]:
+    return lambda pair: take(pair[1])

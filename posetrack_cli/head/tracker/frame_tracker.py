@@ -1,0 +1,250 @@
+"""A found head followed from frame to frame: filter, refinement, the points' own places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.templates import (
+    TemplateSet,
+    nearest_templates,
+    take_templates,
+    tangents,
+    template_images,
+    visibility,
+    warped,
+)
+from posetrack_cli.head.initialisation.search import Search
+from posetrack_cli.head.particles.filter import HeadFilter, HeadParticles
+from posetrack_cli.head.particles.motion import FRAME_S, predicted_pose, velocity_between
+from posetrack_cli.head.particles.scores import PatchObservation
+from posetrack_cli.head.refinement.refine import recalculate, refine
+from posetrack_cli.recording.base import Frame
+
+Images = Sequence[ImageArray | None]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackState:
+    """A head that is being followed, after a frame.
+
+    Attributes:
+        stamp_ns: of the frame.
+        pose: of the head.
+        velocity: (6,) tangent vector per second.
+        particles: about that pose.
+        shape: (K, 3) M', the points' own places in the head's frame, mm.
+        templates: of this frame; None if the head was put here and not seen here.
+    """
+
+    stamp_ns: int
+    pose: HeadPose
+    velocity: FloatArray
+    particles: HeadParticles
+    shape: FloatArray
+    templates: TemplateSet | None
+
+    def at_rest(self) -> TrackState:
+        """Return the head without its velocity, which does not tell where it is next."""
+        return replace(self, velocity=np.zeros_like(self.velocity))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFit:
+    """What one frame says about a head.
+
+    Attributes:
+        track: to go on with.
+        coefficients: (B,) deformation, mm.
+        coefficient_rate: (B,) its change since the frame before, mm/s.
+        variance: (6 + B,) of pose (tangent vector) and coefficients.
+        dt: s since the frame before.
+        correlations: (K,) of each point at its own place, the best camera's; NaN where no camera sees it.
+        weights: (K,) visibility of each point times its correlation, 0 to 1.
+        score: mean correlation of the points, weighted by their visibility; 0 if none is visible.
+        pixels: (C, K, 2) where the points are on the images.
+        effective_sample_size: of the particles.
+    """
+
+    track: TrackState
+    coefficients: FloatArray
+    coefficient_rate: FloatArray
+    variance: FloatArray
+    dt: float
+    correlations: FloatArray
+    weights: FloatArray
+    score: float
+    pixels: FloatArray
+    effective_sample_size: float
+
+
+LONG_AGO_NS = -(2**62)
+
+
+@dataclass(frozen=True, eq=False)
+class HeadState:
+    """What a head tracker knows after a frame; what it knows of the face is added by subclasses.
+
+    Attributes:
+        track: the head when it was last tracked; None before.
+        lost: frames in a row, up to the last one, in which it was not.
+        search: what looking for a head came to before one was first found.
+        first_ns: stamp of the first frame, the one that points were clicked in.
+    """
+
+    track: TrackState | None = None
+    lost: int = 0
+    search: Search = field(default_factory=Search)
+    first_ns: int = LONG_AGO_NS
+
+    @property
+    def is_found(self) -> bool:
+        """Whether a head was found in any frame so far."""
+        return self.track is not None
+
+    def last_seen_ns(self, frame: Frame) -> int:
+        """Return when the head was last tracked; if it was not, as long ago as between two frames."""
+        return frame.stamp_ns - round(FRAME_S * 1e9) if self.track is None else self.track.stamp_ns
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether the head may still be about where it was last tracked."""
+        return True
+
+
+class FrameTracker:
+    """One step of the method of chapters 3 and 4, for a head that was found.
+
+    Args:
+        config: of the filter, and of the refinement that follows it.
+        cameras: of the recording, one or more.
+    """
+
+    def __init__(self, config: HeadStereoConfig | HeadMonoConfig, cameras: Sequence[Camera]) -> None:
+        self._settings, self._motion, self._cameras = config.refinement, config.particles, cameras
+        self._filter = HeadFilter(config.particles, cameras)
+
+    def start(
+        self,
+        stamp_ns: int,
+        pose: HeadPose,
+        shape: FloatArray,
+        model: ShapeModel,
+        rng: np.random.Generator,
+        seen: TemplateSet | None = None,
+    ) -> TrackState:
+        """Return a head at rest, its points at ``shape`` (K, 3), mm: ``seen`` there, or put there."""
+        particles = self._filter.start(pose, model, rng)
+        return TrackState(stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, seen)
+
+    def step(
+        self,
+        before: TrackState,
+        frame: Frame,
+        templates: Sequence[TemplateSet],
+        model: ShapeModel,
+        rng: np.random.Generator,
+    ) -> FrameFit:
+        """Advance by one frame.
+
+        Args:
+            before: the head after the frame before.
+            frame: one grey image a camera; None where a camera gave none.
+            templates: reference first.
+            model: of the face.
+            rng: source of randomness.
+        """
+        dt = (frame.stamp_ns - before.stamp_ns) * 1e-9
+        predicted = predicted_pose(before.pose, before.velocity, dt, self._motion)
+        coefficients = before.particles.with_model(model).coefficients
+        expected = self._expected(frame.images, templates, predicted, model.shapes(coefficients))
+        filtered = self._filter.step(before.particles, predicted, before.velocity, dt, expected, model, rng)
+        refined = refine(
+            frame.images,
+            self._cameras,
+            nearest_templates(templates, filtered.pose.facing),
+            before.templates,
+            model,
+            filtered.pose,
+            filtered.coefficients,
+            self._settings,
+        )
+        places = model.shapes(refined.coefficients)
+        own = recalculate(refined.scene, refined.pose, places, before.shape, self._settings)
+        track = TrackState(
+            frame.stamp_ns,
+            refined.pose,
+            velocity_between(before.pose, refined.pose, dt),
+            filtered.particles.moved_to(refined.pose, refined.coefficients),
+            own.shape,
+            take_templates(frame.images, self._cameras, refined.pose, own.shape, own.pixels),
+        )
+        correlations, score = agreement(refined.correlations, refined.visibility)
+        at_own_places, _ = agreement(own.correlations, refined.visibility)
+        return FrameFit(
+            track,
+            refined.coefficients,
+            (refined.coefficients - coefficients) / dt,
+            track.particles.variance(),
+            dt,
+            at_own_places,
+            refined.visibility.max(axis=0) * np.clip(np.nan_to_num(correlations), 0.0, 1.0),
+            score,
+            own.pixels,
+            filtered.effective_sample_size,
+        )
+
+    def _expected(
+        self, images: Images, templates: Sequence[TemplateSet], pose: HeadPose, shape: FloatArray
+    ) -> PatchObservation:
+        """What the points should look like at a predicted pose, and how far they are visible."""
+        projection = project(self._cameras, pose.points(shape))
+        patches, known = warped(nearest_templates(templates, pose.facing)[-1], tangents(projection, pose))
+        return PatchObservation(images, template_images(patches), visibility(projection, pose) * known)
+
+
+def initial_fit(track: TrackState, score: float, pixels: FloatArray) -> FrameFit:
+    """Return what the frame says in which a head was first found.
+
+    Args:
+        track: the head, at rest.
+        score: of the start.
+        pixels: (C, K, 2) where its points were found.
+    """
+    particles = track.particles
+    nothing = np.zeros(particles.model.size)  # of a face that is not known to deform yet
+    return FrameFit(
+        track,
+        coefficients=nothing,
+        coefficient_rate=nothing,
+        variance=particles.variance(),
+        dt=FRAME_S,
+        correlations=np.full(len(track.shape), score),
+        weights=np.full(len(track.shape), score),
+        score=score,
+        pixels=pixels,
+        effective_sample_size=float(len(particles.weights)),
+    )
+
+
+def agreement(correlations: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:
+    """Return each point's best correlation (K,) over cameras, and their mean weighted by visibility.
+
+    Args:
+        correlations: (C, K); NaN where a camera has nothing to compare.
+        seen: (C, K) visibility, 0 to 1.
+    """
+    known = np.where(np.isnan(correlations) | (seen <= 0.0), -np.inf, correlations)
+    best = known.max(axis=0)
+    weights = np.where(np.isfinite(best), seen.max(axis=0), 0.0)
+    total = float(weights.sum())
+    score = float(weights @ np.where(np.isfinite(best), best, 0.0)) / total if total > 0.0 else 0.0
+    return np.where(np.isfinite(best), best, np.nan), score

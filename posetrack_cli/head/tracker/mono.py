@@ -1,0 +1,353 @@
+"""The people whom one camera sees, as the head tracker finds, recognises and learns them (chapter 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.adjustment.focal_length import focal_length_check
+from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.initialisation.clicked import ClickedPoints, unusable_clicks
+from posetrack_cli.head.initialisation.detected_face import DetectedFace, clicked_face, eye_distance_px
+from posetrack_cli.head.initialisation.mono import MonoInitialisation, MonoInitialiser
+from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
+from posetrack_cli.head.subject import MonoDiagnostics
+from posetrack_cli.head.tracker.codecs import known_people, people_codec, unusable_people
+from posetrack_cli.head.tracker.estimates import Description
+from posetrack_cli.head.tracker.face_learning import off_axis_deg
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackState
+from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
+from posetrack_cli.head.tracker.person import new_person
+from posetrack_cli.head.tracker.person_fitting import PersonFitter
+from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.layouts import Arrays
+from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import Learned
+
+STRANGER_FRAMES = 10
+"""A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
+STRANGER_FRAMES_AFTER_CUT = 3
+"""The same after a cut: another scene is reason enough to expect another person."""
+RECOGNISED = 0.85
+"""After a cut a face is a known person's if its score is so much of the usual one."""
+STRANGER_OFF_AXIS_DEG = 25.0
+"""Only a face that looks at the camera tells: from the side one's own looks strange, too."""
+CLEARLY_BETTER = 0.03
+"""Minimum score gain for a new detection to replace the track."""
+FORGOTTEN_S = 1.0
+"""A face that was gone for so long may come back elsewhere in the image."""
+FOCAL_PX = "focal_px"
+"""Name of the array that says at which focal length people were seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduction:
+    """What looks at images that were reduced by one scale, with the camera that would take them."""
+
+    camera: Camera
+    initialiser: MonoInitialiser
+    fitter: PersonFitter
+
+
+class MonoPeople:
+    """The people in the images of one camera; a ``Faces``.
+
+    Images are reduced to where faces are as large as patches ask for; see ``reduction``. Until a face is
+    found they are looked at as they are.
+
+    Args:
+        config: parameters.
+        camera: of the recording.
+        model: of faces.
+        choice: which face to begin with, 0 the largest.
+        clicked: points of the first frame; without them the face is found there, too.
+        known: what another tracker has exported: people and templates to begin with.
+
+    Raises:
+        UsageError: a face detector without its model.
+        ResultError: ``known`` is not what a one-camera tracker with this model exports.
+    """
+
+    def __init__(
+        self,
+        config: HeadMonoConfig,
+        camera: Camera,
+        model: FaceModel,
+        *,
+        choice: int = 0,
+        clicked: ClickedPoints | None = None,
+        known: Arrays | None = None,
+    ) -> None:
+        self._config, self._recorded, self._model = config, camera, model
+        self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
+        self._reductions: dict[float, _Reduction] = {}
+        self._people = people_codec(model, config.adjustment)
+        self.codec: Codec[MonoState] = mono_codec(model, config.adjustment)
+        self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
+
+    def start(self) -> MonoState:
+        """Return the state before a first frame."""
+        return self._first
+
+    def look(self, state: MonoState, frame: Frame) -> tuple[MonoState, Frame]:
+        """Return the reduced frame, and the state that knows whether the scene was cut to another."""
+        frame = reduced(frame, state.scale or WHOLE)
+        (image,) = frame.images
+        if image is None:
+            return state, frame
+        scene = thumbnail(image)
+        cut = state.cut or (state.scene is not None and is_cut(state.scene, scene))
+        return replace(state, scene=scene, cut=cut), frame
+
+    def is_known(self, state: MonoState) -> bool:
+        """Whether a person is known."""
+        return bool(state.people)
+
+    def detect(self, state: MonoState, frame: Frame) -> DetectedFace | InitFailure:
+        """Look for a face, where the head was last if that was not long ago."""
+        return self._at(state).initialiser.detect(frame, self._last_pixels(state, frame))
+
+    def begin(
+        self, state: MonoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, FrameFit | InitFailure]:
+        """Look for a person who is not known; the first who is found decides the scale of images.
+
+        The frame is then looked at again at that scale.
+        """
+        after, fit = self._begin(state, frame, rng)
+        scale = state.scale if state.scale is not None else self._scale_of(after)
+        after = replace(after, scale=scale)
+        if state.scale == scale or scale == WHOLE:
+            return after, fit
+        afresh = replace(self._first, scale=scale, search=state.search, first_ns=state.first_ns)
+        return self._begin(*self.look(afresh, frame), rng)
+
+    def fit(
+        self, state: MonoState, track: TrackState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, FrameFit]:
+        """Follow the person into a frame; where the fit is poor, compare it with a detection **[ours]**.
+
+        After a blink or a smile points may have slid to places that they do not come back from.
+        """
+        fitter, settings = self._at(state).fitter, self._config.status
+        fit = fitter.fit(state.person, track, frame, rng)
+        recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
+        if recent or fit.score >= settings.check_below:
+            return state, fit
+        state = replace(state, checked_ns=frame.stamp_ns)
+        found = self.detect(state, frame)
+        if isinstance(found, InitFailure):
+            return state, fit
+        again = fitter.fit_detection(state.person, found, track.stamp_ns, frame, rng)
+        return state, again if again.score > fit.score + CLEARLY_BETTER else fit
+
+    def recognise(
+        self, state: MonoState, found: DetectedFace, frame: Frame, rng: np.random.Generator
+    ) -> Iterator[tuple[MonoState, FrameFit]]:
+        """Follow a face for one frame as each of the known people, the last one first."""
+        fitter, last_seen_ns = self._at(state).fitter, state.last_seen_ns(frame)
+        for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
+            fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame, rng)
+            yield state.switch_person(index, frame.index), fit
+
+    def least_score(self, state: MonoState) -> float:
+        """Return the score of a tracked face; after a cut it must look as the person usually does."""
+        least = self._config.status.tracking_above
+        return max(least, RECOGNISED * state.person.usual_score) if state.cut else least
+
+    def not_recognised(self, state: MonoState, found: DetectedFace) -> tuple[MonoState, bool]:
+        """Count a face that looks like none of the known ones: after some frames it is another person's."""
+        if off_axis_deg(found.pose) > STRANGER_OFF_AXIS_DEG:
+            return state, False
+        state = replace(state, strange=state.strange + 1)
+        return state, state.strange >= (STRANGER_FRAMES_AFTER_CUT if state.cut else STRANGER_FRAMES)
+
+    def learn(self, state: MonoState, frame: Frame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
+        """Adjust the person by a frame in which the head was tracked."""
+        person, fit = self._at(state).fitter.update_person(state.person, state.track, frame, fit)
+        state = state.update_person(person).clear_candidates()
+        return replace(state, strange=0, cut=False), fit
+
+    def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
+        """Return deformation and diagnostics of a frame."""
+        mean = self._model.deformation_mean
+        return Description(
+            mean if fit is None else fit.coefficients + mean,
+            self._model.deformation_deviations,
+            self._diagnostics(state, fit).array(),
+        )
+
+    def export_model(self, state: MonoState) -> Learned:
+        """Return what was learned of the people seen, and how large they were seen."""
+        settings, camera = self._config.adjustment, self._at(state).camera
+        people = tuple(one.over_album(self._model, camera, settings) for one in state.people)
+        focal = (state.scale or WHOLE) * self._recorded.fx
+        return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}
+
+    def remarks(self, state: MonoState) -> tuple[str, ...]:
+        """Say when another person was seen, and whether the camera seems to be another one."""
+        people = (f"from frame {frame} on it is person {who}; the first is 0" for frame, who in state.changes)
+        camera, settings = self._at(state).camera, self._config.adjustment
+        check = focal_length_check(state.person, self._model, camera, state.scale or WHOLE, settings)
+        return (*people, *check)
+
+    def _begin(
+        self, state: MonoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, FrameFit | InitFailure]:
+        """Collect n frames with the face, then adjust them together (4.4.1).
+
+        Until then each frame is given the pose that it has alone **[ours]**.
+        """
+        if self._clicked is not None and frame.stamp_ns == state.first_ns:
+            return self._begin_with_clicks(self._clicked, state, frame, rng)
+        initialiser = self._at(state).initialiser
+        state = state.drop_before(frame.stamp_ns - round(self._config.start.span_s * 1e9))
+        found = initialiser.detect(frame, state.candidates[-1].pixels if state.candidates else None)
+        if isinstance(found, InitFailure):
+            return state, found
+        alone = initialiser.initialise((found,))
+        if isinstance(alone, InitFailure):
+            return state, alone
+        seen = initialiser.templates(frame, found, alone)
+        state = state.with_candidate(found, seen)
+        if len(state.candidates) < self._config.start.frames:
+            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen, rng)
+        start = initialiser.initialise(state.candidates)
+        if isinstance(start, InitFailure):
+            return state.clear_candidates(), start
+        return self._found(state, start, frame, rng)
+
+    def _begin_with_clicks(
+        self, clicked: ClickedPoints, state: MonoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, FrameFit]:
+        """Begin at once, from points that a person clicked."""
+        at = self._at(state)
+        pixels = reduced_pixels(clicked.pixels[0], state.scale or WHOLE)
+        face = clicked_face(pixels, frame.stamp_ns, at.camera)
+        start = at.initialiser.initialise((face,))
+        if isinstance(start, InitFailure):
+            raise unusable_clicks(clicked.path, start)
+        state = state.with_candidate(face, at.initialiser.templates(frame, face, start))
+        return self._found(state, start, frame, rng)
+
+    def _found(
+        self, state: MonoState, start: MonoInitialisation, frame: Frame, rng: np.random.Generator
+    ) -> tuple[MonoState, FrameFit]:
+        """Begin to know a person, whose reference is what the first of the frames showed."""
+        at, last = self._at(state), state.candidates[-1]
+        reference = at.initialiser.reference(state.first_templates, start)
+        person = new_person(start.person, reference, self._model, self._config.adjustment)
+        seen = at.initialiser.templates(frame, last, start)
+        fit = at.fitter.initial_fit(frame, last, start, seen, rng)
+        return state.with_new_person(person, fit.track, frame.index), fit
+
+    def _last_pixels(self, state: MonoState, frame: Frame) -> FloatArray | None:
+        """Where the points were when the head was last tracked, unless that was long ago or before a cut."""
+        track = state.track
+        if track is None or state.cut or frame.stamp_ns - track.stamp_ns > FORGOTTEN_S * 1e9:
+            return None
+        camera = self._at(state).camera
+        pixels: FloatArray = project((camera,), track.pose.points(track.shape)).pixels[0]
+        return pixels
+
+    def _diagnostics(self, state: MonoState, fit: FrameFit | None) -> MonoDiagnostics:
+        score, weights = (np.nan, None) if fit is None else (fit.score, fit.weights)
+        if not state.people or (fit is not None and state.candidates):  # somebody who is not known yet
+            unknown = np.full(self._model.identity_size, np.nan)
+            return MonoDiagnostics(unknown, unknown, len(state.people), score=score, weights=weights)
+        known = state.person
+        return MonoDiagnostics(
+            known.history.mean,
+            known.history.spread,
+            state.current,
+            known.adjusted_frames,
+            known.rms_px / (state.scale or WHOLE),
+            score,
+            weights,
+        )
+
+    def _at(self, state: MonoState) -> _Reduction:
+        """What looks at images of a state's scale; at whole ones before a face is first found."""
+        scale = state.scale or WHOLE
+        if scale not in self._reductions:
+            camera, config, model = reduced_camera(self._recorded, scale), self._config, self._model
+            initialiser = MonoInitialiser(config, camera, model, self._detector, self._choice)
+            self._reductions[scale] = _Reduction(camera, initialiser, PersonFitter(config, camera, model))
+        return self._reductions[scale]
+
+    def _scale_of(self, state: MonoState) -> float | None:
+        """The scale for the face that was found in a whole image; None where none was found yet."""
+        if state.candidates:
+            return self._scale_for(state.candidates[0].eye_distance)
+        if state.track is None:
+            return None
+        return self._scale_for(eye_distance_px(state.track.pose, self._recorded))
+
+    def _clicked_scale(self) -> float | None:
+        """The scale for the face whose points were clicked; None where none were."""
+        if self._clicked is None:
+            return None
+        return self._scale_for(clicked_face(self._clicked.pixels[0], 0, self._recorded).eye_distance)
+
+    def _scale_for(self, eye_distance_px: float) -> float:
+        return scale_for(eye_distance_px, self._config.start.eye_distance_px)
+
+    def _known_state(self, known: Arrays) -> MonoState:
+        """The state that begins with people whom another tracker has learned."""
+        scale = _known_scale(known, self._recorded)
+        return MonoState(people=known_people(known, self._model, self._config.adjustment), scale=scale)
+
+
+MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]
+
+
+def make_mono_tracker(
+    config: HeadMonoConfig,
+    camera: Camera,
+    known: Arrays | None = None,
+    *,
+    face: int = 0,
+    clicked: Path | None = None,
+) -> MonoTracker:
+    """Return the tracker that a run uses.
+
+    Args:
+        config: parameters; names the face model's file.
+        camera: of the recording.
+        known: what another tracker has exported.
+        face: which one to begin with, 0 the largest.
+        clicked: table of points in the first frame; without it the face is found there, too.
+
+    Raises:
+        UsageError, ResultError: a file that is missing or cannot be used.
+        PosetrackError: clicked points that are none.
+    """
+    model = load_face_model(None if config.model.file is None else Path(config.model.file))
+    points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
+    return mono_tracker(config, camera, model, choice=face, clicked=points, known=known)
+
+
+def _known_scale(known: Arrays, camera: Camera) -> float:
+    """The scale at which a learned face was seen; images are not enlarged."""
+    if FOCAL_PX not in known:
+        raise unusable_people(f"no array '{FOCAL_PX}'")
+    focal = known[FOCAL_PX]
+    if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
+        raise unusable_people(f"'{FOCAL_PX}' as {focal.dtype} {focal.shape}, or not above 0")
+    return min(WHOLE, float(focal) / camera.fx)
+
+
+def mono_tracker(config: HeadMonoConfig, camera: Camera, model: FaceModel, **how: Any) -> MonoTracker:
+    """Return the tracker of the people whom a camera sees; see ``MonoPeople``."""
+    return HeadTracker(MonoPeople(config, camera, model, **how), config.status, [camera.name])

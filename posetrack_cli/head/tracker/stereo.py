@@ -1,0 +1,319 @@
+"""A face that several calibrated cameras see, as the head tracker knows and learns it (chapter 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rotations import quaternions_from_matrices
+from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
+from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
+from posetrack_cli.head.initialisation.clicked import ClickedInitialiser
+from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
+from posetrack_cli.head.model_file import unusable
+from posetrack_cli.head.refinement.refine import point_values, refine_initial_depth
+from posetrack_cli.head.subject import StereoDiagnostics
+from posetrack_cli.head.tracker.codecs import search_codec, template_codec, track_codec
+from posetrack_cli.head.tracker.estimates import Description, padded
+from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, face_of_statistics, new_face
+from posetrack_cli.head.tracker.frame_tracker import (
+    FrameFit,
+    FrameTracker,
+    HeadState,
+    TrackState,
+    initial_fit,
+)
+from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.layouts import Arrays, LayoutError, counts, floats
+from posetrack_cli.tracking.state_codec import (
+    Array,
+    Codec,
+    Fields,
+    Maybe,
+    Stacked,
+    Value,
+    real,
+    stamp,
+    whole,
+)
+from posetrack_cli.tracking.two_pass import Learned
+
+
+@dataclass(frozen=True, eq=False)
+class StereoState(HeadState):
+    """What a stereo tracker knows after a frame.
+
+    Attributes:
+        face: what was learnt of the face; None before it is first found.
+        templates: reference first; empty before.
+    """
+
+    face: FaceLearning | None = None
+    templates: tuple[TemplateSet, ...] = ()
+
+    @property
+    def known_face(self) -> FaceLearning:
+        """What was learnt of a face that was found."""
+        if self.face is None:
+            raise RuntimeError("no face is known yet")  # a state that the tracker never asks so
+        return self.face
+
+
+class StereoFace:
+    """One face in the images of calibrated cameras; a ``Faces``.
+
+    Args:
+        config: parameters.
+        cameras: of the recording, the reference first.
+        initialiser: finds a face in one frame.
+        known: what another tracker has exported: model and templates to begin with.
+
+    Raises:
+        ResultError: ``known`` is not what a stereo tracker with these cameras exports.
+    """
+
+    def __init__(
+        self,
+        config: HeadStereoConfig,
+        cameras: Sequence[Camera],
+        initialiser: StereoInitialiser,
+        known: Arrays | None = None,
+    ) -> None:
+        self._config, self._cameras, self._initialiser = config, tuple(cameras), initialiser
+        self._frame_tracker = FrameTracker(config, self._cameras)
+        self._steadiness = point_values(config.model.expression_mm) ** -2
+        self._codecs = StereoCodecs(len(self._cameras), config.model)
+        self._first = StereoState() if known is None else self._codecs.from_model(known)
+
+    @property
+    def codec(self) -> Codec[StereoState]:
+        """How states are kept."""
+        return self._codecs.state
+
+    def start(self) -> StereoState:
+        """Return the state before a first frame."""
+        return self._first
+
+    def look(self, state: StereoState, frame: Frame) -> tuple[StereoState, Frame]:
+        """Return both as they are: images are tracked in as recorded."""
+        return state, frame
+
+    def is_known(self, state: StereoState) -> bool:
+        """Whether the face is known."""
+        return state.face is not None
+
+    def detect(self, state: StereoState, frame: Frame) -> StereoInitialisation | InitFailure:
+        """Look for a face in a frame."""
+        return self._initialiser.find(frame, is_first=frame.stamp_ns == state.first_ns)
+
+    def begin(
+        self, state: StereoState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[StereoState, FrameFit | InitFailure]:
+        """Look for anybody's face, and begin to learn it."""
+        found = self.detect(state, frame)
+        if isinstance(found, InitFailure):
+            return state, found
+        shape = refine_initial_depth(
+            frame.images, self._cameras, found.pose, found.shape, self._config.refinement
+        )
+        face = new_face(shape, self._config.model)
+        reference = take_templates(frame.images, self._cameras, found.pose, shape)
+        track = self._frame_tracker.start(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
+        state = replace(state, face=face, templates=(reference,), track=track, lost=0)
+        return state, initial_fit(track, found.score, found.pixels)
+
+    def fit(
+        self, state: StereoState, track: TrackState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[StereoState, FrameFit]:
+        """Follow the head into a frame."""
+        model = state.known_face.model
+        return state, self._frame_tracker.step(track, frame, state.templates, model, rng)
+
+    def recognise(
+        self, state: StereoState, found: StereoInitialisation, frame: Frame, rng: np.random.Generator
+    ) -> Iterator[tuple[StereoState, FrameFit]]:
+        """Lay the known face on the points that were found, and follow it from there."""
+        model = state.known_face.model
+        pose = self._laid_on(model.mean, found)
+        track = self._frame_tracker.start(state.last_seen_ns(frame), pose, model.mean, model, rng)
+        state, fit = self.fit(state, track, frame, rng)
+        yield state, replace(fit, track=fit.track.at_rest())
+
+    def least_score(self, state: StereoState) -> float:
+        """Return the score from which on a face counts as the known one."""
+        return self._config.status.tracking_above
+
+    def not_recognised(self, state: StereoState, found: StereoInitialisation) -> tuple[StereoState, bool]:
+        """Return that there is no other face to begin with: templates are of one person."""
+        return state, False
+
+    def learn(self, state: StereoState, frame: Frame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
+        """Learn how the face deforms, and what it looks like from new directions."""
+        now, templates = fit.track, state.templates
+        face = state.known_face.after(
+            now.shape, self._steadiness, now.pose, fit.correlations, self._config.model
+        )
+        if now.templates is not None and self._is_keyframe(templates, fit):
+            templates = (*templates, now.templates)
+        return replace(state, face=face, templates=templates), fit
+
+    def describe(self, state: StereoState, fit: FrameFit | None) -> Description:
+        """Return deformation and diagnostics of a frame."""
+        count, face = components_of(self._config), state.face
+        nothing = np.zeros(0)
+        return Description(
+            padded(nothing if fit is None else fit.coefficients, count),
+            padded(nothing if face is None else face.model.deviations, count),
+            _diagnostics(face, fit).array(count),
+        )
+
+    def export_model(self, state: StereoState) -> Learned:
+        """Return what was learned of the face, shape model and templates."""
+        return self._codecs.to_model(state)
+
+    def remarks(self, state: StereoState) -> tuple[str, ...]:
+        """Return nothing: what a stereo run finds is in its diagnostics."""
+        return ()
+
+    def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
+        """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
+        settings = self._config.refinement
+        neutral = float(np.linalg.norm(fit.coefficients)) < settings.keyframe_neutral_mm
+        clear = fit.score > settings.keyframe_correlation
+        return neutral and clear and is_new_direction(templates, fit.track.pose.facing, settings.keyframe_deg)
+
+    def _laid_on(self, mean: FloatArray, found: StereoInitialisation) -> HeadPose:
+        """The pose in which the known shape lies best on the points that were found."""
+        R, t = rigid_alignment(mean, found.pose.points(found.shape), self._steadiness)
+        return HeadPose(t, quaternions_from_matrices(R))
+
+
+def make_stereo_tracker(
+    config: HeadStereoConfig,
+    cameras: Sequence[Camera],
+    known: Arrays | None = None,
+    *,
+    clicked: Path | None = None,
+) -> StereoTracker:
+    """Return the tracker that a run uses.
+
+    Args:
+        config: parameters.
+        cameras: of the recording, the reference first.
+        known: what another tracker has exported.
+        clicked: table of points in the first frame; without it the face is found there, too.
+
+    Raises:
+        UsageError: a face detector without its model, or no such table.
+        PosetrackError: clicked points that are none.
+        ResultError: ``known`` is not what such a tracker exports.
+    """
+    settings = config.start
+    if clicked is None:
+        return stereo_tracker(config, cameras, StereoInitialiser(settings, cameras), known)
+    return stereo_tracker(config, cameras, ClickedInitialiser(settings, cameras, clicked), known)
+
+
+def stereo_tracker(
+    config: HeadStereoConfig,
+    cameras: Sequence[Camera],
+    initialiser: StereoInitialiser,
+    known: Arrays | None = None,
+) -> StereoTracker:
+    """Return the tracker that begins as an initialiser finds faces; see ``StereoFace``."""
+    face = StereoFace(config, cameras, initialiser, known)
+    return HeadTracker(face, config.status, [camera.name for camera in cameras])
+
+
+StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]
+
+
+def components_of(config: HeadStereoConfig) -> int:
+    """Return B, the number of deformation coefficients in the result."""
+    return 0 if config.model.kind == "rigid" else config.model.components
+
+
+def _diagnostics(face: FaceLearning | None, fit: FrameFit | None) -> StereoDiagnostics:
+    score, weights = (np.nan, None) if fit is None else (fit.score, fit.weights)
+    if face is None or face.statistics.learnt == 0:
+        return StereoDiagnostics(np.zeros(0), score=score, weights=weights)
+    statistics = face.statistics
+    ratio = float(statistics.contribution[-1])
+    return StereoDiagnostics(statistics.eigenvalues, ratio, statistics.learnt, score, weights)
+
+
+class StereoCodecs:
+    """How a stereo tracker's states, and what they have learned, become arrays.
+
+    Args:
+        cameras: how many there are.
+        settings: of the face's model.
+    """
+
+    def __init__(self, cameras: int, settings: ModelSettings) -> None:
+        face, templates = _face_codec(settings), template_codec(cameras)
+        needed = Stacked(templates, "sets", least=1)
+        self._known: Codec[StereoState] = Fields(_known_state, face=face, sets=("templates", needed))
+        learned: dict[str, Any] = {
+            "search": search_codec(cameras),
+            "face": Maybe(face),
+            "sets": ("templates", Stacked(templates, "sets")),
+        }
+        self._model: Codec[StereoState] = Fields(_state, **learned)
+        track = Maybe(track_codec(cameras))
+        self.state: Codec[StereoState] = Fields(
+            _state, **learned, track=track, lost=whole(), first_ns=stamp()
+        )
+
+    def to_model(self, state: StereoState) -> Learned:
+        """Return what was learned, as model files have it: face, templates, and how it was searched for."""
+        return self._model.to_arrays(state)
+
+    def from_model(self, learned: Mapping[str, Array]) -> StereoState:
+        """Return the state that begins with a face and templates that another tracker has learned.
+
+        Raises:
+            ResultError: arrays are missing, or not what a stereo tracker with so many cameras learns.
+        """
+        try:
+            return self._known.from_arrays(learned)
+        except LayoutError as error:
+            raise unusable(error, "what --save-model wrote of a stereo run") from error
+
+
+def _known_state(face: FaceLearning, sets: tuple[TemplateSet, ...]) -> StereoState:
+    return StereoState(face=face, templates=sets)
+
+
+def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
+    """A head is only tracked once its face is known, and a face is known with its templates."""
+    state = StereoState(templates=sets, **parts)
+    known = (state.face is not None, bool(state.templates))
+    if known != (True, True) and (any(known) or state.track is not None):
+        raise LayoutError("a head that is tracked, without its face or its templates")
+    return state
+
+
+def _face_codec(settings: ModelSettings) -> Codec[FaceLearning]:
+    def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
+        count, learnt, frames = (int(value) for value in counts)
+        return face_of_statistics(Ccipca(mean, components, variance, count, learnt), frames, settings)
+
+    return Fields(
+        face,
+        mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
+        components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
+        variance=("statistics.variance", real(floats(least=0.0))),
+        counts=(lambda one: [one.statistics.count, one.statistics.learnt, one.frames], Value(counts(3))),
+    )

@@ -1,0 +1,115 @@
+"""Which face of an image a start takes, and which it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import MonoInitialisationSettings
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.face.points import EYES
+from posetrack_cli.head.initialisation.detected_face import clicked_face, detect_face
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
+from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.synthesis.head.frames import synthesise
+from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.sensor import make_cameras
+from support.mono_start_scenes import BLANK, PLAIN, Says, found, head
+
+SETTINGS = MonoInitialisationSettings()
+NEAR, FAR = head(x=-150.0), head(yaw=10.0, x=200.0, z=1000.0)
+
+
+def detect(faces, choice=0, near=None):
+    return detect_face(BLANK, 7, PLAIN, Says(faces), SETTINGS, choice, near)
+
+
+def test_a_face_is_told_with_its_pose_and_size():
+    face = detect([found(NEAR)])
+    assert face.stamp_ns == 7
+    assert face.score == pytest.approx(0.8)
+    assert face.eye_distance == pytest.approx(63.0 * 900.0 / 700.0)
+    assert face.misfit < 1e-6
+    np.testing.assert_allclose(NEAR.difference(face.pose), 0.0, atol=1e-4)
+
+
+def test_the_choice_is_by_size_whatever_the_detectors_order():
+    faces = [found(FAR), found(NEAR)]
+    assert detect(faces).pose.position[2] == pytest.approx(700.0)
+    assert detect(faces, choice=1).pose.position[2] == pytest.approx(1000.0)
+    assert detect(faces, choice=2) == InitFailure("2 faces, not 3", 0.9)
+    assert detect(faces[:1], choice=1) == InitFailure("1 face, not 2", 0.9)
+
+
+def test_the_face_of_the_frame_before_is_kept_when_another_becomes_larger():
+    before = detect([found(NEAR), found(FAR)])
+    came = head(x=140.0, z=600.0)
+    face = detect([found(came), found(head(x=-145.0))], near=before.pixels)
+    assert face.pose.position[0] == pytest.approx(-145.0, abs=0.1)
+
+
+def test_a_face_elsewhere_is_not_the_face_of_the_frame_before():
+    before = detect([found(NEAR)])
+    failure = detect([found(FAR)], near=before.pixels)
+    assert failure == InitFailure("only faces elsewhere than before", 0.9)
+
+
+def test_without_a_face_there_is_none():
+    assert detect([]) == InitFailure(NO_FACE, 0.9)
+    assert detect([], near=np.zeros((10, 2))) == InitFailure(NO_FACE, 0.9)
+
+
+def test_points_that_are_not_symmetric_are_refused():
+    face = found(NEAR)
+    face.pixels[3, 1] += 25.0
+    failure = detect([face])
+    assert isinstance(failure, InitFailure)
+    assert "slopes that differ by" in failure.reason
+    assert failure.score == pytest.approx(0.8)
+
+
+def test_clicked_points_are_believed():
+    face = clicked_face(found(NEAR).pixels, 5, PLAIN)
+    assert face.score == 1.0
+    np.testing.assert_allclose(NEAR.difference(face.pose), 0.0, atol=1e-4)
+
+
+def test_a_drawn_head_is_found(device: RenderingDevice) -> None:
+    options = HeadSynthOptions(frames=1, identity=1, seed=1, cameras=1)
+    frame = next(iter(synthesise(options, device=device)))
+    face = detect_face(frame.images[0], frame.stamp_ns, make_cameras(options)[0], FaceDetector(), SETTINGS)
+    assert not isinstance(face, InitFailure)
+    assert np.linalg.norm(frame.pose.position - face.pose.position) < 60.0  # a mean face's size tells depth
+    pitch, yaw, roll = np.rad2deg(np.abs(frame.pose.difference(face.pose)[3:]))
+    assert yaw < 10.0
+    assert roll < 3.0
+    assert pitch < 30.0  # brows that one person has 2 mm lower than another are 4 degrees of it
+
+
+def two_people(folder: Path) -> np.ndarray:
+    """Person a, and beside it person b at 0.7 of the size."""
+    left, right = (
+        cv2.imread(str(folder / "heads" / f"person-{name}" / "left" / "000000.jpg"), cv2.IMREAD_GRAYSCALE)
+        for name in "ab"
+    )
+    small = cv2.resize(right, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
+    beside = np.full((480, small.shape[1]), 128, np.uint8)
+    beside[: small.shape[0]] = small
+    return np.hstack([left, beside])
+
+
+def test_of_two_people_the_nearer_or_the_other_is_found(measured_data: Path) -> None:
+    image = two_people(measured_data)
+    camera = Camera(image.shape[1], 480, 1000.0, 1000.0, 320.0, 240.0)
+    detector = FaceDetector()
+    first, second = (detect_face(image, 0, camera, detector, SETTINGS, choice) for choice in (0, 1))
+    assert not isinstance(first, InitFailure)
+    assert not isinstance(second, InitFailure)
+    assert first.pixels[EYES, 0].max() < 640 < second.pixels[EYES, 0].min()
+    again = detect_face(image, 0, camera, detector, SETTINGS, near=second.pixels + 3.0)
+    assert not isinstance(again, InitFailure)
+    np.testing.assert_array_equal(again.pixels, second.pixels)

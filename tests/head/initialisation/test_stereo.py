@@ -1,0 +1,157 @@
+"""Starts: from pixels that are known, and from images of people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import StereoInitialisationSettings
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.face.points import FEATURES
+from posetrack_cli.head.initialisation.clicked import head_from_clicked, weak_perspective
+from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.stereo import StereoInitialisation, find_head, head_from_pixels
+from posetrack_cli.head.initialisation.views import camera_images
+from support.rig import LEFT, face_pixels, right_camera, turned_head
+
+CAMERAS = (LEFT, right_camera(0.17))
+BLANK = np.zeros((480, 640), np.uint8)
+VIEWS = camera_images((BLANK, BLANK), CAMERAS)
+SURE = np.ones(10)
+
+
+def started(pixels: np.ndarray, correlations: np.ndarray = SURE) -> StereoInitialisation | InitFailure:
+    return head_from_pixels(VIEWS, 0, pixels, correlations, StereoInitialisationSettings())
+
+
+def test_known_pixels_give_pose_shape_and_pixels() -> None:
+    truth = turned_head()
+    pixels = face_pixels(CAMERAS, truth)
+    start = started(pixels, 0.8 * SURE)
+    assert isinstance(start, StereoInitialisation)
+    np.testing.assert_allclose(truth.difference(start.pose), 0.0, atol=1e-6)
+    np.testing.assert_allclose(start.shape, FEATURES, atol=1e-6)
+    np.testing.assert_allclose(start.pixels, pixels, atol=1e-6)
+    assert start.score == pytest.approx(0.8)
+    assert start.matched.all()
+
+
+def test_points_not_matched_get_an_average_faces_depth() -> None:
+    truth = turned_head()
+    pixels = face_pixels(CAMERAS, truth)
+    expected = pixels.copy()
+    pixels[1, [0, 9]] = np.nan
+    start = started(pixels)
+    assert isinstance(start, StereoInitialisation)
+    np.testing.assert_array_equal(np.flatnonzero(~start.matched), [0, 9])
+    np.testing.assert_allclose(start.pixels, expected, atol=1e-6)
+
+
+def test_too_few_matches_are_no_start() -> None:
+    pixels = face_pixels(CAMERAS, turned_head())
+    pixels[1, :4] = np.nan
+    failure = started(pixels)
+    assert isinstance(failure, InitFailure)
+    assert failure.reason == "6 of 10 points matched between the images"
+
+
+def test_pixels_off_the_epipolar_lines_do_not_count() -> None:
+    pixels = face_pixels(CAMERAS, turned_head())
+    pixels[1, :5, 1] += 10.0
+    failure = started(pixels)
+    assert isinstance(failure, InitFailure)
+    assert failure.reason.startswith("5 of 10")
+
+
+def test_a_giant_is_no_start_and_says_how_large() -> None:
+    failure = started(face_pixels(CAMERAS, turned_head(distance=1400.0), 2.0 * FEATURES))
+    assert isinstance(failure, InitFailure)
+    assert failure.reason == "points 2.00 times as far apart as a face's"
+
+
+def test_a_hollow_face_is_no_start() -> None:
+    hollow = FEATURES * [1.0, 1.0, -1.0]
+    assert isinstance(started(face_pixels(CAMERAS, turned_head(), hollow)), InitFailure)
+
+
+def test_weak_perspective_recovers_scale_and_rotation() -> None:
+    rotation = (Rotation.from_euler("ZYX", [0.1, 0.3, -0.2])).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    pixels = 1.3 * (FEATURES @ rotation.T)[:, :2] + [300.0, 200.0]
+    scale, found = weak_perspective(pixels)
+    assert scale == pytest.approx(1.3)
+    np.testing.assert_allclose(found, rotation, atol=1e-9)
+
+
+def test_fewer_than_two_images_are_no_start() -> None:
+    failure = find_head((BLANK, None), CAMERAS, FaceDetector())
+    assert isinstance(failure, InitFailure)
+    assert failure.reason == "images of fewer than two cameras"
+
+
+def test_a_blank_image_has_no_face() -> None:
+    assert find_head((BLANK, BLANK), CAMERAS, FaceDetector()) == InitFailure("no face", 0.0)
+
+
+class Person:
+    """A recording of data/heads."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        about = json.loads((folder / "calibration.json").read_text())["cameras"]["right"]
+        transform = np.column_stack([about["R_from_left"], about["t_from_left_mm"]])
+        rows = tuple(tuple(float(value) for value in row) for row in transform)
+        left = Camera(640, 480, 1000.0, 1000.0, 320.0, 240.0, name="left")
+        self.cameras = (
+            left,
+            Camera(640, 480, 1000.0, 1000.0, 320.0, 240.0, name="right", camera_T_reference=rows),
+        )
+        self.truth = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1)
+
+    def images(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        names = [self.folder / side / f"{index:06d}.jpg" for side in ("left", "right")]
+        one, other = (cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in names)
+        assert one is not None
+        assert other is not None
+        return one, other
+
+
+@pytest.fixture(params=["person-a", "person-b"])
+def person(request: pytest.FixtureRequest, measured_data: Path) -> Person:
+    return Person(measured_data / "heads" / request.param)
+
+
+def test_people_are_found_where_they_are(person: Person) -> None:
+    errors = []
+    for index in range(0, len(person.truth), 50):
+        start = find_head(person.images(index), person.cameras, FaceDetector())
+        assert isinstance(start, StereoInitialisation)
+        errors.append(start.pose.position - person.truth[index, 1:4])
+    # The feature's mean of the eye corners is a few mm off the vertices'; single corners err by up to 20 mm.
+    assert np.median(np.linalg.norm(errors, axis=1)) < 10.0
+    assert np.linalg.norm(errors, axis=1).max() < 20.0
+
+
+def test_exchanged_images_of_people_are_noticed(person: Person) -> None:
+    failures = [
+        find_head(person.images(index)[::-1], person.cameras, FaceDetector()) for index in (0, 20, 40)
+    ]
+    orders = [one.order for one in failures if isinstance(one, InitFailure)]
+    assert orders == [(1, 0)] * 3
+
+
+def test_clicked_points_start_where_found_ones_do(person: Person) -> None:
+    images = person.images(0)
+    (face,) = FaceDetector().detect(images[0]).faces
+    clicked = np.full((2, 10, 2), np.nan)
+    clicked[0] = face.pixels
+    by_click = head_from_clicked(images, person.cameras, clicked)
+    found = find_head(images, person.cameras, FaceDetector())
+    assert isinstance(by_click, StereoInitialisation)
+    assert isinstance(found, StereoInitialisation)
+    assert np.linalg.norm(found.pose.position - by_click.pose.position) < 3.0

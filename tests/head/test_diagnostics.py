@@ -1,0 +1,57 @@
+"""The further numbers of a one-camera result: each under its own name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from posetrack_cli.errors import ResultError
+from posetrack_cli.head.face.points import POINT_NAMES
+from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
+from posetrack_cli.head.tracker.estimates import Description, lost_estimate
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.fields import check_estimate
+from support.bundles import random_model
+
+
+def numbers(size: int) -> MonoDiagnostics:
+    """All of them different."""
+    return MonoDiagnostics(
+        np.arange(size) + 0.1, np.arange(size) + 0.2, 2, 17, 0.75, 0.875, 0.01 * np.arange(len(POINT_NAMES))
+    )
+
+
+@given(st.integers(1, 30))
+def test_every_number_stands_under_its_name(size: int) -> None:
+    one, names = numbers(size), mono_diagnostic_names(size)
+    found = dict(zip(names, one.array(), strict=True))
+    assert len(found) == len(names) == 2 * size + 4 + len(POINT_NAMES)
+    np.testing.assert_array_equal([found[f"identity_{s + 1}"] for s in range(size)], one.identity)
+    np.testing.assert_array_equal([found[f"identity_spread_{s + 1}"] for s in range(size)], one.spread)
+    np.testing.assert_array_equal([found[f"weight_{name}"] for name in POINT_NAMES], one.weights)
+    single = {"person": 2, "adjusted_frames": 17, "adjustment_rms_px": 0.75, "score": 0.875}
+    assert {name: found[name] for name in single} == single
+
+
+def test_what_is_not_known_is_nan() -> None:
+    unknown = np.full(3, np.nan)
+    found = dict(zip(mono_diagnostic_names(3), MonoDiagnostics(unknown, unknown).array(), strict=True))
+    assert {name for name, number in found.items() if not np.isnan(number)} == {"person", "adjusted_frames"}
+
+
+@pytest.mark.parametrize("identities, deformations", [(10, 5), (3, 1)])
+def test_a_subject_fits_what_the_tracker_says(identities: int, deformations: int) -> None:
+    model = random_model(0, identities, deformations)
+    subject = mono_subject("left", model)
+    mean, deviations = model.deformation_mean, model.deformation_deviations
+    face = Description(mean, deviations, numbers(identities).array())
+    estimate = lost_estimate(Frame(0, 0, (None,)), None, face)
+    check_estimate(estimate, subject)
+    assert subject.camera_frame == "left" and len(subject.shape_names) == deformations
+    more = replace(estimate, numbers=numbers(identities + 1).array())
+    with pytest.raises(ResultError, match="numbers has the wrong shape"):
+        check_estimate(more, subject)

@@ -1,0 +1,115 @@
+"""States of head trackers that no tracker made: refused before they are put together, without a warning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.results.layouts import LayoutError
+from support.damage import Arrays, damaged_arrays, wild_numbers
+from support.mono_scene import Scene as MonoScene
+from support.stereo_scene import Scene as StereoScene
+from support.stereo_scene import Told
+
+Put = Callable[[Arrays], object]
+Saved = tuple[Put, Callable[[Any], object], Arrays]
+"""What puts a state together, a step from it, and a real state's arrays."""
+
+
+def stereo(frames: int = 5) -> Saved:
+    scene = StereoScene()
+    for index in range(frames):
+        scene.step(index)
+    arrays = scene.tracker.codec.to_arrays(scene.state)
+    frame = scene.frame(frames)
+    return (
+        scene.tracker.codec.from_arrays,
+        lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)),
+        arrays,
+    )
+
+
+def searching() -> Saved:
+    scene = StereoScene(told=Told(there=False))
+    scene.step(0, blank=True)
+    frame = scene.frame(1)
+    arrays = scene.tracker.codec.to_arrays(scene.state)
+    put = scene.tracker.codec.from_arrays
+    return put, lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)), arrays
+
+
+def mono(frames: int) -> Saved:
+    """In the middle of collecting faces, or following one."""
+    scene = MonoScene()
+    for index in range(frames):
+        scene.step(index)
+    tracker = scene.tracker
+    arrays = tracker.codec.to_arrays(scene.state)
+    frame = scene.frame(frames)
+    scene.told.index = frames
+    put = tracker.codec.from_arrays
+    return put, lambda state: tracker.step(state, frame, np.random.default_rng(0)), arrays
+
+
+STATES: dict[str, Callable[[], Saved]] = {
+    "stereo": stereo,
+    "stereo, searching": searching,
+    "mono, collecting": lambda: mono(2),
+    "mono, following": lambda: mono(14),
+}
+
+
+@pytest.fixture(scope="module", params=STATES)
+def saved(request: pytest.FixtureRequest) -> Saved:
+    return STATES[request.param]()
+
+
+def test_the_state_itself_is_taken(saved: Saved) -> None:
+    put, step, arrays = saved
+    step(put(arrays))
+
+
+def test_every_array_is_needed_and_of_its_type_and_shape(saved: Saved) -> None:
+    """But for those of one kind in each other's place: they are a state, if another one."""
+    put, step, arrays = saved
+    for what, damaged in damaged_arrays(arrays):
+        try:
+            state = put(damaged)
+        except LayoutError as error:
+            assert "\n" not in str(error)
+            continue
+        assert " and " in what and {a.dtype for a in damaged.values()} == {a.dtype for a in arrays.values()}
+        attempt(step, state)
+
+
+def test_numbers_that_are_none_are_refused_or_do_no_harm(saved: Saved) -> None:
+    """NaN stands for what was not seen, in a few arrays; a tracker goes on with it as it always did."""
+    put, step, arrays = saved
+    taken = []
+    for what, damaged in wild_numbers(arrays):
+        try:
+            state = put(damaged)
+        except LayoutError:
+            continue
+        taken.append(what)
+        attempt(step, state)
+    missing = ("pixels", "centres", "tangents", "single")
+    usual = {f"{name} with nan" for name in arrays if name.endswith(missing)}
+    assert set(taken) <= usual | {f"{name} of -1" for name in arrays if name.endswith(("stamps", "_ns"))}
+
+
+def attempt(step: Callable[[Any], object], state: object) -> None:
+    """Go on from a state: it works, or is one line; warnings are errors."""
+    try:
+        step(state)
+    except PosetrackError as error:
+        assert "\n" not in str(error)
+
+
+def test_nothing_is_no_state(saved: Saved) -> None:
+    with pytest.raises(LayoutError, match="no array"):
+        saved[0]({})

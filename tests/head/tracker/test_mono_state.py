@@ -1,0 +1,138 @@
+"""The one-camera tracker's state: as arrays and back again, and what its steps change."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.initialisation.search import Search
+from posetrack_cli.head.tracker.mono_state import HEIGHT, WIDTH, MonoState, mono_codec
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.layouts import LayoutError
+from support.bundles import random_model
+from support.codecs import assert_lawful
+from support.mono_cases import assert_same, random_detected, random_known, random_templates, random_track
+
+MODEL = random_model(0)
+CODEC = mono_codec(MODEL, AdjustmentSettings(average=6))
+STAMP = 1_700_000_000_123_456_789
+"""ns, since 1970: more digits than a float64 has."""
+SEARCHED = Search(7, 0.31, Counter({"no face": 5, "no image": 2}))
+ONE, TWO = random_known(1, MODEL), random_known(2, MODEL, views=0, sets=1)
+CANDIDATES = tuple(random_detected(index, STAMP + index) for index in range(3))
+TRACK = replace(random_track(3, MODEL), stamp_ns=STAMP)
+KNOWN = MonoState(people=(ONE, TWO), scale=1.0)
+STATES = {
+    "empty": MonoState(),
+    "searching": MonoState(lost=7, search=SEARCHED, first_ns=STAMP),
+    "collecting": MonoState(candidates=CANDIDATES, reference=random_templates(4), search=SEARCHED, scale=0.4),
+    "known, not yet found": KNOWN,
+    "tracked": MonoState(people=(ONE,), track=TRACK, checked_ns=STAMP - 5, scale=1.0),
+    "put there": MonoState(people=(ONE,), track=random_track(6, MODEL, seen=False), scale=0.5),
+    "another person": replace(
+        KNOWN, people=(ONE, TWO, random_known(7, MODEL)), current=2, track=TRACK, changes=((7, 1), (16, 2))
+    ),
+    "after a cut": replace(
+        KNOWN, track=TRACK, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True
+    ),
+    "lost, a stranger comes": replace(
+        KNOWN,
+        current=1,
+        track=TRACK,
+        lost=6,
+        strange=4,
+        candidates=CANDIDATES[:1],
+        reference=random_templates(8),
+    ),
+}
+
+
+@pytest.mark.parametrize("state", STATES.values(), ids=STATES.keys())
+def test_a_state_comes_back(state: MonoState) -> None:
+    assert_same(assert_lawful(CODEC, state), state)
+
+
+def test_every_field_is_told_by_some_state() -> None:
+    """A field that a checkpoint forgets would come back as it is by default."""
+    default = MonoState()
+    for one in fields(MonoState):
+        usual = getattr(default, one.name)
+        assert any(getattr(state, one.name) is not usual for state in STATES.values()), one.name
+
+
+@pytest.mark.parametrize("state", STATES.values(), ids=STATES.keys())
+def test_arrays_are_plain(state: MonoState) -> None:
+    """No objects: so a checkpoint holds them."""
+    assert all(array.dtype.kind in "iufbU" for array in CODEC.to_arrays(state).values())
+
+
+def test_nothing_is_no_state() -> None:
+    with pytest.raises(LayoutError, match="no array"):
+        CODEC.from_arrays({})
+
+
+@pytest.mark.parametrize("name", ["known, not yet found", "collecting"])
+def test_faces_were_seen_at_some_scale(name: str) -> None:
+    arrays = CODEC.to_arrays(STATES[name])
+    del arrays["scale"]
+    with pytest.raises(LayoutError, match="no array 'scale'"):
+        CODEC.from_arrays(arrays)
+
+
+def test_a_thumbnail_has_its_size() -> None:
+    arrays = CODEC.to_arrays(STATES["after a cut"])
+    with pytest.raises(LayoutError, match="'scene' of 10 pixels, not 768"):
+        CODEC.from_arrays(arrays | {"scene": np.zeros(10)})
+
+
+def test_switching_to_another_person_is_remembered() -> None:
+    state = replace(KNOWN, track=TRACK)
+    assert state.switch_person(0, STAMP) is state
+    switched = state.switch_person(1, STAMP)
+    assert switched.person is TWO and switched.changes == ((STAMP, 1),)
+    assert switched.switch_person(0, STAMP + 1).changes == ((STAMP, 1), (STAMP + 1, 0))
+
+
+def test_a_new_person_is_tracked_from_a_clean_beginning() -> None:
+    first = STATES["collecting"].with_new_person(ONE, TRACK, STAMP)
+    assert first.people == (ONE,) and first.changes == () and first.search is SEARCHED
+    assert first.candidates == () and first.reference is None and first.scale == 0.4
+    worn = replace(first, lost=5, strange=9, checked_ns=STAMP, cut=True)
+    second = worn.with_new_person(TWO, TRACK, STAMP + 1)
+    assert second.people == (ONE, TWO) and second.person is TWO and second.changes == ((STAMP + 1, 1),)
+    assert second.lost == second.strange == 0 and not second.cut
+    assert second.checked_ns == MonoState().checked_ns
+
+
+def test_only_the_person_tracked_is_updated() -> None:
+    more = random_known(9, MODEL)
+    assert replace(KNOWN, current=1).update_person(more).people == (ONE, more)
+
+
+def test_the_first_frames_templates_stay_the_reference() -> None:
+    first, second = random_templates(1), random_templates(2)
+    state = MonoState().with_candidate(CANDIDATES[0], first).with_candidate(CANDIDATES[1], second)
+    assert state.candidates == CANDIDATES[:2] and state.first_templates is first
+
+
+def test_candidates_too_long_ago_are_dropped_with_their_templates() -> None:
+    state = STATES["collecting"]
+    assert state.drop_before(STAMP) is state
+    dropped = state.drop_before(STAMP + 1)
+    assert dropped.candidates == () and dropped.reference is None and dropped.search is SEARCHED
+    assert_same(dropped, state.clear_candidates())
+
+
+def test_a_face_in_one_frame_is_one_that_was_found() -> None:
+    assert not MonoState().is_found and not KNOWN.is_found
+    assert STATES["collecting"].is_found and STATES["tracked"].is_found
+
+
+def test_before_it_was_tracked_a_head_was_last_seen_a_frame_ago() -> None:
+    frame = Frame(3, STAMP, (None,))
+    assert KNOWN.last_seen_ns(frame) == STAMP - 33_333_333
+    assert replace(KNOWN, track=TRACK).last_seen_ns(frame) == TRACK.stamp_ns
