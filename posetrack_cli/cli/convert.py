@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.recording_options import reading_options, recording_options
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.recording.base import TruthMessage
-    from posetrack_cli.recording.stored import StoredRecording
+    from posetrack_cli.recording.recording import Recording
 
 
 @click.command(short_help="Write a recording as one MCAP file, without loss.")
@@ -37,7 +37,7 @@ def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **o
     from posetrack_cli.recording.conversion import convert_recording
     from posetrack_cli.recording.opening import open_recording
 
-    source = open_recording(recording, **opening_arguments(options))
+    source = open_recording(recording, **reading_options(options))
     joints = [] if truth is None else _joints(truth, source)
     conversion = convert_recording(source, out, overwrite=overwrite, truth=joints)
     print_line(f"{out}: {conversion.frames} frames, {out.stat().st_size} bytes")
@@ -46,7 +46,7 @@ def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **o
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
-def _joints(path: Path, source: StoredRecording) -> list[TruthMessage]:
+def _joints(path: Path, source: Recording) -> list[TruthMessage]:
     """The joints of a CSV file as messages of truth, for a recording that has none on their topic."""
     from posetrack_cli.evaluation.truth.csv_track import load_csv_track
     from posetrack_cli.evaluation.truth.points_topic import points_messages, points_topic

@@ -10,7 +10,7 @@ import click
 from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
-from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.recording_options import reading_options, recording_options
 from posetrack_cli.cli.run_options import (
     RUN_OPTIONS,
     configuration_of,
@@ -127,7 +127,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)
-    source = open_recording(recording, **opening_arguments(options))
+    source = open_recording(recording, **reading_options(options))
     run_options = RunOptions(**{name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")})
     device = open_device(options["device"])
     check_run(source, config, run_options)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.compiling import compiling_said
-from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.recording_options import reading_options, recording_options
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -57,7 +57,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
     seconds = _seconds(options["seconds"])
-    source = open_recording(recording, **opening_arguments(options))
+    source = open_recording(recording, **reading_options(options))
     chosen = CalibrationOptions(options["side"], seconds, options["frames"], options["seed"])
     with compiling_said():
         found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))

@@ -15,7 +15,7 @@ from posetrack_cli.cli.head_options import (
     start_options,
     track_head,
 )
-from posetrack_cli.cli.image_options import image_arguments, one_camera_options
+from posetrack_cli.cli.recording_options import one_camera_options, reading_options
 from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
 from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
@@ -23,7 +23,7 @@ from posetrack_cli.errors import UsageError
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadMonoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
-    from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
@@ -89,14 +89,14 @@ def head_mono(recording: Path, **options: Any) -> None:
     track_head(source, chosen, made)
 
 
-def _opened(recording: Path, options: dict[str, Any]) -> SeveralCamerasRecording:
+def _opened(recording: Path, options: dict[str, Any]) -> Recording:
     """The recording of one camera, which may be guessed."""
     from posetrack_cli.recording.guess import Guess, guess_of_field
-    from posetrack_cli.recording.opening import open_images
+    from posetrack_cli.recording.opening import open_recording
 
     fov = options["fov"]
     guess = Guess() if fov is None else guess_of_field(fov)
-    source = open_images(recording, **image_arguments(options), guess=guess)
+    source = open_recording(recording, "grey", **reading_options(options), guess=guess)
     if fov is not None and not source.is_guessed:
         raise UsageError(
             "--fov does not apply to a calibrated camera",
@@ -107,7 +107,7 @@ def _opened(recording: Path, options: dict[str, Any]) -> SeveralCamerasRecording
     return source
 
 
-def _say_guess(source: SeveralCamerasRecording, fov: float | None) -> None:
+def _say_guess(source: Recording, fov: float | None) -> None:
     if not source.is_guessed:
         return
     by = "a field of view of 53 degrees, --fov says another" if fov is None else "--fov"
@@ -115,12 +115,12 @@ def _say_guess(source: SeveralCamerasRecording, fov: float | None) -> None:
     print_note(f"{source.path}: {taken}; distances are a guess")
 
 
-def _focal(source: SeveralCamerasRecording) -> str:
+def _focal(source: Recording) -> str:
     return f"{source.cameras[0].fx:.0f} px"
 
 
 def _run(
-    source: SeveralCamerasRecording,
+    source: Recording,
     config: HeadMonoConfig,
     options: HeadRunOptions,
     face: int,
@@ -152,7 +152,7 @@ def _run(
     )
 
 
-def _stated(source: SeveralCamerasRecording, face_model: Path | None, face: int) -> dict[str, str]:
+def _stated(source: Recording, face_model: Path | None, face: int) -> dict[str, str]:
     """What the run record says besides: what the result rests on that is not in the images."""
     from posetrack_cli.recording.identity import file_digest, shown_name
 

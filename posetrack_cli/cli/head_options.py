@@ -19,7 +19,7 @@ from posetrack_cli.errors import UsageError
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
-    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
 
 HeadConfig = TypeVar("HeadConfig", "HeadStereoConfig", "HeadMonoConfig")

@@ -15,14 +15,14 @@ from posetrack_cli.cli.head_options import (
     start_options,
     track_head,
 )
-from posetrack_cli.cli.image_options import image_arguments, image_options
+from posetrack_cli.cli.recording_options import image_options, reading_options
 from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadStereoConfig
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
-    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
@@ -58,9 +58,9 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
 def _opened(recording: Path, options: dict[str, Any]) -> Recording:
     """The recording, of two cameras at least."""
-    from posetrack_cli.recording.opening import open_images
+    from posetrack_cli.recording.opening import open_recording
 
-    source = open_images(recording, **image_arguments(options))
+    source = open_recording(recording, "grey", **reading_options(options))
     if len(source.cameras) < 2:
         raise UsageError(
             "too few cameras",

@@ -24,7 +24,7 @@ def info(path: Path, as_json: bool) -> None:
 
     Exit code 3 means that the file is truncated or damaged; what can be read is listed all the same.
     """
-    from posetrack_cli.recording.inspection import describe
+    from posetrack_cli.recording.opening import describe
 
     report = describe(path)
     if as_json:

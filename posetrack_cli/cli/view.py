@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from posetrack_cli.cli.parameter_types import FiniteRange
-from posetrack_cli.cli.recording_options import opening_arguments, recording_options
+from posetrack_cli.cli.recording_options import reading_options, recording_options
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.cli.track_option import BOTH, FILTERED, TRACKS, chosen_tracks
@@ -122,7 +122,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     drawn = {name: options[name] for name in DRAWN}
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     _check_one_recording(results, options)
-    chosen = {"any_recording": options["any_recording"], **opening_arguments(options)}
+    chosen = {"any_recording": options["any_recording"], **reading_options(options)}
     recording = required_recording(results[0], options["recording"], **chosen)
     if _of_images(results):
         return HeadView(results, recording, view_options)

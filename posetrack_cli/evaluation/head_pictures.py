@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.viewing.head_panels import HeadPanels
     from posetrack_cli.evaluation.viewing.layers import Layer
-    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.recording.recording import Recording
 
 
 def worst_head_pictures(evaluation: Evaluation, recording: Recording, count: int) -> list[Picture]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from typing import cast
 
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.readahead import read_ahead
-from posetrack_cli.recording.stored import StoredFrame, StoredRecording, decode_frames
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.recording.stored import StoredFrame, decode_frames
 
 Numbered = tuple[int, StoredFrame]
 Key = Callable[[int, StoredFrame], int]
@@ -67,7 +67,7 @@ def _frames_at(
 
     def chosen() -> Iterator[Numbered]:
         # what is wrong with frames that nobody asked for is no loss here
-        for index, frame in cast(StoredRecording, recording).stored_frames(LossLog()):
+        for index, frame in recording.stored_frames(LossLog()):
             if key(index, frame) > last:
                 return  # both keys increase
             if key(index, frame) in positions:

@@ -8,7 +8,8 @@ from typing import Any, cast
 
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
 
 
 def matched_images(

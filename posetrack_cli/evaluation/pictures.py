@@ -13,7 +13,7 @@ from posetrack_cli.arrays import FloatArray, IntArray
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.viewing.panels import Panels
-    from posetrack_cli.recording.base import Recording
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.rendering.port import RenderingDevice
 
 ERRORS = {

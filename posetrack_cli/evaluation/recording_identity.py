@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.recording.base import RECORDING_KEY, Recording
+from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.recording.identity import file_digest
+from posetrack_cli.recording.recording import Recording
 
 SHOWN_DIGITS = 12
 ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"

@@ -13,11 +13,10 @@ from typing import Any
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
-from posetrack_cli.recording.opening import open_images, open_recording
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.records import camera_from_json
 from posetrack_cli.results.subject_kind import Pixels, kind_of
@@ -148,7 +147,7 @@ def _opened(path: Path, pixels: Pixels, options: Mapping[str, Any]) -> Recording
     for name in given.keys() - _OF_IMAGES:
         option = f"--{name.replace('_', '-')}"
         raise UsageError(f"{option} does not apply to images", found=f"'{given[name]}'", hint="leave it out")
-    return open_images(path, **given)
+    return open_recording(path, "grey", **given)
 
 
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:

@@ -27,8 +27,9 @@ from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.writer import ResultWriter

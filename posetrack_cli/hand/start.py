@@ -21,8 +21,7 @@ from posetrack_cli.hand.config import InitSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import read_messages
-from posetrack_cli.recording.opening import is_mcap
+from posetrack_cli.mcap.stream import is_mcap, read_messages
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.toml_text import parse_toml
 

@@ -19,9 +19,9 @@ from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.files import read_input, write_output
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import POINT_NAMES
+from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import whole_or_nothing
-from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1

@@ -15,8 +15,9 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes, save_model
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options

@@ -13,11 +13,19 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
 
 from posetrack_cli import limits
-from posetrack_cli.mcap.chunks import ChunkLimitError, check_size, decompressed, most_records
+from posetrack_cli.mcap.chunks import (
+    ChunkLimitError,
+    check_size,
+    decompressed,
+    decompressed_begin,
+    most_records,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, length of the content
 CHUNK_HEAD_BYTES = 64  # what a chunk's record holds besides its data, rounded up
+CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
+LENGTH = struct.Struct("<Q")
 _SCHEMA, _CHANNEL, _MESSAGE = map(
     int, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 )  # enums compare slowly
@@ -170,6 +178,23 @@ def content_records(
         raise ValueError(f"chunk ends within a record, at {position} of {size} bytes")
 
 
+def cut_chunk_records(stream: IO[bytes], position: int) -> Iterator[ChunkRecord]:
+    """Yield the whole schemas, channels and messages in the chunk that an open file breaks off in, if any.
+
+    Compressed chunks give what their whole blocks hold. The checksum of the chunk covers what is missing,
+    so that none is verified; bytes that are no records raise whatever they lead to.
+
+    Args:
+        stream: the file.
+        position: offset of the record that is cut.
+    """
+    stream.seek(position)
+    head = stream.read(HEAD.size)
+    if len(head) == HEAD.size and HEAD.unpack(head)[0] == Opcode.CHUNK:
+        records, most = _cut_content(stream.read(limits.CHUNK_BYTES))
+        yield from content_records(records, most=most, cut=True)
+
+
 def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(content))
 
@@ -179,3 +204,12 @@ def _message(data: bytes, start: int, end: int) -> Message:
         raise ValueError(f"a message of {end - start} bytes")
     channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(data, start)
     return Message(channel_id, log_time, data[start + _MESSAGE_HEAD.size : end], publish_time, sequence)
+
+
+def _cut_content(content: bytes) -> tuple[bytes, int]:
+    """Return the records of a chunk's content as far as it goes, and how many there may be."""
+    if len(content) < CHUNK_HEAD.size:
+        return b"", 0
+    name_end = CHUNK_HEAD.size + CHUNK_HEAD.unpack_from(content)[-1]
+    name, data = content[CHUNK_HEAD.size : name_end], content[name_end + LENGTH.size :]
+    return decompressed_begin(name.decode("ascii", "replace"), data), most_records(len(data))

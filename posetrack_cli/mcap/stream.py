@@ -26,10 +26,10 @@ from posetrack_cli.mcap.records import (
     Record,
     RecordSpan,
     chunk_records,
+    cut_chunk_records,
     read_record,
     record_spans,
 )
-from posetrack_cli.mcap.salvage import cut_chunk_records
 from posetrack_cli.mcap.summary import chunk_span, extra_spans, read_summary
 
 TRUNCATED = "file is truncated, the rest is missing"
@@ -46,17 +46,17 @@ Topics: TypeAlias = Collection[str] | Callable[[str], bool] | None
 """Names of topics, or what tells of a name whether it is wanted; None for all topics."""
 
 
-def check_mcap(path: Path) -> None:
-    """Raise RecordingError unless the file begins as an MCAP file does."""
+def is_mcap(path: Path) -> bool:
+    """Whether a file begins as an MCAP file does.
+
+    Raises:
+        RecordingError: if it cannot be read.
+    """
     try:
         with open_input(path) as stream:
-            begin = stream.read(len(MAGIC))
+            return stream.read(len(MAGIC)) == MAGIC
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    if begin != MAGIC:
-        raise RecordingError(
-            "is not an MCAP file", where=path, found=f"it begins with {begin!r}" if begin else "an empty file"
-        )
 
 
 def read_messages(

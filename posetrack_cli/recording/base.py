@@ -1,16 +1,12 @@
-"""The interface that every reader of recordings fulfils."""
+"""What recordings give: frames and truth; and the names by which results refer to them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import Loss
 
 TRUTH_PREFIX = "/truth/"
 """Topics of ground truth begin so, in recordings and in results."""
@@ -43,36 +39,6 @@ class Frame:
         if image is None:
             raise RecordingError("frame has no image of the first camera", found=f"frame {self.index}")
         return image
-
-
-@runtime_checkable
-class Recording(Protocol):
-    """A recorded sequence that can be read from the start any number of times."""
-
-    @property
-    def path(self) -> Path:
-        """The file or folder."""
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The cameras, in the order of every frame's images."""
-
-    @property
-    def frame_count(self) -> int | None:
-        """How many frames there are before reading, None when unknown (a truncated file)."""
-
-    @property
-    def losses(self) -> tuple[Loss, ...]:
-        """What the last pass over the frames had to skip; empty when nothing was lost."""
-
-    def identity(self) -> Mapping[str, str]:
-        """Name, kind, size and SHA-256 of the input, topics used, how it was read: for a result's record."""
-
-    def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
-        """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""
-
-    def truth(self) -> Iterator[TruthMessage]:
-        """Yield the messages on ``/truth/...`` topics undecoded, in file order, if there are any."""
 
 
 @dataclass(frozen=True)

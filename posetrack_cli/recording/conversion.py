@@ -6,6 +6,7 @@ import heapq
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,11 +18,12 @@ from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.depth import MM_PER_M
+from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.readahead import read_ahead
-from posetrack_cli.recording.stored import DepthEncoding, StoredFrame, StoredRecording, UnreadableImageError
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.recording.stored import StoredFrame, StoredImage, UnreadableImageError
 
 IMAGE_TOPIC = "/camera/depth/image"
 CALIBRATION_TOPIC = "/camera/depth/calibration"
@@ -46,7 +48,7 @@ class _Image:
 
 
 def convert_recording(
-    recording: StoredRecording, out: Path, *, overwrite: bool = False, truth: Iterable[TruthMessage] = ()
+    recording: Recording, out: Path, *, overwrite: bool = False, truth: Iterable[TruthMessage] = ()
 ) -> Conversion:
     """Write a recording's frames, camera and truth to an MCAP file; equal input gives equal bytes.
 
@@ -70,17 +72,17 @@ def convert_recording(
         return _write(recording, part, truth)
 
 
-def _write(recording: StoredRecording, part: Path, truth: Iterable[TruthMessage]) -> Conversion:
+def _write(recording: Recording, part: Path, truth: Iterable[TruthMessage]) -> Conversion:
     losses = LossLog()
     stored = recording.stored_frames(losses)
     first = next(stored, None)
     if first is None:
         raise RecordingError("no frames to convert", where=recording.path)
-    encoding = first[1].encoding
+    encoding = _encoding(recording)
     compression: Literal["none", "zstd"] = "none" if encoding == "16UC1" else "zstd"
     with McapSink(part, compression=compression, chunk_bytes=CHUNK_BYTES) as sink:
         writer = _Writer(sink, recording, encoding)
-        serialised = read_ahead(_images(first, stored, recording.cameras[0].name, losses))
+        serialised = read_ahead(_images(chain([first], stored), recording.cameras[0].name, encoding, losses))
         with closing(serialised) as images:
             for entry in heapq.merge(images, recording.truth(), truth, key=_time):
                 writer.write(entry)
@@ -95,7 +97,7 @@ class _Writer:
     """Puts images and truth on their channels; the calibration goes out with the first image."""
 
     sink: McapSink
-    recording: StoredRecording
+    recording: Recording
     encoding: DepthEncoding
     frames: int = 0
     _image_channel: int = 0
@@ -131,30 +133,37 @@ class _Writer:
         return self._truth_channels[message.topic]
 
 
+def _encoding(recording: Recording) -> DepthEncoding:
+    pixels = recording.pixels[0]
+    if not isinstance(pixels, Depth):
+        raise RecordingError("only depth can be converted", where=recording.path)
+    return pixels.encoding
+
+
 def _images(
-    first: tuple[int, StoredFrame], rest: Iterator[tuple[int, StoredFrame]], frame_id: str, losses: LossLog
+    frames: Iterable[tuple[int, StoredFrame]], frame_id: str, encoding: DepthEncoding, losses: LossLog
 ) -> Iterator[_Image | TruthMessage]:
     """Yield the serialised messages; an image that cannot be decoded is skipped and counted."""
-    frame: tuple[int, StoredFrame] | None = first
-    while frame is not None:
-        index, stored = frame
-        try:
-            yield _Image(stored.stamp_ns, _serialised(stored, frame_id))
-        except UnreadableImageError as error:
-            losses.add(f"image skipped, {error}", f"frame {index}, {stored.where}")
-        frame = next(rest, None)
+    for index, frame in frames:
+        for image in frame.images:
+            if image is None:
+                continue
+            try:
+                yield _Image(frame.stamp_ns, _serialised(image, frame_id, encoding))
+            except UnreadableImageError as error:
+                losses.add(f"image skipped, {error}", f"frame {index}, {image.where}")
 
 
-def _serialised(stored: StoredFrame, frame_id: str) -> bytes:
+def _serialised(stored: StoredImage, frame_id: str, encoding: DepthEncoding) -> bytes:
     # Decoded even if its PNG is copied: a damaged image must not pass as a good one.
     depth = stored.decode()
-    message = _message_class(stored.encoding)(frame_id=frame_id, **_content(stored, depth))
+    message = _message_class(encoding)(frame_id=frame_id, **_content(stored, depth, encoding))
     message.timestamp.FromNanoseconds(stored.stamp_ns)
     return bytes(message.SerializeToString(deterministic=True))
 
 
-def _content(stored: StoredFrame, depth: ImageArray) -> dict[str, Any]:
-    if stored.encoding == "16UC1":
+def _content(stored: StoredImage, depth: ImageArray, encoding: DepthEncoding) -> dict[str, Any]:
+    if encoding == "16UC1":
         return {"format": "png", "data": stored.png() or encode_png(depth.astype(np.uint16))}
     height, width = depth.shape
     metres = (depth.astype(np.float64) / MM_PER_M).astype("<f4")

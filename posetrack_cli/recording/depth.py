@@ -1,17 +1,117 @@
-"""From stored pixel values to depth in millimetres, and the window cut out of an image."""
+"""Depth images: which stored values and messages hold depth, and how they become millimetres."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import struct
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import Float32Array, ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
+from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes
+from posetrack_cli.recording.pixels import check_size, raw_values
+from posetrack_cli.recording.stored import UnreadableImageError
+
+DepthEncoding = Literal["16UC1", "32FC1"]
 
 MM_PER_M = 1000.0
+RAW_DEPTH: dict[str, DepthEncoding] = {"16UC1": "16UC1", "mono16": "16UC1", "32FC1": "32FC1"}
+DTYPES: dict[DepthEncoding, str] = {"16UC1": "u2", "32FC1": "f4"}
+COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
+PNG_SIZE_AND_TYPE = struct.Struct(">IIBB")
+PNG_COLOUR_TYPES = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Depth as 16-bit codes of some unit, or as floating-point metres; a kind of ``Pixels``.
+
+    Attributes:
+        width, height: of the stored images, pixels.
+        encoding: ``16UC1`` if every depth is a whole number of millimetres, else ``32FC1``.
+        unit_mm: millimetres per code of image files; messages tell theirs.
+        missing: code in image files that means no reading; 0 always means it, too.
+        stored: as people name how messages store it: ``16UC1``, ``png 16-bit grey``...
+    """
+
+    width: int
+    height: int
+    encoding: DepthEncoding
+    unit_mm: float = 1.0
+    missing: int = 0
+    stored: str = ""
+
+    is_numbered_as_stored: ClassVar[bool] = True
+
+    def from_file(self, data: bytes, where: object) -> Float32Array:
+        """Return (height, width) depth, mm, of an image file."""
+        codes = decode_codes(data, str(where))
+        check_size(codes, self, where)
+        return depth_from_codes(codes, self.unit_mm, self.missing)
+
+    def from_message(self, decoded: Any, kind: str, where: str) -> Float32Array:
+        """Return (height, width) depth, mm, of an image message."""
+        here = describe_image(decoded, kind)
+        first = ImageDescription(self.stored, self.width, self.height, self.encoding)
+        if here.width and here != first:
+            raise RecordingError(
+                "images differ in size or encoding",
+                where=where,
+                found=f"{here.width}x{here.height} {here.encoding}",
+                expected=f"{first.width}x{first.height} {first.encoding} as at the beginning",
+            )
+        return decode_depth(decoded, kind, where)
+
+    def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
+        """Return the 16-bit PNG of depth in mm that a message carries, None if it does not carry one."""
+        if kind != COMPRESSED_IMAGE:
+            return None
+        data = bytes(decoded.data)
+        if _describe_compressed(str(decoded.format), data).depth != "16UC1":
+            return None
+        return data[_png_offset(data) :]
+
+
+@dataclass(frozen=True)
+class ImageDescription:
+    """What an image message holds, told without decoding its pixels.
+
+    Attributes:
+        encoding: as people name it: ``16UC1``, ``png 16-bit grey``, ``jpeg``...
+        width, height: pixels; 0 if unknown.
+        depth: how it stores depth, None if it does not.
+    """
+
+    encoding: str
+    width: int
+    height: int
+    depth: DepthEncoding | None
+
+
+def describe_image(decoded: Any, kind: str) -> ImageDescription:
+    """Describe an image message of kind RAW_IMAGE or COMPRESSED_IMAGE."""
+    if kind == RAW_IMAGE:
+        encoding = str(decoded.encoding)
+        return ImageDescription(encoding, int(decoded.width), int(decoded.height), RAW_DEPTH.get(encoding))
+    return _describe_compressed(str(decoded.format), bytes(decoded.data))
+
+
+def decode_depth(decoded: Any, kind: str, where: str) -> Float32Array:
+    """Return the (height, width) depth of an image message, mm, 0 = no reading.
+
+    Raises:
+        UnreadableImageError: if the data are too short or damaged, or are no depth.
+    """
+    if kind == COMPRESSED_IMAGE:
+        return _decode_compressed(decoded, where)
+    if decoded.encoding not in RAW_DEPTH:
+        raise UnreadableImageError(f"encoding {decoded.encoding} is no depth")
+    values = raw_values(decoded, DTYPES[RAW_DEPTH[decoded.encoding]])
+    return depth_from_metres(values) if values.dtype.kind == "f" else depth_from_codes(values)
 
 
 def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) -> Float32Array:
@@ -33,6 +133,13 @@ def depth_from_metres(metres: ImageArray) -> Float32Array:
     return _readings(depth)
 
 
+def depth_from_inverse(codes: ImageArray, a: float, b: float) -> Float32Array:
+    """Return depth, mm, of compressedDepth's quantised inverse depth: z = a / (v - b) metres, v = 0 none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        metres = np.where(codes > 0, a / (codes.astype(np.float64) - b), 0.0)
+    return depth_from_metres(metres)
+
+
 def _readings(depth: Float32Array) -> Float32Array:
     """Depth, mm, with 0 in the place of what is no reading: arithmetic on it would overflow."""
     with np.errstate(invalid="ignore"):
@@ -41,49 +148,37 @@ def _readings(depth: Float32Array) -> Float32Array:
     return depth
 
 
-@dataclass(frozen=True)
-class Window:
-    """The part of the stored images that is used: first cut out, then flipped.
-
-    Attributes:
-        crop: x, y, width, height of the part, pixels of the stored image; None for all of it.
-        mirror: flip left to right.
-    """
-
-    crop: tuple[int, int, int, int] | None = None
-    mirror: bool = False
-
-    @property
-    def keeps_pixels(self) -> bool:
-        """Whether images pass through unchanged."""
-        return self.crop is None and not self.mirror
-
-    def apply(self, image: ImageArray) -> ImageArray:
-        """Return the window of an image, contiguous."""
-        if self.crop is not None:
-            x, y, width, height = self.crop
-            image = image[y : y + height, x : x + width]
-        return np.ascontiguousarray(image[:, ::-1] if self.mirror else image)
-
-    def camera(self, camera: Camera) -> Camera:
-        """Return the camera of the window, given the camera of the stored images.
-
-        Raises:
-            RecordingError: if the crop does not lie in the image.
-        """
-        if self.crop is not None:
-            camera = _cropped(camera, self.crop)
-        return camera.mirrored() if self.mirror else camera
+def _describe_compressed(image_format: str, data: bytes) -> ImageDescription:
+    offset = _png_offset(data)
+    if offset is None:
+        return ImageDescription(image_format, 0, 0, None)
+    start = offset + PNG_SIZE_AT
+    width, height, bits, colour = PNG_SIZE_AND_TYPE.unpack(data[start : start + PNG_SIZE_AND_TYPE.size])
+    name = f"png {bits}-bit {PNG_COLOUR_TYPES.get(colour, 'unknown')}"
+    depth: DepthEncoding | None = "16UC1" if (bits, colour) == (16, 0) else None
+    if offset:
+        stored = image_format.split(";")[0].strip()
+        name = f"{stored} compressedDepth, {name}"
+        depth = RAW_DEPTH.get(stored) if depth else None
+    return ImageDescription(name, width, height, depth)
 
 
-def _cropped(camera: Camera, crop: tuple[int, int, int, int]) -> Camera:
-    x, y, width, height = crop
-    inside = min(x, y) >= 0 and min(width, height) > 0
-    if not inside or x + width > camera.width or y + height > camera.height:
-        raise RecordingError(
-            "crop does not lie in the image",
-            where="camera.toml",
-            found=f"x {x}, y {y}, {width}x{height}",
-            expected=f"a part of {camera.width}x{camera.height}",
-        )
-    return replace(camera, width=width, height=height, cx=camera.cx - x, cy=camera.cy - y)
+def _png_offset(data: bytes) -> int | None:
+    """Return where the PNG begins: 0, or after compressedDepth's header; None if there is no PNG."""
+    for offset in (0, COMPRESSED_DEPTH_HEADER.size):
+        header_end = offset + PNG_SIZE_AT + PNG_SIZE_AND_TYPE.size
+        if data.startswith(PNG_SIGNATURE, offset) and len(data) >= header_end:
+            return offset
+    return None
+
+
+def _decode_compressed(decoded: Any, where: str) -> Float32Array:
+    data = bytes(decoded.data)
+    description = _describe_compressed(str(decoded.format), data)
+    if description.depth is None:
+        raise UnreadableImageError(f"format {description.encoding or 'unknown'} is no depth")
+    offset = _png_offset(data) or 0
+    codes = decode_codes(data[offset:], where)
+    if description.depth == "16UC1":
+        return depth_from_codes(codes)
+    return depth_from_inverse(codes, *COMPRESSED_DEPTH_HEADER.unpack(data[:offset])[1:])

@@ -1,17 +1,28 @@
-"""A folder of 16-bit depth images, sorted by name, with camera.toml and stamps."""
+"""Folders of images as recordings: 16-bit depth, or grey images with one folder per camera."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, CameraFile, load_camera_file, no_intrinsics
-from posetrack_cli.recording.depth import depth_from_codes
-from posetrack_cli.recording.identity import files_digest, shown_name
+from posetrack_cli.recording.camera_file import (
+    CAMERA_FILE_NAME,
+    DepthCamera,
+    Rig,
+    found_rig,
+    load_depth_camera,
+    load_rig,
+    no_intrinsics,
+)
+from posetrack_cli.recording.depth import Depth, DepthEncoding
+from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
+from posetrack_cli.recording.guess import check_one_camera
+from posetrack_cli.recording.identity import files_identity
 from posetrack_cli.recording.image_files import (
     PNG_SIGNATURE,
     decode_codes,
@@ -19,19 +30,28 @@ from posetrack_cli.recording.image_files import (
     list_images,
     read_image,
 )
-from posetrack_cli.recording.single_camera import SingleCameraRecording
-from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamps_at_rate
-from posetrack_cli.recording.stored import StoredFrame
+from posetrack_cli.recording.image_folders import (
+    Stamped,
+    common_stamps,
+    find_folders,
+    stamped_images,
+    stamps_files,
+)
+from posetrack_cli.recording.matching import NS_PER_MS
+from posetrack_cli.recording.pixels import Pixels, Window
+from posetrack_cli.recording.recording import (
+    CameraStream,
+    ReadingOptions,
+    Recording,
+    match_streams,
+    tolerance_ns,
+)
+from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
+from posetrack_cli.recording.stored import StoredImage, no_png
 
 
-class FolderRecording(SingleCameraRecording):
-    """Depth frames from image files; a ``Recording``.
-
-    Args:
-        path: the folder.
-        camera_file: replaces the folder's camera.toml.
-        fps: frame rate, Hz; replaces the folder's timestamps.csv.
-        depth_unit_mm, missing, mirror: replace the camera file's values.
+def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
+    """Open a folder of 16-bit depth images, sorted by name, with camera.toml and stamps.
 
     Raises:
         RecordingError: if there are no images, no intrinsics or no stamps, or the first readable image
@@ -39,102 +59,80 @@ class FolderRecording(SingleCameraRecording):
             or kind raise it while they are read; unreadable ones are skipped and counted.
         UsageError: if an option has a value that cannot be used.
     """
+    images, fps = list_images(path), options.get("fps")
+    file = depth_camera_path(path, options.get("camera_file"))
+    settings = _overridden(load_depth_camera(file), options)
+    stamps = common_stamps(path, images, fps)
+    height, width = first_decoded(images, lambda image: decode_codes(read_image(image), str(image))).shape
+    encoding: DepthEncoding = "16UC1" if settings.depth_unit_mm == 1.0 else "32FC1"
+    pixels = Depth(width, height, encoding, settings.depth_unit_mm, settings.missing)
+    camera = settings.window.camera(settings.stored_camera(width, height))
+    copied = settings.depth_unit_mm == 1.0 and settings.missing == 0 and settings.window.keeps_pixels
+    stamped = list(zip(stamps, images, strict=True))
+    stream = _stream(camera, pixels, settings.window, "", stamped, is_millimetres=copied)
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        camera_file: Path | None = None,
-        fps: float | None = None,
-        depth_unit_mm: float | None = None,
-        missing: int | None = None,
-        mirror: bool | None = None,
-    ) -> None:
-        self._images = list_images(path)
-        self._camera_path = camera_path(path, camera_file)
-        given = {"depth_unit_mm": depth_unit_mm, "missing": missing, "mirror": mirror}
-        self._settings = override(load_camera_file(self._camera_path), given)
-        self._fps = fps
-        self._stamps_path = None if fps is not None else path / STAMPS_FILE_NAME
-        self._stamps = self._load_stamps(path, fps)
-        self._shape = first_readable(self._images).shape
-        height, width = self._shape
-        stored_camera = self._settings.stored_camera(width, height)
-        super().__init__(path, self._settings.window.camera(stored_camera))
-
-    @property
-    def frame_count(self) -> int | None:
-        """The number of image files."""
-        return len(self._images)
-
-    def identity(self) -> Mapping[str, str]:
-        """Name, kind, size and SHA-256 over images, stamps and camera file, and what options replaced."""
-        files = [(image.name, image) for image in self._images]
-        if self._stamps_path is not None:
-            files.append((STAMPS_FILE_NAME, self._stamps_path))
-        files.append((CAMERA_FILE_NAME, self._camera_path))
-        size, digest = files_digest(files)
+    def identity() -> Mapping[str, str]:
+        files = [(image.name, image) for image in images]
+        files += [] if fps is not None else [(STAMPS_FILE_NAME, path / STAMPS_FILE_NAME)]
         return {
-            "name": shown_name(self._path.resolve()),
-            "kind": "folder",
-            "bytes": str(size),
-            "sha256": digest,
-            "frames": str(len(self._images)),
-            "depth_unit_mm": str(self._settings.depth_unit_mm),
-            "missing": str(self._settings.missing),
-            "mirror": str(self._settings.mirror).lower(),
-            **({} if self._fps is None else {"fps": str(self._fps)}),
+            **files_identity(path, "folder", [*files, (CAMERA_FILE_NAME, file)]),
+            "frames": str(len(images)),
+            "depth_unit_mm": str(settings.depth_unit_mm),
+            "missing": str(settings.missing),
+            "mirror": str(settings.mirror).lower(),
+            **_rate(fps),
         }
 
-    def truth(self) -> Iterator[TruthMessage]:
-        """Yield nothing: a folder carries no truth."""
-        return iter(())
-
-    def _load_stamps(self, path: Path, fps: float | None) -> list[int]:
-        if self._stamps_path is None:
-            return stamps_at_rate(len(self._images), fps or 0.0)
-        if not self._stamps_path.exists():
-            raise RecordingError(
-                "no stamps",
-                where=path,
-                hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column",
-            )
-        return load_stamps(self._stamps_path, [image.name for image in self._images])
-
-    def _stored(self, losses: LossLog) -> Iterator[StoredFrame]:
-        for image, stamp in zip(self._images, self._stamps, strict=True):
-            yield self._stored_frame(image, stamp)
-
-    def _stored_frame(self, image: Path, stamp_ns: int) -> StoredFrame:
-        return StoredFrame(
-            stamp_ns=stamp_ns,
-            where=image.name,
-            encoding="16UC1" if self._settings.depth_unit_mm == 1.0 else "32FC1",
-            decode=lambda: self._depth(image),
-            png=lambda: self._png(image),
-        )
-
-    def _depth(self, image: Path) -> ImageArray:
-        codes = decode_codes(read_image(image), str(image))
-        if codes.shape != self._shape:
-            raise RecordingError(
-                "images differ in size",
-                where=image,
-                found=f"{codes.shape[1]}x{codes.shape[0]}",
-                expected=f"{self._shape[1]}x{self._shape[0]} as in the images before",
-            )
-        depth = depth_from_codes(codes, self._settings.depth_unit_mm, self._settings.missing)
-        return self._settings.window.apply(depth)
-
-    def _png(self, image: Path) -> bytes | None:
-        settings = self._settings
-        if settings.depth_unit_mm != 1.0 or settings.missing != 0 or not settings.window.keeps_pixels:
-            return None
-        data = read_image(image)
-        return data if data.startswith(PNG_SIGNATURE) else None
+    return Recording(path, [stream], identity=identity, frame_count=len(images))
 
 
-def camera_path(folder: Path, camera_file: Path | None) -> Path:
+def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
+    """Open a folder of grey images (one camera), or one with a folder of images for each camera.
+
+    Raises:
+        RecordingError: if there are no images, no stamps, a camera is not calibrated or has no folder, or
+            sizes do not fit. Later images of another size raise it while they are read; unreadable ones are
+            left out and counted.
+        UsageError: if an option has a value that cannot be used.
+    """
+    every, fps, tolerance = find_folders(path), options.get("fps"), tolerance_ns(options)
+    rig = _rig_of(path, every, options)
+    folders = _folders_of(path, rig, every)
+    stamped = stamped_images(path, folders, fps)
+    kinds = {name: _first_grey(rig, name, images) for name, images in folders.items()}
+    windows = {name: rig.window(name, options.get("mirror")) for name in folders}
+    stored = rig.stored_cameras({name: (kind.width, kind.height) for name, kind in kinds.items()})
+    streams = [
+        _stream(windows[name].camera(camera), kinds[name], windows[name], name, stamped[name])
+        for name, camera in zip(folders, stored, strict=True)
+    ]
+    count = sum(1 for _ in match_streams(streams, tolerance, LossLog()))
+
+    def identity() -> Mapping[str, str]:
+        files = [(_label(name, image), image) for name, images in folders.items() for image in images]
+        files += [(f"{i} {file.name}", file) for i, file in enumerate(stamps_files(path, folders, fps))]
+        files += [] if rig.is_guessed else [(CAMERA_FILE_NAME, rig.path)]
+        return {
+            **files_identity(path, "folder", files),
+            "frames": str(count),
+            "cameras": ",".join(stream.camera.name for stream in streams),
+            "stored": ", ".join(dict.fromkeys(kind.words for kind in kinds.values())),
+            "mirror": str(next(iter(windows.values())).mirror).lower(),
+            "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
+            **_rate(fps),
+        }
+
+    return Recording(
+        path,
+        streams,
+        identity=identity,
+        frame_count=count,
+        tolerance_ns=tolerance,
+        is_guessed=rig.is_guessed,
+    )
+
+
+def depth_camera_path(folder: Path, camera_file: Path | None) -> Path:
     """Return the camera file to use: the one given, else the folder's.
 
     Raises:
@@ -146,24 +144,122 @@ def camera_path(folder: Path, camera_file: Path | None) -> Path:
     return path
 
 
-def override(settings: CameraFile, given: Mapping[str, object]) -> CameraFile:
-    """Return the settings with the given values that are not None in their place.
-
-    Raises:
-        UsageError: if a value cannot be used.
-    """
+def _overridden(settings: DepthCamera, options: ReadingOptions) -> DepthCamera:
+    """Return the settings with options in the place of their values."""
+    given = {key: options.get(key) for key in ("depth_unit_mm", "missing", "mirror")}
     values = {key: value for key, value in given.items() if value is not None}
     try:
-        return CameraFile.model_validate(settings.model_dump() | values)
+        return DepthCamera.model_validate(settings.model_dump() | values)
     except ValueError as error:
         text = ", ".join(f"{key} {value}" for key, value in values.items())
         raise UsageError("depth option cannot be used", found=text) from error
 
 
-def first_readable(images: list[Path]) -> ImageArray:
-    """Return the codes of the first image that can be decoded.
+def _stream(
+    camera: Camera,
+    pixels: Pixels,
+    window: Window,
+    folder: str,
+    stamped: Stamped,
+    *,
+    is_millimetres: bool = False,
+) -> CameraStream:
+    """Return the images of one camera; ``is_millimetres`` if their codes are what frames have."""
 
-    Raises:
-        RecordingError: if none can, or it is not a 16-bit single-channel image.
-    """
-    return first_decoded(images, lambda image: decode_codes(read_image(image), str(image)))
+    def images(losses: LossLog) -> Iterator[StoredImage]:
+        for stamp, image in stamped:
+            png = partial(_png, image) if is_millimetres else no_png
+            yield StoredImage(stamp, _label(folder, image), partial(_decoded, image, pixels, window), png)
+
+    return CameraStream(camera, pixels, images)
+
+
+def _decoded(image: Path, pixels: Pixels, window: Window) -> ImageArray:
+    return window.apply(pixels.from_file(read_image(image), image))
+
+
+def _png(image: Path) -> bytes | None:
+    data = read_image(image)
+    return data if data.startswith(PNG_SIGNATURE) else None
+
+
+def _rate(fps: float | None) -> dict[str, str]:
+    return {} if fps is None else {"fps": str(fps)}
+
+
+def _label(folder: str, image: Path) -> str:
+    return f"{folder}/{image.name}" if folder else image.name
+
+
+def _rig_of(path: Path, folders: Mapping[str, object], options: ReadingOptions) -> Rig:
+    """Return the cameras to use; one of them if intrinsics may be guessed."""
+    guess = options.get("guess")
+    rig = found_rig(path, _camera_file(path, options.get("camera_file")), folders, guess)
+    rig = _named_rig(path, folders, rig, options.get("cameras"))
+    if guess is not None:
+        check_one_camera(path, rig.cameras)
+    return rig
+
+
+def _named_rig(path: Path, folders: Mapping[str, object], rig: Rig, names: Sequence[str] | None) -> Rig:
+    """Return the cameras to use, by what the folders and the camera file are called."""
+    if names is not None:
+        return rig.chosen(names)
+    _check_calibrated(path, rig, folders)
+    if "" not in folders or len(rig.cameras) == 1:
+        return rig
+    name = path.resolve().name
+    if name not in rig.cameras:
+        known = ", ".join(rig.cameras)
+        raise RecordingError(
+            "one folder of images and several cameras",
+            where=path,
+            found=known,
+            hint="choose one with --cameras",
+        )
+    return rig.chosen([name])
+
+
+def _camera_file(path: Path, given: Path | None) -> Path | None:
+    """The camera file given, the folder's own, or that of the recording the folder is a camera of, if any."""
+    above = path.resolve().parent / CAMERA_FILE_NAME
+    own = path / CAMERA_FILE_NAME
+    if given is not None or own.exists():
+        return given or own
+    if above.exists() and path.resolve().name in load_rig(above).cameras:
+        return above
+    return None
+
+
+def _folders_of(path: Path, rig: Rig, folders: Mapping[str, list[Path]]) -> dict[str, list[Path]]:
+    """Return the images of each camera of the rig, in its order."""
+    if len(folders) == len(rig.cameras) == 1:
+        return {next(iter(rig.cameras)): next(iter(folders.values()))}
+    found = ", ".join(folders) if "" not in folders else "images of one camera"
+    if "" in rig.cameras:
+        hint = "write a table [cameras.NAME] for each; posetrack calibrate stereo measures them"
+        raise RecordingError("several cameras and the calibration of one", where=path, found=found, hint=hint)
+    for name in rig.cameras:
+        if name not in folders:
+            raise RecordingError(
+                f"no images of camera '{name}'", where=path, found=found, expected=f"a folder {name}"
+            )
+    return {name: folders[name] for name in rig.cameras}
+
+
+def _check_calibrated(path: Path, rig: Rig, folders: Mapping[str, object]) -> None:
+    """Refuse folders of images of cameras that the file does not know, as long as nobody chose."""
+    unknown = [name for name in folders if name and name not in rig.cameras]
+    if unknown and "" not in rig.cameras:
+        raise RecordingError(
+            f"camera '{unknown[0]}' is not calibrated",
+            where=path,
+            found=f"[cameras.NAME] of {', '.join(rig.cameras)} in {rig.path.name}",
+            hint="posetrack calibrate stereo measures cameras; --cameras leaves some out",
+        )
+
+
+def _first_grey(rig: Rig, name: str, images: Sequence[Path]) -> Grey:
+    """Tell what a camera's images are like from the first that can be decoded."""
+    bits = rig.cameras[name].bits
+    return first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits))

@@ -1,15 +1,19 @@
-"""8-bit grey images from whatever is stored: colour becomes luma, of more bits the upper eight are kept."""
+"""8-bit grey images from whatever is stored: colour becomes luma, of more bits the upper 8 are kept."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.recording.image_files import decode_any
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
+from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
+from posetrack_cli.recording.pixels import check_size, raw_values
+from posetrack_cli.recording.stored import UnreadableImageError
 
 BITS = (10, 12, 14, 16)
 """Significant bits that cameras deliver in 16-bit images."""
@@ -18,11 +22,51 @@ AS_STORED_FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 @dataclass(frozen=True)
-class StoredKind:
-    """What the images of one camera are like.
+class RawEncoding:
+    """How a raw image stores its pixels.
 
     Attributes:
-        width, height: pixels.
+        dtype: of a value, without byte order.
+        channels: values per pixel.
+        conversion: OpenCV's code to grey; None where it is grey.
+    """
+
+    dtype: str
+    channels: int
+    conversion: int | None = None
+
+
+RAW_GREY = {
+    "mono8": RawEncoding("u1", 1),
+    "8UC1": RawEncoding("u1", 1),
+    "mono16": RawEncoding("u2", 1),
+    "16UC1": RawEncoding("u2", 1),
+    "rgb8": RawEncoding("u1", 3, cv2.COLOR_RGB2GRAY),
+    "bgr8": RawEncoding("u1", 3, cv2.COLOR_BGR2GRAY),
+    "8UC3": RawEncoding("u1", 3, cv2.COLOR_BGR2GRAY),
+    "rgba8": RawEncoding("u1", 4, cv2.COLOR_RGBA2GRAY),
+    "bgra8": RawEncoding("u1", 4, cv2.COLOR_BGRA2GRAY),
+    "8UC4": RawEncoding("u1", 4, cv2.COLOR_BGRA2GRAY),
+    "rgb16": RawEncoding("u2", 3, cv2.COLOR_RGB2GRAY),
+    "bgr16": RawEncoding("u2", 3, cv2.COLOR_BGR2GRAY),
+    "uyvy": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY),
+    "yuv422": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY),
+    "yuyv": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2),
+    "yuv422_yuy2": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2),
+    # OpenCV names a Bayer pattern by its second row's second and third pixel
+    "bayer_rggb8": RawEncoding("u1", 1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr8": RawEncoding("u1", 1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg8": RawEncoding("u1", 1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg8": RawEncoding("u1", 1, cv2.COLOR_BayerGB2GRAY),
+}
+
+
+@dataclass(frozen=True)
+class Grey:
+    """Grey or colour values that become 8-bit grey; a kind of ``Pixels``.
+
+    Attributes:
+        width, height: of the stored images, pixels.
         bits: significant bits of a value: 8, or what is cut to the upper 8.
         colour: whether they are converted.
     """
@@ -32,13 +76,45 @@ class StoredKind:
     bits: int = 8
     colour: bool = False
 
+    is_numbered_as_stored: ClassVar[bool] = False
+
     @property
     def words(self) -> str:
         """For people and run records: ``8-bit grey``, ``12-bit grey``, ``8-bit colour``."""
         return f"{self.bits}-bit {'colour' if self.colour else 'grey'}"
 
+    def from_file(self, data: bytes, where: object) -> ImageArray:
+        """Return the (height, width) uint8 grey of an image file."""
+        image = decode_any(data, GREY_FLAGS)
+        if image.dtype not in (np.uint8, np.uint16):
+            raise _unusable(image, where)
+        return self.from_stored(image, where)
 
-def kind_of_image(image: ImageArray, where: object, bits: int | None = None) -> StoredKind:
+    def from_stored(self, image: ImageArray, where: object) -> ImageArray:
+        """Return the (height, width) uint8 grey of an image with channels B G R as it is stored."""
+        check_size(image, self, where)
+        return grey_of(image, self.bits)
+
+    def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
+        """Return the (height, width) uint8 grey of an image message."""
+        if kind == COMPRESSED_IMAGE:
+            return self.from_file(bytes(decoded.data), where)
+        encoding = str(decoded.encoding)
+        if encoding not in RAW_GREY:
+            raise UnreadableImageError(f"encoding {encoding} is not known")
+        values, conversion = _raw_values(decoded), RAW_GREY[encoding].conversion
+        check_size(values, self, where)
+        try:
+            return grey_of(values if conversion is None else cv2.cvtColor(values, conversion), self.bits)
+        except cv2.error as error:  # a width or height that the encoding cannot have
+            raise UnreadableImageError(f"{encoding} cannot be {self.width}x{self.height}") from error
+
+    def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
+        """Return None: a message of grey carries no depth."""
+        return None
+
+
+def grey_like(image: ImageArray, where: object, bits: int | None = None) -> Grey:
     """Tell what images are like from the first of them, as stored.
 
     Args:
@@ -52,11 +128,31 @@ def kind_of_image(image: ImageArray, where: object, bits: int | None = None) -> 
     height, width = image.shape[:2]
     colour = image.ndim == 3 and image.shape[2] > 1
     if image.dtype == np.uint8:
-        return StoredKind(width, height, 8, colour)
+        return Grey(width, height, 8, colour)
     if image.dtype != np.uint16:
-        raise RecordingError("image cannot be used", where=where, found=image.dtype, expected="8 or 16 bits")
+        raise _unusable(image, where)
     found = next(b for b in BITS if image.max(initial=0) < 1 << b)
-    return StoredKind(width, height, bits or found, colour)
+    return Grey(width, height, bits or found, colour)
+
+
+def grey_like_message(decoded: Any, kind: str, where: str) -> Grey:
+    """Tell what a camera's images are like from its first message.
+
+    Raises:
+        UnreadableImageError: the data are damaged.
+        RecordingError: the pixels are of another kind.
+    """
+    raw = kind == RAW_IMAGE
+    return grey_like(_raw_values(decoded) if raw else decode_as_stored(bytes(decoded.data)), where)
+
+
+def holds_grey(decoded: Any, kind: str | None) -> bool:
+    """Whether an image message can be made grey, as far as its head tells."""
+    if kind == RAW_IMAGE:
+        return str(decoded.encoding) in RAW_GREY
+    return kind == COMPRESSED_IMAGE and bytes(decoded.data).startswith(
+        (PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN)
+    )
 
 
 def grey_of(image: ImageArray, bits: int) -> ImageArray:
@@ -69,20 +165,6 @@ def grey_of(image: ImageArray, bits: int) -> ImageArray:
     return image
 
 
-def decode_grey(data: bytes, kind: StoredKind, where: object) -> ImageArray:
-    """Decode an image file to (height, width) uint8 grey.
-
-    Raises:
-        UnreadableImageError: the bytes are no image or an incomplete one.
-        RecordingError: it is of another size than the images before, or has values of another kind.
-    """
-    image = decode_any(data, GREY_FLAGS)
-    if image.dtype not in (np.uint8, np.uint16):
-        raise RecordingError("image cannot be used", where=where, found=image.dtype, expected="8 or 16 bits")
-    check_size(image, kind, where)
-    return grey_of(image, kind.bits)
-
-
 def decode_as_stored(data: bytes) -> ImageArray:
     """Decode an image file with the channels and bits it has.
 
@@ -92,12 +174,10 @@ def decode_as_stored(data: bytes) -> ImageArray:
     return decode_any(data, AS_STORED_FLAGS)
 
 
-def check_size(image: ImageArray, kind: StoredKind, where: object) -> None:
-    """Raise RecordingError if an image is not of the size of the first."""
-    if image.shape[:2] != (kind.height, kind.width):
-        raise RecordingError(
-            "images differ in size",
-            where=where,
-            found=f"{image.shape[1]}x{image.shape[0]}",
-            expected=f"{kind.width}x{kind.height} as in the images before",
-        )
+def _raw_values(decoded: Any) -> ImageArray:
+    encoding = RAW_GREY[str(decoded.encoding)]
+    return raw_values(decoded, encoding.dtype, encoding.channels)
+
+
+def _unusable(image: ImageArray, where: object) -> RecordingError:
+    return RecordingError("image cannot be used", where=where, found=image.dtype, expected="8 or 16 bits")

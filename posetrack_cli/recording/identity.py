@@ -34,9 +34,23 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
     return total, digest.hexdigest()
 
 
+def file_identity(path: Path, kind: str) -> dict[str, str]:
+    """Return name, kind, size and SHA-256 of a recording that is one file, for run records."""
+    return _identity(path, kind, *file_digest(path))
+
+
+def files_identity(path: Path, kind: str, files: Iterable[tuple[str, Path]]) -> dict[str, str]:
+    """Return name, kind, size and SHA-256 of a recording that is several files, for run records."""
+    return _identity(path, kind, *files_digest(files))
+
+
 def shown_name(path: Path) -> str:
     """Return the name of a file or folder as text that every file can hold, whatever its bytes are."""
     return os.fsencode(path.name).decode(errors="replace")
+
+
+def _identity(path: Path, kind: str, size: int, digest: str) -> dict[str, str]:
+    return {"name": shown_name(path.resolve()), "kind": kind, "bytes": str(size), "sha256": digest}
 
 
 def _size(path: Path) -> int:

@@ -58,18 +58,26 @@ def stamped_images(path: Path, folders: Mapping[str, list[Path]], fps: float | N
         }
     together = instants(path, folders)
     common = [next(iter(instant.values())) for instant in together]
-    if fps is not None:
-        stamps = stamps_at_rate(len(common), fps)
-    elif (path / STAMPS_FILE_NAME).exists():
-        stamps = load_stamps(path / STAMPS_FILE_NAME, _names(common))
-    else:
-        raise RecordingError(
-            "no stamps", where=path, hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column"
-        )
+    stamps = common_stamps(path, common, fps)
     return {
         name: [(stamp, i[name]) for stamp, i in zip(stamps, together, strict=True) if name in i]
         for name in folders
     }
+
+
+def common_stamps(path: Path, images: Sequence[Path], fps: float | None) -> list[int]:
+    """Return the stamps of images, ns, from their rate or the recording's timestamps.csv.
+
+    Raises:
+        RecordingError: if there are no stamps, or they do not fit the images.
+    """
+    if fps is not None:
+        return stamps_at_rate(len(images), fps)
+    if not (path / STAMPS_FILE_NAME).exists():
+        raise RecordingError(
+            "no stamps", where=path, hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column"
+        )
+    return load_stamps(path / STAMPS_FILE_NAME, _names(images))
 
 
 def stamps_files(path: Path, folders: Mapping[str, list[Path]], fps: float | None) -> list[Path]:

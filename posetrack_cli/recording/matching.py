@@ -1,49 +1,20 @@
-"""Frames of several cameras from images that each have a stamp of their own."""
+"""From the images of each camera to numbered frames: put together by time, in order, and selected."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 
-from posetrack_cli.arrays import ImageArray
-from posetrack_cli.errors import RecordingError
+from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.ordering import LATEST_NS, NOT_LATER, OUT_OF_RANGE
+from posetrack_cli.recording.stored import StoredFrame, StoredImage
 
 NS_PER_MS = 1_000_000
 ALONE_LIMIT = 600
 """So many frames from the beginning without one that two cameras saw: the stamps do not match."""
-
-
-@dataclass(frozen=True)
-class StoredImage:
-    """One camera's image, not decoded yet.
-
-    Attributes:
-        stamp_ns: when it was taken, integer nanoseconds.
-        where: file name, or topic and time.
-        decode: returns (height, width) uint8; raises UnreadableImageError to leave it out, RecordingError to
-            end the pass.
-    """
-
-    stamp_ns: int
-    where: str
-    decode: Callable[[], ImageArray]
-
-
-@dataclass(frozen=True)
-class StoredImages:
-    """What the cameras saw at one instant.
-
-    Attributes:
-        stamp_ns: the reference camera's stamp, or the earliest where it has no image.
-        where: of the first image there is.
-        images: one per camera, None where it has none.
-    """
-
-    stamp_ns: int
-    where: str
-    images: tuple[StoredImage | None, ...]
+NOT_LATER = "frame dropped, stamp not later than the frame before"
+OUT_OF_RANGE = "frame dropped, stamp before 1970 or after 2262"
+LATEST_NS = 2**63 - 1
+"""What 64-bit integers, and so arrays of stamps, can hold."""
 
 
 class _Stream:
@@ -66,17 +37,18 @@ class _Stream:
         for image in self._images:
             if image is None:
                 continue
-            fault = self._fault(image.stamp_ns)
+            fault = stamp_fault(image.stamp_ns, self._latest)
             if fault is None:
                 self._latest = image.stamp_ns
                 return image
             self.losses.add(fault, f"{image.where} at {image.stamp_ns} ns")
         return None
 
-    def _fault(self, stamp_ns: int) -> str | None:
-        if not 0 <= stamp_ns <= LATEST_NS:
-            return OUT_OF_RANGE
-        return NOT_LATER if stamp_ns <= self._latest else None
+
+def unmatched(camera: str, images: Iterable[StoredImage | None]) -> Iterator[StoredFrame | None]:
+    """Make a frame of every image of one camera; None of one that cannot be used, which keeps its number."""
+    for image in images:
+        yield None if image is None else StoredFrame(image.stamp_ns, image.where, (image,), (camera,))
 
 
 def match_images(
@@ -84,7 +56,7 @@ def match_images(
     streams: Sequence[Iterator[StoredImage | None]],
     tolerance_ns: int,
     losses: LossLog,
-) -> Iterator[StoredImages]:
+) -> Iterator[StoredFrame]:
     """Put together what cameras took at the same time.
 
     The earliest image waiting begins a frame. Another camera's image belongs to it if it is at most the
@@ -113,7 +85,7 @@ def match_images(
         raise _never_together(names, nearest, tolerance_ns)
 
 
-def _next_frame(waiting: Sequence[_Stream], tolerance_ns: int) -> StoredImages:
+def _next_frame(waiting: Sequence[_Stream], tolerance_ns: int) -> StoredFrame:
     first = min((stream for stream in waiting if stream.head), key=_head_stamp)
     begin, following = _head_stamp(first), first.after
     images: list[StoredImage | None] = []
@@ -124,10 +96,11 @@ def _next_frame(waiting: Sequence[_Stream], tolerance_ns: int) -> StoredImages:
             belongs = stamp - begin <= abs(following.stamp_ns - stamp)
         images.append(stream.take() if belongs else None)
     present = [image for image in images if image is not None]
-    return StoredImages((images[0] or present[0]).stamp_ns, present[0].where, tuple(images))
+    names = tuple(stream.name for stream in waiting)
+    return StoredFrame((images[0] or present[0]).stamp_ns, present[0].where, tuple(images), names)
 
 
-def _is_shared(frame: StoredImages) -> bool:
+def _is_shared(frame: StoredFrame) -> bool:
     """Whether two cameras have an image, or the only one."""
     return sum(image is not None for image in frame.images) >= min(2, len(frame.images))
 
@@ -149,3 +122,62 @@ def _never_together(names: Sequence[str], nearest: int, tolerance_ns: int) -> Re
         expected=f"within {tolerance_ns / NS_PER_MS:g} ms",
         hint="pass a larger --tolerance-ms, or stamps of one clock",
     )
+
+
+def select_frames(
+    stored: Iterable[StoredFrame | None],
+    losses: LossLog,
+    *,
+    start: int = 0,
+    end: int | None = None,
+    stride: int = 1,
+) -> Iterator[tuple[int, StoredFrame]]:
+    """Yield (index, frame) for the indices start, start + stride, ... below end.
+
+    Which frames count as out of order does not depend on the range: every frame is compared with the
+    latest stamp before it, selected or not. Stamps that 64 bits cannot hold are dropped too, and are no
+    reason to drop what follows. Reading stops at ``end``.
+
+    Args:
+        stored: all frames of the recording; None for one that could not be read, which keeps its index.
+        losses: gets the dropped frames of the range.
+        start: first index.
+        end: index to stop before, None for all.
+        stride: distance between indices.
+
+    Raises:
+        UsageError: for a negative start or end or a stride below 1.
+    """
+    check_range(start, end, stride)
+    latest = -1
+    for index, frame in enumerate(stored):
+        if end is not None and index >= end:
+            return
+        wanted = index >= start and (index - start) % stride == 0
+        if frame is None:
+            continue
+        fault = stamp_fault(frame.stamp_ns, latest)
+        if fault is not None:
+            if wanted:
+                losses.add(fault, f"frame {index} at {frame.stamp_ns} ns, {frame.where}")
+            continue
+        latest = frame.stamp_ns
+        if wanted:
+            yield index, frame
+
+
+def stamp_fault(stamp_ns: int, latest: int) -> str | None:
+    """Why a frame with this stamp is dropped after one with the latest; None if it is not."""
+    if not 0 <= stamp_ns <= LATEST_NS:
+        return OUT_OF_RANGE
+    return NOT_LATER if stamp_ns <= latest else None
+
+
+def check_range(start: int, end: int | None, stride: int) -> None:
+    """Raise UsageError unless 0 <= start, 0 <= end and 1 <= stride."""
+    if start < 0 or (end is not None and end < 0) or stride < 1:
+        raise UsageError(
+            "frame range cannot be used",
+            found=f"start {start}, end {end}, stride {stride}",
+            expected="start and end from 0, stride from 1",
+        )

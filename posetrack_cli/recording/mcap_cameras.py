@@ -1,10 +1,11 @@
-"""Which topics of an MCAP file are its cameras' grey images, and the cameras themselves."""
+"""Which topics of an MCAP file are its cameras' grey images, and the calibrated cameras of topics."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -12,14 +13,13 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import placed, relative_to, rotation_from_rows
-from posetrack_cli.mcap.decoding import CALIBRATION, frame_id_of
 from posetrack_cli.recording.base import TRUTH_PREFIX
-from posetrack_cli.recording.grey import StoredKind
+from posetrack_cli.recording.camera_file import Rig, check_apart
+from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
 from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
-from posetrack_cli.recording.mcap_grey import holds_grey, kind_of_message
-from posetrack_cli.recording.mcap_topics import Topic, frame_id_of_topic
-from posetrack_cli.recording.rig_file import Rig, check_apart
+from posetrack_cli.recording.mcap_topics import Topic, calibration_frames, frame_id_of_topic
+from posetrack_cli.recording.pixels import Pixels
 from posetrack_cli.recording.stored import UnreadableImageError
 
 COMPRESSED = "/compressed"
@@ -27,27 +27,33 @@ RECTIFIED = "image_rect"
 SIDES = {"left": 0, "right": 1}
 
 
+P = TypeVar("P", bound=Pixels, covariant=True)
+
+
 @dataclass(frozen=True)
-class Source:
+class CameraTopic(Generic[P]):
     """One camera's topic.
 
     Attributes:
         topic: of the images.
         name: the camera's.
-        kind: what the images are like.
+        pixels: what the images hold.
     """
 
     topic: Topic
     name: str
-    kind: StoredKind
+    pixels: P
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height, pixels."""
-        return self.kind.width, self.kind.height
+        return self.pixels.width, self.pixels.height
 
 
-def find_sources(path: Path, topics: Mapping[str, Topic], wanted: Sequence[str] | None) -> list[Source]:
+GreyTopic = CameraTopic[Grey]
+
+
+def find_sources(path: Path, topics: Mapping[str, Topic], wanted: Sequence[str] | None) -> list[GreyTopic]:
     """Return the topics to use: those asked for, in that order, else all that are images of cameras.
 
     Images of 8 bits come before those of 16, which may be depth; of a topic that is there raw and compressed
@@ -67,7 +73,7 @@ def find_sources(path: Path, topics: Mapping[str, Topic], wanted: Sequence[str] 
     if wanted is not None:
         return [_asked_for(path, name, grey) for name in wanted]
     sources = [_source(topic) for topic in sorted(grey, key=_order)]
-    eight = [source for source in sources if source.kind.bits == 8] or sources
+    eight = [source for source in sources if source.pixels.bits == 8] or sources
     names = {source.topic.name for source in eight}
     kept = [s for s in eight if s.topic.name.removesuffix(COMPRESSED) not in names - {s.topic.name}]
     if not kept:
@@ -76,7 +82,7 @@ def find_sources(path: Path, topics: Mapping[str, Topic], wanted: Sequence[str] 
     return distinct_names(kept)
 
 
-def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[Source]:
+def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[GreyTopic]:
     """Return the topic of each camera of a camera file, by topic, frame id or a part of the topic's name.
 
     Raises:
@@ -99,7 +105,9 @@ def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[So
     return found
 
 
-def cameras_of_messages(path: Path, topics: Mapping[str, Topic], sources: Sequence[Source]) -> list[Camera]:
+def cameras_of_messages(
+    path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic]
+) -> list[Camera]:
     """Return the cameras of stored images from the file's calibrations and transforms, relative to the first.
 
     Raises:
@@ -126,7 +134,7 @@ def cameras_of_messages(path: Path, topics: Mapping[str, Topic], sources: Sequen
     return list(rebased)
 
 
-def distinct_names(sources: Sequence[Source]) -> list[Source]:
+def distinct_names(sources: Sequence[GreyTopic]) -> list[GreyTopic]:
     """Return the sources named by frame id, or else by the part of the topic in which they differ."""
     names = [frame_id_of_topic(source.topic) for source in sources]
     if "" in names or len(set(names)) < len(names):
@@ -153,13 +161,9 @@ def _placed(
     return moved[0], moved
 
 
-def _calibrations(path: Path, topics: Mapping[str, Topic], sources: Sequence[Source]) -> list[str]:
+def _calibrations(path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic]) -> list[str]:
     """Return the topic of each camera's calibration; no two cameras share one."""
-    known = {
-        name: frame_id_of(topic.first)
-        for name, topic in topics.items()
-        if topic.kind == CALIBRATION and topic.first is not None
-    }
+    known = calibration_frames(topics)
     chosen = [choose_calibration(s.topic.name, frame_id_of_topic(s.topic), known) for s in sources]
     for name in set(chosen):
         sharing = [s.topic.name for s, c in zip(sources, chosen, strict=True) if c == name]
@@ -173,7 +177,14 @@ def _calibrations(path: Path, topics: Mapping[str, Topic], sources: Sequence[Sou
     return chosen
 
 
-def _camera(path: Path, topics: Mapping[str, Topic], source: Source, calibration: str) -> Camera:
+def calibrated_camera(
+    path: Path, topics: Mapping[str, Topic], source: CameraTopic[Pixels], calibration: str, hint: str
+) -> Camera:
+    """Return the camera that a topic's calibration tells of.
+
+    Raises:
+        RecordingError: it is of another image size.
+    """
     camera = camera_from_message(topics[calibration].first, source.name, calibration)
     if (camera.width, camera.height) != source.size:
         raise RecordingError(
@@ -181,8 +192,13 @@ def _camera(path: Path, topics: Mapping[str, Topic], source: Source, calibration
             where=f"{path}, {calibration}",
             found=f"{camera.width}x{camera.height}",
             expected=f"{source.size[0]}x{source.size[1]} as on {source.topic.name}",
-            hint="pass --camera",
+            hint=hint,
         )
+    return camera
+
+
+def _camera(path: Path, topics: Mapping[str, Topic], source: GreyTopic, calibration: str) -> Camera:
+    camera = calibrated_camera(path, topics, source, calibration, "pass --camera")
     matrix = _rectified(topics[calibration], source)
     if matrix is None or not _is_rectified(source.topic):
         return camera
@@ -190,7 +206,7 @@ def _camera(path: Path, topics: Mapping[str, Topic], source: Source, calibration
     return replace(camera, fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2], distortion=())
 
 
-def _rectified(calibration: Topic, source: Source) -> tuple[FloatArray, FloatArray] | None:
+def _rectified(calibration: Topic, source: GreyTopic) -> tuple[FloatArray, FloatArray] | None:
     return rectification(calibration.first, rectified=_is_rectified(source.topic))
 
 
@@ -199,7 +215,7 @@ def _is_rectified(topic: Topic) -> bool:
     return any(part.startswith(RECTIFIED) for part in topic.name.split("/"))
 
 
-def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> Source:
+def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> GreyTopic:
     exact = [topic for topic in grey if topic.name == name]
     fitting = exact or [topic for topic in grey if _is_called(topic, name)]
     if len(fitting) == 1:
@@ -216,12 +232,12 @@ def _is_called(topic: Topic, name: str) -> bool:
     return name in (topic.name, frame_id_of_topic(topic), *topic.name.split("/"))
 
 
-def _source(topic: Topic, bits: int | None = None) -> Source:
+def _source(topic: Topic) -> GreyTopic:
     try:
-        kind = kind_of_message(topic.first, str(topic.kind), topic.name, bits)
+        pixels = grey_like_message(topic.first, str(topic.kind), topic.name)
     except UnreadableImageError as error:
         raise RecordingError(f"first image cannot be used, {error}", where=topic.name) from error
-    return Source(topic, frame_id_of_topic(topic), kind)
+    return CameraTopic(topic, frame_id_of_topic(topic), pixels)
 
 
 def _order(topic: Topic) -> tuple[int, str]:

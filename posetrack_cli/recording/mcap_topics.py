@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from posetrack_cli.mcap.decoding import (
 )
 from posetrack_cli.mcap.stream import McapItem, read_messages
 from posetrack_cli.mcap.summary import read_summary
-from posetrack_cli.recording.mcap_images import ImageDescription, describe_image
+from posetrack_cli.recording.depth import ImageDescription, describe_image
 
 TRIES = 50
 """How many messages of a topic are looked at until one decodes."""
@@ -136,6 +137,15 @@ def choose_depth_topic(path: Path, topics: dict[str, Topic], wanted: str | None 
         found=found,
         expected="images of 16UC1, mono16, 32FC1 or 16-bit png",
     )
+
+
+def calibration_frames(topics: Mapping[str, Topic]) -> dict[str, str]:
+    """Return the coordinate frame of every calibration, by topic."""
+    return {
+        name: frame_id_of_topic(topic)
+        for name, topic in topics.items()
+        if topic.kind == CALIBRATION and topic.first is not None
+    }
 
 
 def frame_id_of_topic(topic: Topic) -> str:

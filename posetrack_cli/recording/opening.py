@@ -1,161 +1,148 @@
-"""Open a recording by what it is."""
+"""Open or describe a recording by what it is: the registry of all files and folders that can be one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Unpack
 
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import open_input
-from posetrack_cli.mcap.records import MAGIC
-from posetrack_cli.recording.folder import FolderRecording
-from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.several_cameras import DEFAULT_TOLERANCE_MS, SeveralCamerasRecording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.mcap.stream import is_mcap
+from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
+from posetrack_cli.recording.folder_description import describe_folder
+from posetrack_cli.recording.mcap_description import describe_mcap
+from posetrack_cli.recording.mcap_source import open_depth_mcap, open_grey_mcap
+from posetrack_cli.recording.pixels import PixelKind
+from posetrack_cli.recording.recording import ReadingOptions, Recording
+from posetrack_cli.recording.video import describe_video, open_video
 
-LONGEST_TOLERANCE_MS = 1000.0
+ANY = frozenset({"camera_file", "mirror"})
+"""Options that apply to every source."""
+CAMERAS = ANY | {"cameras", "guess"}
+"""And to every source of grey images."""
 
 
-def open_recording(
-    path: Path,
-    *,
-    topic: str | None = None,
-    camera_topic: str | None = None,
-    camera_file: Path | None = None,
-    fps: float | None = None,
-    depth_unit_mm: float | None = None,
-    missing: int | None = None,
-    mirror: bool | None = None,
-) -> StoredRecording:
-    """Open a folder of depth images or an MCAP file.
+@dataclass(frozen=True)
+class Opener:
+    """How a source is opened for frames of one kind of pixels.
+
+    Attributes:
+        open: returns the recording, given its path and options.
+        options: names of those that apply.
+        excluded: options that do not apply together with another, by that one.
+    """
+
+    open: Callable[[Path, ReadingOptions], Recording]
+    options: frozenset[str]
+    excluded: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A kind of file or folder that holds recordings.
+
+    Attributes:
+        words: what errors call it.
+        holds: whether a path that exists is one, unless a source before it is.
+        openers: by what frames are to have.
+        describe: returns what it holds in plain values: name, kind, bytes, losses, and what the kind has.
+    """
+
+    words: str
+    holds: Callable[[Path], bool]
+    openers: Mapping[PixelKind, Opener]
+    describe: Callable[[Path], dict[str, Any]]
+
+
+SOURCES = (
+    Source(
+        "a folder of images",
+        Path.is_dir,
+        {
+            "depth": Opener(open_depth_folder, ANY | {"fps", "depth_unit_mm", "missing"}),
+            "grey": Opener(open_grey_folder, CAMERAS | {"fps", "tolerance_ms"}),
+        },
+        describe_folder,
+    ),
+    Source(
+        "an MCAP file",
+        is_mcap,
+        {
+            "depth": Opener(
+                open_depth_mcap, ANY | {"topic", "camera_topic"}, {"camera_file": "camera_topic"}
+            ),
+            "grey": Opener(open_grey_mcap, CAMERAS | {"tolerance_ms"}),
+        },
+        describe_mcap,
+    ),
+    Source(
+        "a video",
+        lambda path: True,  # any other file; what is none is told when it is opened
+        {"grey": Opener(open_video, CAMERAS | {"fps"})},
+        describe_video,
+    ),
+)
+"""All of them; the first that holds a path counts."""
+
+
+def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[ReadingOptions]) -> Recording:
+    """Open a folder of images, an MCAP file or a video.
+
+    Depth is of one camera. Grey images may be of several: ``cameras`` has the reference first, the others
+    placed relative to it, and frames have None at the place of a camera without an image at that instant.
 
     Args:
         path: folder or file.
-        topic, camera_topic: of an MCAP file's depth images and calibration.
-        camera_file: camera.toml, in place of the folder's or the file's own calibration.
-        fps: frame rate of a folder, Hz, in place of its timestamps.csv.
-        depth_unit_mm, missing: of a folder's images: mm per stored unit, code for no reading.
-        mirror: flip images left to right.
+        pixels: what frames are to have.
+        options: how it is read.
 
     Raises:
-        RecordingError: if it cannot be read; see ``FolderRecording`` and ``McapRecording``.
-        UsageError: for an option that does not apply to what ``path`` is.
+        RecordingError: if it cannot be read, or its cameras are not calibrated.
+        UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
     """
-    if not path.exists():
-        raise RecordingError("no such file or folder", where=path)
-    if path.is_dir():
-        _refuse("a folder of images", topic=topic, camera_topic=camera_topic)
-        return FolderRecording(
-            path,
-            camera_file=camera_file,
-            fps=fps,
-            depth_unit_mm=depth_unit_mm,
-            missing=missing,
-            mirror=mirror,
-        )
-    if not is_mcap(path):
+    source = _source_of(path)
+    if pixels not in source.openers:
         raise RecordingError(
             "is not a recording",
             where=path,
             found="an empty file" if path.stat().st_size == 0 else "a file of another kind",
             expected="a folder of 16-bit images or an MCAP file",
         )
-    _refuse("an MCAP file", fps=fps, depth_unit_mm=depth_unit_mm, missing=missing)
-    if camera_file is not None:
-        _refuse("a recording together with --camera", camera_topic=camera_topic)
-    from posetrack_cli.recording.mcap_recording import McapRecording
-
-    return McapRecording(path, topic=topic, camera_topic=camera_topic, camera_file=camera_file, mirror=mirror)
+    opener = source.openers[pixels]
+    _refuse_others(source.words, opener, options)
+    return opener.open(path, options)
 
 
-def open_images(
-    path: Path,
-    *,
-    cameras: Sequence[str] | None = None,
-    camera_file: Path | None = None,
-    fps: float | None = None,
-    mirror: bool | None = None,
-    tolerance_ms: float | None = None,
-    guess: Guess | None = None,
-) -> SeveralCamerasRecording:
-    """Open grey images of one or more calibrated cameras: folders, an MCAP file or a video.
+def describe(path: Path) -> dict[str, Any]:
+    """Describe folders of images, a video or an MCAP file, recording or result, in plain values.
 
-    Frames have uint8 images, None at the place of a camera that has none at that instant; colour is
-    converted to luma, of more than 8 bits the upper 8 are kept. ``cameras`` of the recording has the
-    reference first, the others placed relative to it.
-
-    Args:
-        path: a folder of images, a folder with one folder of images per camera, an MCAP file or a video.
-        cameras: names (MCAP: or topics) of those to use; None for all.
-        camera_file: camera.toml in place of the recording's own calibration.
-        fps: frame rate, Hz, in place of timestamps.csv or a video's own stamps.
-        mirror: flip images left to right.
-        tolerance_ms: largest difference of stamps within a frame; 10 if None.
-        guess: for what needs one camera: what it is taken for where nothing tells its intrinsics; several
-            cameras are then refused.
+    Reads every message of an MCAP file, of a folder of depth only the first image. Keys: ``name``, ``kind``
+    (``folder`` of depth, ``images`` of one or more cameras, ``video`` or ``mcap``), ``bytes``, ``losses``
+    (what could not be read) and what the kind has.
 
     Raises:
-        RecordingError: if it cannot be read, or its cameras are not calibrated.
-        UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
+        RecordingError: if there is nothing that could be described.
     """
+    return _source_of(path).describe(path)
+
+
+def _source_of(path: Path) -> Source:
     if not path.exists():
         raise RecordingError("no such file or folder", where=path)
-    tolerance = _tolerance(tolerance_ms)
-    if path.is_dir():
-        from posetrack_cli.recording.images_folder import ImagesFolderRecording
-
-        return ImagesFolderRecording(
-            path,
-            cameras=cameras,
-            camera_file=camera_file,
-            fps=fps,
-            mirror=mirror,
-            tolerance_ms=tolerance,
-            guess=guess,
-        )
-    if is_mcap(path):
-        _refuse("an MCAP file", fps=fps)
-        from posetrack_cli.recording.images_mcap import ImagesMcapRecording
-
-        return ImagesMcapRecording(
-            path,
-            cameras=cameras,
-            camera_file=camera_file,
-            mirror=mirror,
-            tolerance_ms=tolerance,
-            guess=guess,
-        )
-    _refuse("a video", tolerance_ms=tolerance_ms)
-    from posetrack_cli.recording.images_video import ImagesVideoRecording
-
-    return ImagesVideoRecording(
-        path, cameras=cameras, camera_file=camera_file, fps=fps, mirror=mirror, guess=guess
-    )
+    return next(source for source in SOURCES if source.holds(path))
 
 
-def _tolerance(given: float | None) -> float:
-    tolerance = DEFAULT_TOLERANCE_MS if given is None else given
-    if not 0.0 <= tolerance <= LONGEST_TOLERANCE_MS:
-        expected = f"milliseconds from 0 to {LONGEST_TOLERANCE_MS:g}"
-        raise UsageError("--tolerance-ms cannot be used", found=f"{tolerance:g}", expected=expected)
-    return tolerance
+def _refuse_others(words: str, opener: Opener, options: Mapping[str, object]) -> None:
+    """Raise UsageError for an option that is given and does not apply."""
+    given = {name: value for name, value in options.items() if value is not None}
+    for name, value in given.items():
+        if name not in opener.options:
+            raise _does_not_apply(name, words, value)
+    for name, excluded in opener.excluded.items():
+        if name in given and excluded in given:
+            raise _does_not_apply(excluded, "a recording together with --camera", given[excluded])
 
 
-def is_mcap(path: Path) -> bool:
-    """Whether a file begins as an MCAP file does.
-
-    Raises:
-        RecordingError: if it cannot be read.
-    """
-    try:
-        with open_input(path) as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError as error:
-        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-
-
-def _refuse(what: str, **options: object) -> None:
-    """Raise UsageError if any of the options is given."""
-    for name, value in options.items():
-        if value is not None:
-            raise UsageError(f"--{name.replace('_', '-')} does not apply to {what}", found=f"'{value}'")
+def _does_not_apply(name: str, what: str, value: object) -> UsageError:
+    return UsageError(f"--{name.replace('_', '-')} does not apply to {what}", found=f"'{value}'")

@@ -1,4 +1,4 @@
-"""Stamps of a folder of images: timestamps.csv, or a fixed rate."""
+"""When images were taken: by timestamps.csv, at a fixed rate, or as a video tells it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from pathlib import Path
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import read_text
-from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.units import NS_PER_S
 
 STAMPS_FILE_NAME = "timestamps.csv"
 STAMPS = f"0 to {LATEST_NS} ns, the years 1970 to 2262"
 EXPECTED_HEADER = "stamp_ns or time_s, with or without a column filename before it"
 SLOWEST_HZ, FASTEST_HZ = 1e-6, 1e6
+MOST_BEHIND = 16
+"""Frames in a row that may be earlier than the one before: as many as decoders hold back to put in order."""
 
 
 def stamps_at_rate(count: int, fps: float) -> list[int]:
@@ -69,6 +71,36 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
             expected=f"{len(names)}, one per image",
         )
     return [stamp for _, stamp in entries] if len(header) == 1 else _by_name(entries, names, path)
+
+
+class VideoStamps:
+    """Turns the stamps that a video tells into stamps that increase, as far as the frames are in order.
+
+    Behind damage a decoder may give out a frame that it had held back, long after its time. Such a frame
+    keeps its stamp, which is then not later than the one before: it is out of place, and whoever takes the
+    frames leaves it out. Where stamps begin anew, as in files that were put together, they go on.
+
+    Args:
+        period_ns: time between frames where no stamp tells it, above 0.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = max(period_ns, 1)
+        self._latest: int | None = None
+        self._offset, self._behind = 0, 0
+
+    def stamp(self, told_ns: int) -> int:
+        """Return the stamp, ns, of the frame that the video says was taken at ``told_ns``, 0 where untold."""
+        if self._latest is None:
+            self._offset = max(-told_ns, 0)
+        elif told_ns + self._offset <= self._latest:
+            if told_ns > 0 and self._behind < MOST_BEHIND:
+                self._behind += 1
+                return told_ns + self._offset
+            self._offset = self._latest + self._period_ns - told_ns
+        self._behind = 0
+        self._latest = told_ns + self._offset
+        return self._latest
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:

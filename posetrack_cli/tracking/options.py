@@ -7,7 +7,7 @@ from pathlib import Path
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.losses import Loss, loss_line
-from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.recording import Recording
 
 
 @dataclass(frozen=True)

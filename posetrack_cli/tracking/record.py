@@ -7,7 +7,7 @@ import json
 from posetrack_cli import __version__
 from posetrack_cli.configuration import Settings
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.tracking.options import RunOptions
 
 

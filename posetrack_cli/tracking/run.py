@@ -15,8 +15,9 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
-from posetrack_cli.recording.base import Frame, Recording
-from posetrack_cli.recording.plausibility import StampCheck
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.recording.timeline import StampCheck
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter

@@ -12,7 +12,8 @@ import numpy as np
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.outputs import part_path, state_path
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.layouts import COUNTS, check_numbers
 from posetrack_cli.results.writer import ResultWriter

@@ -21,7 +21,7 @@ from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
@@ -69,7 +69,7 @@ def tracking_alone(path: Path, steps: int) -> Iterator[Row]:
 
     A new face is rigid. A learnt one deforms, which costs more.
     """
-    recording = open_images(path)
+    recording = open_recording(path, "grey")
     images = [frame.images for frame in recording.frames()]
     shown = [images[index] for index in there_and_back(len(images), steps)]
     known = learnt_face(recording.cameras, shown)
@@ -106,7 +106,7 @@ def tracking_rows(times: Mapping[tuple[int, bool], Sequence[float]]) -> Iterator
 
 def file_to_file(folder: Path, frames: int) -> Iterator[Row]:
     """A whole run from JPEG files to a finished result, the search for the face included."""
-    recording, config = open_images(folder / "long", fps=FPS), configuration(FEW)
+    recording, config = open_recording(folder / "long", "grey", fps=FPS), configuration(FEW)
     options = HeadRunOptions(folder / "result.mcap", end=frames)
     run = HeadRun(
         recording,

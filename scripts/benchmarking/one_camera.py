@@ -33,7 +33,7 @@ from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
 from stepping import in_turn
 
 ALONE = ("left",)
@@ -52,7 +52,7 @@ def one_camera(folder: Path, lengths: Lengths) -> Iterator[Row]:
         folder: with the recordings ``seen`` and ``long``; gets a video and results.
         lengths: how much is measured.
     """
-    recording = open_images(folder / "seen", cameras=ALONE)
+    recording = open_recording(folder / "seen", "grey", cameras=ALONE)
     camera, frames = recording.cameras[0], list(recording.frames())
     images = [frame.images for frame in frames]
     shown = [images[index] for index in there_and_back(len(images), lengths.head_steps)]
@@ -179,7 +179,7 @@ def file_to_file(video: Path, folder: Path) -> Iterator[Row]:
 
 
 def _run(video: Path, folder: Path, passes: int) -> HeadRun:
-    config, recording = HeadMonoConfig(), open_images(video, guess=Guess())
+    config, recording = HeadMonoConfig(), open_recording(video, "grey", guess=Guess())
     (camera,) = recording.cameras
     return HeadRun(
         recording,

@@ -10,13 +10,13 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import placed
-from posetrack_cli.recording import rig_file
+from posetrack_cli.recording import camera_file
 
 
 def camera_file_text(calibration_json: Path) -> str:
     """Return the camera.toml for a calibration.json, which has R_from_left and t_from_left_mm by camera."""
     values = json.loads(calibration_json.read_text())
-    return rig_file.camera_file_text(_camera(name, camera) for name, camera in values["cameras"].items())
+    return camera_file.camera_file_text(_camera(name, camera) for name, camera in values["cameras"].items())
 
 
 def frame_rate(calibration_json: Path) -> float:

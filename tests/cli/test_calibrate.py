@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, UsageError
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
 from support import boards as support
 
 BOARD = ("--squares", "7x5", "--square-mm", "26", "--marker-mm", "19")
@@ -38,7 +38,7 @@ def test_what_it_writes_opens_a_recording(views: Path, tmp_path: Path) -> None:
     assert "camera left: reprojection error 0." in result.stdout
     assert "left - right: epipolar error 0." in result.stdout
     assert f"{output}: cameras left, right" in result.stdout
-    left, right = open_images(recording, fps=30).cameras
+    left, right = open_recording(recording, "grey", fps=30).cameras
     assert left.fx == pytest.approx(620.0, rel=0.02)
     assert right.camera_T_reference[0][3] == pytest.approx(-118.0, abs=3.0)
     text = output.read_text()

@@ -20,8 +20,8 @@ from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.head.tracker.mono import make_mono_tracker
-from posetrack_cli.recording.opening import open_images
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.camera_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome
 
@@ -209,7 +209,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def images(made: Path) -> list[np.ndarray]:
-    return [frame.images[0] for frame in open_images(made).frames()]
+    return [frame.images[0] for frame in open_recording(made, "grey").frames()]
 
 
 @pytest.fixture(scope="module")
@@ -382,7 +382,7 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
 ) -> None:
     """Stopped while the face is collected, in the first pass, and in the second."""
     config = HeadMonoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 2}})
-    source = open_images(made)
+    source = open_recording(made, "grey")
     (camera,) = source.cameras
 
     def track(name: str, stop_after: int = 0, *, resume: bool = False) -> RunOutcome:

@@ -18,8 +18,8 @@ from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
-from posetrack_cli.recording.opening import open_images
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.camera_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome
 
@@ -172,7 +172,7 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
     made: Path, tmp_path: Path, passes: int, frames: int
 ) -> None:
     config = HeadStereoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 3}})
-    source = open_images(made)
+    source = open_recording(made, "grey")
 
     def track(name: str, stop_after: int = 0, *, resume: bool = False) -> RunOutcome:
         asked = iter(range(1, 1000))

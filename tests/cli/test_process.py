@@ -123,9 +123,9 @@ def test_a_bug_is_one_line(
 def test_a_bug_is_told_at_the_innermost_line_of_ours(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("posetrack_cli.recording.inspection.is_mcap", lambda path: {}[path])
+    monkeypatch.setattr("posetrack_cli.recording.opening._source_of", lambda path: {}[path])
     assert run(["info", __file__]) == EXIT_FAILED
-    assert "at posetrack_cli/recording/inspection.py:" in capsys.readouterr().err
+    assert "at posetrack_cli/recording/opening.py:" in capsys.readouterr().err
 
 
 def test_a_traceback_only_for_debugging(

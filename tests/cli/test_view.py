@@ -16,7 +16,7 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import ResultWriter, Subject
 from support.viewing import (
     lost_from,
@@ -44,12 +44,12 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def opened(recording: Path) -> StoredRecording:
+def opened(recording: Path) -> Recording:
     return open_recording(recording)
 
 
 @pytest.fixture(scope="module")
-def result(recording: Path, opened: StoredRecording) -> Path:
+def result(recording: Path, opened: Recording) -> Path:
     """Beside its recording, where it is found; it carries the truth and agrees with it."""
     return make_result(recording.with_name("result.mcap"), opened, with_truth=True)
 
@@ -70,7 +70,7 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_a_video_of_every_frame_with_the_hand_on_its_joints(
-    result: Path, opened: StoredRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    result: Path, opened: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "v.mp4"
     assert view(result, "-o", out) == 0
@@ -94,7 +94,7 @@ def test_chosen_frames_as_numbered_pictures(result: Path, tmp_path: Path) -> Non
     assert cv2.imread(str(tmp_path / "p" / names[0])).shape == (424 + CAPTION_PX, 512, 3)
 
 
-def test_the_paper_s_sheet(result: Path, opened: StoredRecording, tmp_path: Path) -> None:
+def test_the_paper_s_sheet(result: Path, opened: Recording, tmp_path: Path) -> None:
     """Observed above, rendered below, cut out around the hand: both halves show the same region."""
     out = tmp_path / "s.png"
     assert view(result, "-o", out, "--layout", "paper", "--frames", "0,3") == 0
@@ -109,7 +109,7 @@ def test_the_paper_s_sheet(result: Path, opened: StoredRecording, tmp_path: Path
 
 
 def test_two_results_beside_each_other(
-    result: Path, recording: Path, opened: StoredRecording, tmp_path: Path
+    result: Path, recording: Path, opened: Recording, tmp_path: Path
 ) -> None:
     other = make_result(recording.with_name("other.mcap"), opened, moved(40.0))
     assert view(result, other, "-o", tmp_path / "p", "--frames", "2") == 0
@@ -124,7 +124,7 @@ def test_two_results_beside_each_other(
     assert left[2] > left[0] and right[0] > right[2], "the second hand is blue, and 40 mm further right"
 
 
-def test_truth_and_skeleton(result: Path, recording: Path, opened: StoredRecording, tmp_path: Path) -> None:
+def test_truth_and_skeleton(result: Path, recording: Path, opened: Recording, tmp_path: Path) -> None:
     wrong = make_result(recording.with_name("wrong.mcap"), opened, moved(30.0), with_truth=True)
     options = ["--frames", "2", "--layout", "over"]
     counts = []
@@ -138,9 +138,7 @@ def test_truth_and_skeleton(result: Path, recording: Path, opened: StoredRecordi
     assert counts[2][1] > counts[0][1] + 20, "the x axis is red"
 
 
-def test_a_head_is_drawn_by_its_points_and_axes(
-    opened: StoredRecording, recording: Path, tmp_path: Path
-) -> None:
+def test_a_head_is_drawn_by_its_points_and_axes(opened: Recording, recording: Path, tmp_path: Path) -> None:
     """Every subject can be drawn: of a head there is no mesh, but points and the axes of its pose."""
     camera, path = opened.cameras[0], recording.with_name("head.mcap")
     points = np.array([[0.0, 0.0, 600.0], [60.0, 0.0, 600.0], [0.0, -60.0, 600.0]])
@@ -163,7 +161,7 @@ def test_a_head_is_drawn_by_its_points_and_axes(
     )
 
 
-def test_lost_frames_are_marked(recording: Path, opened: StoredRecording, tmp_path: Path) -> None:
+def test_lost_frames_are_marked(recording: Path, opened: Recording, tmp_path: Path) -> None:
     lost = make_result(recording.with_name("lost.mcap"), opened, lost_from(3))
     assert view(lost, "-o", tmp_path / "p", "--layout", "over") == 0
     borders = [
@@ -191,7 +189,7 @@ def test_scale_crop_and_range(result: Path, tmp_path: Path) -> None:
 
 
 def test_a_folder_needs_no_options_again_but_the_camera_file(
-    opened: StoredRecording,
+    opened: Recording,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -271,7 +269,7 @@ def test_results_of_different_recordings_are_not_drawn_together(
 
 
 def test_a_converted_recording_serves_when_any_will_do(
-    result: Path, recording: Path, opened: StoredRecording, tmp_path: Path
+    result: Path, recording: Path, opened: Recording, tmp_path: Path
 ) -> None:
     copy = tmp_path / "copy.mcap"
     assert run(["convert", str(recording), str(copy)]) == 0
@@ -293,7 +291,7 @@ def test_an_existing_output_is_replaced_only_when_asked(
 
 
 def test_a_truncated_result_is_drawn_as_far_as_it_goes(
-    opened: StoredRecording, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    opened: Recording, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What a killed run leaves: whole chunks, no footer."""
     many = make_recording(tmp_path / "many.mcap", 40)
@@ -308,7 +306,7 @@ def test_a_truncated_result_is_drawn_as_far_as_it_goes(
 
 
 def test_frames_that_the_recording_lacks_are_counted(
-    opened: StoredRecording, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    opened: Recording, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = make_recording(tmp_path / "short.mcap", 4)
     arguments = [result, "-o", tmp_path / "v.mp4", "--recording", short, "--any-recording"]
@@ -319,7 +317,7 @@ def test_frames_that_the_recording_lacks_are_counted(
 
 
 def test_a_recording_of_other_frames_draws_nothing_and_leaves_nothing(
-    opened: StoredRecording, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    opened: Recording, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     far = make_result(
         tmp_path / "far.mcap",
@@ -333,7 +331,7 @@ def test_a_recording_of_other_frames_draws_nothing_and_leaves_nothing(
 
 
 def test_an_empty_result_and_one_of_a_single_frame(
-    opened: StoredRecording, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    opened: Recording, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty = make_result(recording.with_name("empty.mcap"), opened, keep=lambda e: False)
     assert view(empty, "-o", tmp_path / "v.mp4") == 2

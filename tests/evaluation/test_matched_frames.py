@@ -12,7 +12,7 @@ import pytest
 
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.stored import StoredFrame, UnreadableImageError
+from posetrack_cli.recording.stored import StoredFrame, StoredImage, UnreadableImageError
 
 
 class Recorded:
@@ -28,7 +28,8 @@ class Recorded:
     def stored_frames(self, losses: LossLog, **_: Any) -> Iterator[tuple[int, StoredFrame]]:
         for index in range(self.count):
             self.passed = index
-            yield index, StoredFrame(100 * index, "", "16UC1", lambda i=index: self._depth(i), lambda: None)
+            image = StoredImage(100 * index, "", lambda i=index: self._depth(i))
+            yield index, StoredFrame(100 * index, "", (image,))
 
     def _depth(self, index: int) -> np.ndarray:
         self.decoded.append(index)

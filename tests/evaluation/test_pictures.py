@@ -14,7 +14,7 @@ from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.pictures import worst_frame_pictures
 from posetrack_cli.evaluation.viewing.colours import TRUTH
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import Estimate
 from support.viewing import lost_from, make_recording, make_result, moved, truth_of
 
@@ -24,7 +24,7 @@ WORST = {70: 30.0, 69: 29.0, 20: 60.0, 40: 5.0}
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> StoredRecording:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return open_recording(make_recording(tmp_path_factory.mktemp("made") / "hand.mcap", FRAMES))
 
 
@@ -38,7 +38,7 @@ def decoded(png: bytes) -> np.ndarray:
     return picture
 
 
-def test_the_worst_frames_come_first_with_their_errors(tmp_path: Path, recording: StoredRecording) -> None:
+def test_the_worst_frames_come_first_with_their_errors(tmp_path: Path, recording: Recording) -> None:
     path = make_result(tmp_path / "r.mcap", recording, worse, with_truth=True)
     pictures = worst_frame_pictures(evaluate(path), recording, 8)
     stamps = [truth.stamp_ns for truth in truth_of(recording)]
@@ -49,7 +49,7 @@ def test_the_worst_frames_come_first_with_their_errors(tmp_path: Path, recording
     assert pictures[1].caption == f"frame 70, {seconds[1]:.3f} s, tracking, joint error 30.0 mm"
 
 
-def test_pictures_show_the_hand_and_the_truth_beside_it(tmp_path: Path, recording: StoredRecording) -> None:
+def test_pictures_show_the_hand_and_the_truth_beside_it(tmp_path: Path, recording: Recording) -> None:
     path = make_result(tmp_path / "r.mcap", recording, worse, with_truth=True)
     pictures = [decoded(p.png) for p in worst_frame_pictures(evaluate(path), recording, 2)]
     assert pictures[0].shape == pictures[1].shape, "a page lays them out in a grid"
@@ -58,9 +58,7 @@ def test_pictures_show_the_hand_and_the_truth_beside_it(tmp_path: Path, recordin
     assert green.sum() > 200 and not (np.abs(observed.astype(int) - TRUTH) <= 2).all(axis=2).any()
 
 
-def test_without_truth_lost_frames_and_high_costs_are_worst(
-    tmp_path: Path, recording: StoredRecording
-) -> None:
+def test_without_truth_lost_frames_and_high_costs_are_worst(tmp_path: Path, recording: Recording) -> None:
     costs = {3: 20.0, 36: 30.0}
 
     def change(estimate: Estimate) -> Estimate:
@@ -76,20 +74,20 @@ def test_without_truth_lost_frames_and_high_costs_are_worst(
     assert first[0].tolist() == [[60, 60, 255]] * first.shape[1], "a lost frame has a red border"
 
 
-def test_frames_that_the_recording_lacks_are_left_out(tmp_path: Path, recording: StoredRecording) -> None:
+def test_frames_that_the_recording_lacks_are_left_out(tmp_path: Path, recording: Recording) -> None:
     path = make_result(tmp_path / "r.mcap", recording, worse, with_truth=True)
     short = open_recording(make_recording(tmp_path / "short.mcap", 30))
     assert [p.frame_index for p in worst_frame_pictures(evaluate(path), short, 2)] == [20]
 
 
-def test_none_are_asked_for_or_there_are_none(tmp_path: Path, recording: StoredRecording) -> None:
+def test_none_are_asked_for_or_there_are_none(tmp_path: Path, recording: Recording) -> None:
     evaluation = evaluate(make_result(tmp_path / "r.mcap", recording))
     assert worst_frame_pictures(evaluation, recording, 0) == []
     empty = make_result(tmp_path / "e.mcap", recording, keep=lambda estimate: False)
     assert worst_frame_pictures(evaluate(empty), recording, 3) == []
 
 
-def test_no_renderer_is_told(tmp_path: Path, recording: StoredRecording) -> None:
+def test_no_renderer_is_told(tmp_path: Path, recording: Recording) -> None:
     evaluation = evaluate(make_result(tmp_path / "r.mcap", recording))
     with pytest.raises(RenderingError):
         worst_frame_pictures(evaluation, recording, 1, device=99)

@@ -18,7 +18,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.results.reader import Result
 from support.viewing import make_folder, make_recording, make_result, truth_of, write_camera
@@ -39,7 +39,7 @@ def recording(source: Path, tmp_path: Path) -> Path:
     return Path(shutil.copy(source, home / "hand.mcap"))
 
 
-def result_of(path: Path, recording: StoredRecording) -> Result:
+def result_of(path: Path, recording: Recording) -> Result:
     """A result without estimates: only its run record matters here."""
     camera = recording.cameras[0]
     record = run_record(recording, camera, HandConfig(), RunOptions(path), "none")

@@ -29,10 +29,11 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison

@@ -13,8 +13,8 @@ from posetrack_cli.hand.calibration.before_run import find_hand
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.shape import SHAPE_SIZE, HandShape
-from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.writing import write_synthetic
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.recording.depth import depth_from_codes, depth_from_metres
-from posetrack_cli.recording.mcap_images import depth_from_inverse
+from posetrack_cli.recording.depth import depth_from_codes, depth_from_inverse, depth_from_metres
 
 
 def test_metres_that_no_camera_reads_are_no_reading() -> None:

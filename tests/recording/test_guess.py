@@ -13,9 +13,9 @@ import pytest
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import Guess, guess_of_camera, guess_of_field
-from posetrack_cli.recording.opening import open_images
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from support.images import HEIGHT, WIDTH, grey_images, rig, stamps, write_images, write_rig, write_stamps
 
 FRAMES = 3
@@ -73,36 +73,36 @@ def write_mcap(make: SimpleNamespace, path: Path, found: list[Any], flavour: str
 
 
 def test_every_reader_guesses_when_it_may_and_else_refuses(uncalibrated: Path) -> None:
-    recording = open_images(uncalibrated, guess=Guess())
+    recording = open_recording(uncalibrated, "grey", guess=Guess())
     assert recording.is_guessed
     assert recording.cameras == (GUESSED,)
     assert len(list(recording.frames())) == FRAMES
     assert recording.identity()["sha256"]
     with pytest.raises(RecordingError, match=r"not calibrated|no intrinsics"):
-        open_images(uncalibrated)
+        open_recording(uncalibrated, "grey")
 
 
 def test_a_camera_file_that_is_given_is_no_guess(uncalibrated: Path, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n")
-    recording = open_images(uncalibrated, camera_file=file, guess=Guess())
+    recording = open_recording(uncalibrated, "grey", camera_file=file, guess=Guess())
     assert not recording.is_guessed
     assert recording.cameras[0].fx == 70.0
 
 
 def test_a_mirrored_image_s_axis_stays_in_the_middle(uncalibrated: Path) -> None:
-    (camera,) = open_images(uncalibrated, guess=Guess(), mirror=True).cameras
+    (camera,) = open_recording(uncalibrated, "grey", guess=Guess(), mirror=True).cameras
     assert (camera.cx, camera.cy) == (15.5, 11.5)
 
 
 def test_calibrations_are_used_and_faults_in_them_are_still_told(tmp_path: Path) -> None:
     path = write_rig(tmp_path, {"left": grey_images(FRAMES)})
     (tmp_path / "camera.toml").write_text(camera_file_text(rig()[:1]))
-    recording = open_images(path, guess=Guess())
+    recording = open_recording(path, "grey", guess=Guess())
     assert (recording.is_guessed, recording.cameras[0].fx) == (False, 40.0)
     (tmp_path / "camera.toml").write_text("fx = 'wide'")
     with pytest.raises(RecordingError, match="'fx' cannot be used"):
-        open_images(path, guess=Guess())
+        open_recording(path, "grey", guess=Guess())
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
@@ -111,8 +111,8 @@ def test_one_of_several_folders_is_chosen(tmp_path: Path, calibrated: bool) -> N
     if not calibrated:
         (path / "camera.toml").unlink()
     with pytest.raises(UsageError, match=CHOOSE):
-        open_images(path, guess=Guess())
-    recording = open_images(path, cameras=["right"], guess=Guess())
+        open_recording(path, "grey", guess=Guess())
+    recording = open_recording(path, "grey", cameras=["right"], guess=Guess())
     assert ([camera.name for camera in recording.cameras], recording.is_guessed) == (
         ["right"],
         not calibrated,
@@ -121,15 +121,15 @@ def test_one_of_several_folders_is_chosen(tmp_path: Path, calibrated: bool) -> N
     (first, *_) = recording.frames()
     np.testing.assert_array_equal(first.images[0], grey_images(FRAMES, seed=1)[0])
     with pytest.raises(RecordingError, match=r"no camera 'rigth'.* did you mean 'right'\?"):
-        open_images(path, cameras=["rigth"], guess=Guess())
+        open_recording(path, "grey", cameras=["rigth"], guess=Guess())
 
 
 def test_one_of_several_topics_is_chosen(tmp_path: Path, make: SimpleNamespace) -> None:
     found = [m for name in ("left", "right") for m in images_of(make, f"/stereo/{name}/image_raw", name)]
     path = write_mcap(make, tmp_path / "two.mcap", sorted(found, key=lambda message: message[3]))
     with pytest.raises(UsageError, match=CHOOSE):
-        open_images(path, guess=Guess())
-    recording = open_images(path, cameras=["right"], guess=Guess())
+        open_recording(path, "grey", guess=Guess())
+    recording = open_recording(path, "grey", cameras=["right"], guess=Guess())
     assert [camera.name for camera in recording.cameras] == ["right"]
     assert recording.identity()["calibration"] == "guessed"
 
@@ -137,4 +137,4 @@ def test_one_of_several_topics_is_chosen(tmp_path: Path, make: SimpleNamespace) 
 def test_a_lone_camera_has_no_name_to_ask_for(tmp_path: Path) -> None:
     path = video(tmp_path / "face.avi")
     with pytest.raises(RecordingError, match=r"face\.avi: no camera 'left'; .* leave --cameras out"):
-        open_images(path, cameras=["left"], guess=Guess())
+        open_recording(path, "grey", cameras=["left"], guess=Guess())

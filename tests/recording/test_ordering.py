@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.losses import LossLog, loss_line
-from posetrack_cli.recording.ordering import select_frames
+from posetrack_cli.recording.matching import select_frames
 from posetrack_cli.recording.stored import StoredFrame
 
 
 def frame(stamp: int) -> StoredFrame:
-    return StoredFrame(stamp, "x", "16UC1", lambda: None, lambda: None)
+    return StoredFrame(stamp, "x", (None,))
 
 
 def test_doubled_and_backward_stamps_are_dropped_and_counted() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.recording.video_stamps import MOST_BEHIND, VideoStamps
+from posetrack_cli.recording.stamps import MOST_BEHIND, VideoStamps
 
 PERIOD = 33
 

@@ -31,9 +31,9 @@ from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.opening import open_images, open_recording
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import Estimate, Status
 from posetrack_cli.synthesis.hand.sensor import CAMERA
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
@@ -133,7 +133,7 @@ def test_a_long_recording_of_a_head_shows_both_cameras_to_and_fro(tmp_path: Path
             image = np.full((camera.height, camera.width), offset + 10 * k, np.uint8)
             cv2.imwrite(str(seen / camera.name / f"{k:06d}.png"), image)
     link_recording(tmp_path / "long", seen, 7)
-    frames = list(open_images(tmp_path / "long", fps=30.0).frames())
+    frames = list(open_recording(tmp_path / "long", "grey", fps=30.0).frames())
     shown = [[int(image[0, 0]) for image in frame.images if image is not None] for frame in frames]
     assert shown == [[10 * k, 100 + 10 * k] for k in (0, 1, 2, 1, 0, 1, 2)]
 
@@ -214,7 +214,7 @@ def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
 def test_a_video_shows_the_images(tmp_path: Path) -> None:
     images = [np.full((48, 64), value, np.uint8) for value in (40, 90, 140)]
     one_camera.write_video(tmp_path / "v.mp4", images)
-    frames = list(open_images(tmp_path / "v.mp4", guess=Guess()).frames())
+    frames = list(open_recording(tmp_path / "v.mp4", "grey", guess=Guess()).frames())
     means = [float(image.mean()) for frame in frames for image in frame.images if image is not None]
     assert means == pytest.approx([40.0, 90.0, 140.0], abs=4.0)  # what MPEG-4 leaves of an even grey
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.recording.rig_file import load_rig
+from posetrack_cli.recording.camera_file import load_rig
 from reproduction.heads_data import camera_file_text, frame_rate
 
 

@@ -22,7 +22,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
 from reproduction import mono
 from reproduction.one_camera import clips, comparing, figures, overlays, people, population

@@ -14,7 +14,7 @@ from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
 from reproduction.accuracy import real
 from reproduction.accuracy.measuring import Measured
@@ -29,7 +29,7 @@ FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> StoredRecording:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return open_recording(make_recording(tmp_path_factory.mktemp("made") / "made.mcap", FRAMES))
 
 
@@ -37,7 +37,7 @@ def judged(targets: Targets) -> dict[str, tuple[str, str]]:
     return {what: (measured, said) for what, _, measured, said in targets.rows}
 
 
-def write_result(path: Path, recording: StoredRecording, estimates: Iterable[Estimate]) -> None:
+def write_result(path: Path, recording: Recording, estimates: Iterable[Estimate]) -> None:
     """A result of a recording whose frames have these estimates, whatever their stamps were."""
     camera = recording.cameras[0]
     record = run_record(recording, camera, HandConfig(), RunOptions(path), "none")
@@ -50,9 +50,7 @@ def write_result(path: Path, recording: StoredRecording, estimates: Iterable[Est
         writer.finish({})
 
 
-def test_a_recording_without_truth(
-    tmp_path: Path, made: StoredRecording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_without_truth(tmp_path: Path, made: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """The estimates are the truth; from frame 4 on they say that they are lost."""
     make_folder(tmp_path / "images", made, camera=False)
     camera = made.cameras[0]
@@ -77,7 +75,7 @@ def test_a_recording_without_truth(
         assert name in text and (tmp_path / name).exists()
 
 
-def test_annotated_recordings(tmp_path: Path, made: StoredRecording) -> None:
+def test_annotated_recordings(tmp_path: Path, made: Recording) -> None:
     """Hand and joints that stand still are apart by constants alone, which are taken out whole."""
     for name in real.CVAR_SEQUENCES:
         make_annotated(tmp_path / name)

@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import placed
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.camera_file import camera_file_text
 
 WIDTH, HEIGHT = 32, 24
 PERIOD_NS = 33_333_333

@@ -75,7 +75,7 @@ def random_known(seed: int, model: FaceModel, views: int = 3, sets: int = 2) -> 
     history = IdentityHistory(rng.normal(size=(4, model.identity_size)), 6)
     frames = tuple(random_view(rng, 10**18 + index, model) for index in range(views))
     for view in frames:
-        album = album.added(view, rng.random())
+        album = album.with_view(view, rng.random())
     templates = tuple(random_templates(seed + index) for index in range(sets))
     return KnownPerson(
         person, history, frames, album, person_shape(model, person), templates, views, rng.random()

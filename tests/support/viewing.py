@@ -18,7 +18,7 @@ from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject, estimate_from_json
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
 from posetrack_cli.synthesis.hand.writing import write_synthetic
@@ -37,14 +37,14 @@ def make_recording(
     return path
 
 
-def truth_of(recording: StoredRecording) -> list[Estimate]:
+def truth_of(recording: Recording) -> list[Estimate]:
     """The true states of a recording's frames."""
     return [estimate_from_json(m.data) for m in recording.truth() if m.topic == TRUTH_TOPIC]
 
 
 def make_result(
     path: Path,
-    recording: StoredRecording,
+    recording: Recording,
     change: Change = lambda estimate: estimate,
     *,
     side: str = "right",
@@ -79,7 +79,7 @@ def lost_from(index: int) -> Change:
     return lambda e: replace(e, status=Status.LOST) if e.frame_index >= index else e
 
 
-def make_folder(path: Path, recording: StoredRecording, *, camera: bool = True, mirror: bool = False) -> Path:
+def make_folder(path: Path, recording: Recording, *, camera: bool = True, mirror: bool = False) -> Path:
     """The same frames as a folder of images without stamps; ``mirror`` stores them flipped."""
     path.mkdir()
     for frame in recording.frames():

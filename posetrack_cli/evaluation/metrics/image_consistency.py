@@ -24,7 +24,8 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import PredictedHand, segment
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums

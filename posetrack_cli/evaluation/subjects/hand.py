@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.metrics.metric import Metric, error, number
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
-from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 
 _PALM_AXES = {

@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.joint_offsets import JointOffsets, OffsetFrame
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 
 Measure: TypeAlias = Callable[[Measures, Matched, int], Curve | None]

@@ -11,8 +11,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry.rotations import canonical
+from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.recording.base import RECORDING_KEY
-from posetrack_cli.recording.opening import is_mcap
 from posetrack_cli.results.reader import Result, is_result, read_result
 
 LENGTH_TOLERANCE = 1e-3

@@ -18,7 +18,7 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.files import open_input
-from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.units import NS_PER_S
 

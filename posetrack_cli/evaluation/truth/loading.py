@@ -15,10 +15,9 @@ from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track
 from posetrack_cli.evaluation.truth.points_topic import POINTS_SCHEMA_NAME, points_topic, points_track
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import read_channels, read_messages
+from posetrack_cli.mcap.stream import is_mcap, read_channels, read_messages
 from posetrack_cli.recording.base import TRUTH_PREFIX
-from posetrack_cli.recording.opening import is_mcap
-from posetrack_cli.recording.ordering import LATEST_NS
+from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME

@@ -23,7 +23,7 @@ from posetrack_cli.evaluation.viewing.layering import (
 from posetrack_cli.evaluation.viewing.layers import Layer
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "side-by-side")

@@ -34,7 +34,7 @@ from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points, l
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.base import Recording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import Result
 

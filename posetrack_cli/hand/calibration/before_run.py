@@ -26,7 +26,8 @@ from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.segmentation import detect
 from posetrack_cli.hand.shape import SHAPE_NAMES
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
 
 LOOKED_AT_S = 10.0
 """A hand that shows itself later is not waited for."""

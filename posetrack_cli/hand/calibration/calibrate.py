@@ -28,7 +28,8 @@ from posetrack_cli.hand.model import HandMaker, HandModel, hand_maker
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape
 from posetrack_cli.outputs import whole_or_nothing
-from posetrack_cli.recording.base import Frame, Recording
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
 
 SIDES = ("right", "left")
 TRIED_SCALES = (0.78, 0.88, 1.0, 1.13, 1.28)

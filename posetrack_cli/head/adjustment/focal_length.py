@@ -184,7 +184,7 @@ def focal_length_check(
         scale: of them.
         settings: of the adjustment.
     """
-    views = person.album.some(VIEWS)
+    views = person.album.sample(VIEWS)
     if settings.when != "always" or len(views) < VIEWS:
         return ()
     check = fit_focal_length(views, person.person, model, camera, settings)

@@ -95,14 +95,14 @@ class Album:
         kept = (view for page in self.pages.values() for _, view in page)
         return tuple(sorted(kept, key=lambda view: view.stamp_ns))
 
-    def some(self, count: int) -> tuple[PointView, ...]:
+    def sample(self, count: int) -> tuple[PointView, ...]:
         """Return ``count`` frames evenly spread over the kept ones, all if there are no more."""
         views = self.views
         if len(views) <= count:
             return views
         return tuple(views[i] for i in np.linspace(0, len(views) - 1, count).astype(int))
 
-    def added(self, view: PointView, score: float) -> Album:
+    def with_view(self, view: PointView, score: float) -> Album:
         """Return the album with a frame, if none better shows that direction."""
         cell = _cell(view.pose.facing)
         page = sorted((*self.pages.get(cell, ()), (score, view)), key=lambda one: -one[0])

@@ -18,6 +18,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.initialisation.stereo import (
     StereoInitialisation,
     StereoInitialiser,
@@ -197,23 +198,10 @@ def head_from_clicked(
     camera = clicked_camera(clicked)
     if camera is None or views[camera] is None:
         return InitFailure("no image of the camera whose points were clicked")
-    pixels_per_mm, rotation = weak_perspective(clicked[camera])
+    pixels_per_mm, rotation, _ = weak_perspective(FEATURES, clicked[camera], 1.0 / FEATURE_SD)
     relief = FEATURES @ rotation[2]
     pixels, correlations = match_everywhere(views, camera, clicked[camera], pixels_per_mm, relief, settings)
     given = ~np.isnan(clicked[..., 0])
     pixels[given] = clicked[given]
     correlations[given.sum(axis=0) > 1] = 1.0
     return head_from_pixels(views, camera, pixels, correlations, settings)
-
-
-def weak_perspective(pixels: FloatArray) -> tuple[float, FloatArray]:
-    """Return the scale, pixels per mm, and the rotation (3, 3) that lay an average face on pixels (K, 2).
-
-    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
-    """
-    weights = 1.0 / FEATURE_SD[:, None]
-    shape = np.column_stack([FEATURES, np.ones(len(FEATURES))])
-    solution, *_ = np.linalg.lstsq(weights * shape, weights * pixels, rcond=None)
-    u, values, vt = np.linalg.svd(solution[:3].T, full_matrices=False)
-    rows = u @ vt
-    return float(values.mean()), np.vstack([rows, np.cross(rows[0], rows[1])])

@@ -98,6 +98,25 @@ def pose_of(
     return best, float(np.sqrt(np.sum(_lengths(seen, best) ** 2) / np.sum(seen.roots**2)))
 
 
+def weak_perspective(
+    shape: FloatArray, places: FloatArray, roots: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return scale, rotation (3, 3) and shift (2,) that lay a shape on places, in weak perspective.
+
+    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
+
+    Args:
+        shape: (n, 3) mm.
+        places: (n, 2), of which the scale is so many per mm.
+        roots: (n,) of the points' weights.
+    """
+    columns = np.column_stack([shape, np.ones(len(places))])
+    solution, *_ = np.linalg.lstsq(roots[:, None] * columns, roots[:, None] * places, rcond=None)
+    u, values, vt = np.linalg.svd(solution[:3].T, full_matrices=False)
+    rows = u @ vt
+    return float(values.mean()), np.vstack([rows, np.cross(rows[0], rows[1])]), solution[3]
+
+
 def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
     places, roots = normalised_from_pixels(camera, pixels), np.sqrt(weights)
     lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
@@ -106,21 +125,15 @@ def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatA
 
 
 def _starts(seen: _Seen) -> tuple[HeadPose, HeadPose]:
-    """Return the weak-perspective pose about the ray to the points' middle, and its mirror image in depth.
-
-    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
-    """
+    """Return the weak-perspective pose about the ray to the points' middle, and its mirror image in depth."""
     rays = np.column_stack([seen.places, np.ones(len(seen.places))])
     towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
     turn = _turned_to_z(towards)
     turned = rays @ turn.T
     flat = turned[:, :2] / turned[:, 2:]
-    shape = np.column_stack([seen.shape, np.ones(len(flat))])
-    solution, *_ = np.linalg.lstsq(seen.roots[:, None] * shape, seen.roots[:, None] * flat, rcond=None)
-    u, values, vt = np.linalg.svd(solution[:3].T, full_matrices=False)
-    rows = u @ vt
-    rotation = turn.T @ np.vstack([rows, np.cross(rows[0], rows[1])])
-    position = turn.T @ np.append(solution[3], 1.0) / max(float(values.mean()), 1.0 / FARTHEST_MM)
+    scale, about_ray, shift = weak_perspective(seen.shape, flat, seen.roots)
+    rotation = turn.T @ about_ray
+    position = turn.T @ np.append(shift, 1.0) / max(scale, 1.0 / FARTHEST_MM)
     mirror = np.eye(3) - 2.0 * np.outer(towards, towards)
     mirrored = mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
     return _pose(rotation, position), _pose(mirrored, position)

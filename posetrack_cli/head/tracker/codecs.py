@@ -194,7 +194,7 @@ class _AlbumCodec(Codec[Album]):
         """Return the album that the frames were put into one after the other."""
         album = Album()
         for score, view in self._frames.build(arrays):
-            album = album.added(view, score)
+            album = album.with_view(view, score)
         return album
 
 

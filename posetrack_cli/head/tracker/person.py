@@ -72,7 +72,7 @@ class KnownPerson:
             person=adjusted.person,
             history=self.history.with_identity(adjusted.person.identity),
             views=adjusted.views,
-            album=self.album.added(adjusted.views[-1], score),
+            album=self.album.with_view(adjusted.views[-1], score),
             shape=person_shape(model, adjusted.person),
             adjusted_frames=self.adjusted_frames + 1,
             rms_px=rms(adjusted.residuals),

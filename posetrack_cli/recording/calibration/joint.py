@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import composed, inverse, placed
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.recording.calibration.boards import Board
 from posetrack_cli.recording.calibration.views import CameraViews
 
 POSE = 6
@@ -42,22 +41,18 @@ class JointFit:
     focal_sd_px: FloatArray
 
 
-def adjust(
-    cameras: Sequence[Camera], views: Sequence[CameraViews], used: Sequence[BoolArray], board: Board
-) -> JointFit:
+def adjust(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> JointFit:
     """Adjust intrinsics, distortion and places of the cameras and the poses of the board together.
 
     Ends after ``MOST_STEPS`` if nothing fits, which the errors then tell.
 
     Args:
         cameras: to start from, the reference first.
-        views: of each camera.
-        used: (instants,) which views of each camera count.
-        board: that they show.
+        views: of each camera, those that count.
     """
     from scipy.optimize import least_squares
 
-    problem = _Problem(cameras, views, used, board)
+    problem = _Problem(cameras, views)
     found = least_squares(
         problem.residuals,
         problem.start(),
@@ -82,22 +77,21 @@ class _Problem:
     (the reference's are held); then of each board rotation vector and translation of reference_T_board.
     """
 
-    def __init__(
-        self, cameras: Sequence[Camera], views: Sequence[CameraViews], used: Sequence[BoolArray], board: Board
-    ) -> None:
-        self._cameras, self._board = list(cameras), board
+    def __init__(self, cameras: Sequence[Camera], views: Sequence[CameraViews]) -> None:
+        self._cameras, self._board = list(cameras), views[0].board
         self._lens = len(cameras[0].distortion)
         self._size = 4 + self._lens + POSE
-        instants = np.flatnonzero(np.any(used, axis=0))
+        every = zip(*(own.boards for own in views), strict=True)
+        instants = [index for index, boards in enumerate(every) if any(boards)]
         seen = [
             (c, number, found)
             for c, own in enumerate(views)
             for number, index in enumerate(instants)
-            if used[c][index] and (found := own.boards[index]) is not None
+            if (found := own.boards[index]) is not None
         ]
         self.camera: IntArray = np.concatenate([np.full(len(f.ids), c) for c, _, f in seen])
         self._view = np.concatenate([np.full(len(f.ids), number) for _, number, f in seen])
-        self._points = np.concatenate([board.points[f.ids] for _, _, f in seen])
+        self._points = np.concatenate([self._board.points[f.ids] for _, _, f in seen])
         self._pixels = np.concatenate([f.pixels for _, _, f in seen])
         self._first = {number: (c, f) for c, number, f in reversed(seen)}
         self._views = len(instants)

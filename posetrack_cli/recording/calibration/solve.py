@@ -14,7 +14,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import composed, placed
-from posetrack_cli.recording.calibration.boards import FEWEST_CORNERS, Board, FoundBoard
+from posetrack_cli.recording.calibration.boards import FEWEST_CORNERS
 from posetrack_cli.recording.calibration.views import CameraViews
 
 FEWEST_VIEWS = 5
@@ -51,8 +51,8 @@ class CameraFit:
     focal_sd_px: float
 
 
-def fit_camera(views: CameraViews, board: Board, distortion: str) -> tuple[CameraFit, BoolArray]:
-    """Return one camera's intrinsics and distortion, and which of its instants were used.
+def fit_camera(views: CameraViews, distortion: str) -> tuple[CameraFit, CameraViews]:
+    """Return one camera's intrinsics and distortion, and the views that were used.
 
     Views whose error is far above the others' are left out and the rest is fitted again.
 
@@ -62,21 +62,18 @@ def fit_camera(views: CameraViews, board: Board, distortion: str) -> tuple[Camer
     kept = np.array([found is not None for found in views.boards])
     for _ in range(2):
         if kept.sum() < FEWEST_VIEWS:
-            raise _too_few(views, int(kept.sum()), board)
-        boards = [views.boards[index] for index in np.flatnonzero(kept)]
-        rms, matrix, coefficients, deviations, errors = _calibrate(boards, views, board, distortion)
+            raise _too_few(views, int(kept.sum()))
+        rms, matrix, coefficients, deviations, errors = _calibrate(views.only(kept), distortion)
         wrong = _outliers(errors)
         if not wrong.any():
             break
         kept[np.flatnonzero(kept)[wrong]] = False
     camera = _camera(views, matrix, coefficients, distortion)
     fit = CameraFit(camera, rms, int(kept.sum()), views.found, views.images, float(deviations[:2].max()))
-    return fit, kept
+    return fit, views.only(kept)
 
 
-def place_cameras(
-    cameras: Sequence[Camera], views: Sequence[CameraViews], used: Sequence[BoolArray], board: Board
-) -> list[Camera]:
+def place_cameras(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> list[Camera]:
     """Return the cameras with their places relative to the first.
 
     One after the other is placed against the camera placed before with which it shares most views, which need
@@ -88,11 +85,7 @@ def place_cameras(
     placed_ones = {0: cameras[0]}
     while len(placed_ones) < len(cameras):
         waiting = [i for i in range(len(cameras)) if i not in placed_ones]
-        pairs = [
-            (len(shared_views(views[j], views[i], used[j] & used[i])), -i, -j)
-            for i in waiting
-            for j in placed_ones
-        ]
+        pairs = [(len(shared_views(views[j], views[i])), -i, -j) for i in waiting for j in placed_ones]
         count, i, j = max(pairs)
         i, j = -i, -j
         if count < FEWEST_VIEWS:
@@ -102,19 +95,16 @@ def place_cameras(
                 expected=f"{FEWEST_VIEWS} at least",
                 hint="images of one instant have one name or number in every folder",
             )
-        step = _relative(cameras[j], cameras[i], views[j], views[i], used[j] & used[i], board)
+        step = _relative(cameras[j], cameras[i], views[j], views[i])
         own = composed(step, np.array(placed_ones[j].camera_T_reference))
         placed_ones[i] = placed(cameras[i], own)
     return [placed_ones[i] for i in range(len(cameras))]
 
 
-def shared_views(
-    first: CameraViews, second: CameraViews, used: BoolArray
-) -> list[tuple[FloatArray, FloatArray, Any]]:
+def shared_views(first: CameraViews, second: CameraViews) -> list[tuple[FloatArray, FloatArray, Any]]:
     """Return the corners that two cameras saw at once: pixels (n, 2) in either, and ids, for each instant."""
     shared = []
-    for index in np.flatnonzero(used):
-        one, two = first.boards[index], second.boards[index]
+    for one, two in zip(first.boards, second.boards, strict=True):
         if one is None or two is None:
             continue
         ids, a, b = np.intersect1d(one.ids, two.ids, return_indices=True)
@@ -135,10 +125,11 @@ def _in_one_thread() -> Iterator[None]:
 
 
 @_in_one_thread()
-def _calibrate(boards: list[FoundBoard | None], views: CameraViews, board: Board, distortion: str) -> Any:
+def _calibrate(views: CameraViews, distortion: str) -> Any:
     """Return OpenCV's RMS, matrix, coefficients, deviations of intrinsics and errors per view."""
-    objects = [board.points[found.ids].astype(np.float32) for found in boards if found is not None]
-    pixels = [found.pixels.astype(np.float32) for found in boards if found is not None]
+    boards = [found for found in views.boards if found is not None]
+    objects = [views.board.points[found.ids].astype(np.float32) for found in boards]
+    pixels = [found.pixels.astype(np.float32) for found in boards]
     rms, matrix, coefficients, _, _, deviations, _, errors = cv2.calibrateCameraExtended(
         objects,
         pixels,
@@ -152,13 +143,11 @@ def _calibrate(boards: list[FoundBoard | None], views: CameraViews, board: Board
 
 
 @_in_one_thread()
-def _relative(
-    first: Camera, second: Camera, views: CameraViews, others: CameraViews, used: BoolArray, board: Board
-) -> FloatArray:
+def _relative(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> FloatArray:
     """Return second_T_first (3, 4), mm, from shared views with intrinsics as they are."""
-    shared = shared_views(views, others, used)
+    shared = shared_views(views, others)
     for _ in range(2):
-        objects = [board.points[ids].astype(np.float32) for _, _, ids in shared]
+        objects = [views.board.points[ids].astype(np.float32) for _, _, ids in shared]
         found = cv2.stereoCalibrateExtended(
             objects,
             [one.astype(np.float32) for one, _, _ in shared],
@@ -201,10 +190,10 @@ def _camera(views: CameraViews, matrix: FloatArray, coefficients: FloatArray, di
     )
 
 
-def _too_few(views: CameraViews, count: int, board: Board) -> RecordingError:
+def _too_few(views: CameraViews, count: int) -> RecordingError:
     return RecordingError(
         f"board found in too few images of camera '{views.name}'",
         found=f"{count} of {views.images}",
-        expected=f"{FEWEST_VIEWS} at least, of a {board.words}",
+        expected=f"{FEWEST_VIEWS} at least, of a {views.board.words}",
         hint="--squares counts squares, one more than inner corners in each direction",
     )

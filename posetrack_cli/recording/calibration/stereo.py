@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import epipolar_errors, relative_transform
 from posetrack_cli.geometry.triangulation import triangulate
@@ -18,8 +18,8 @@ from posetrack_cli.recording.calibration.boards import Board
 from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import CameraFit, fit_camera, place_cameras, shared_views
 from posetrack_cli.recording.calibration.views import CameraViews, find_views
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.rig_file import camera_file_text
 
 DOUBTFUL_PX = 1.0
 """Errors above are no calibration to rely on."""
@@ -123,10 +123,10 @@ def calibrate_stereo(
         RecordingError: images cannot be read, or there are too few views of the board.
     """
     views = find_views(path, board, names, report, losses)
-    fitted = [fit_camera(own, board, distortion) for own in views]
-    fits, used = [fit for fit, _ in fitted], [mask for _, mask in fitted]
-    start = place_cameras([fit.camera for fit in fits], views, used, board)
-    joint = adjust(start, views, used, board)
+    fitted = [fit_camera(own, distortion) for own in views]
+    fits, used = [fit for fit, _ in fitted], [own for _, own in fitted]
+    start = place_cameras([fit.camera for fit in fits], used)
+    joint = adjust(start, used)
     cameras = joint.cameras
     fits = [
         replace(fit, camera=camera, rms_px=float(rms), focal_sd_px=float(sd))
@@ -135,21 +135,19 @@ def calibrate_stereo(
     pairs = [
         error
         for i, j in combinations(range(len(cameras)), 2)
-        if (error := _pair_error(cameras[i], cameras[j], views[i], views[j], used[i] & used[j], board))
+        if (error := _pair_error(cameras[i], cameras[j], used[i], used[j]))
     ]
     return StereoCalibration(board, cameras, tuple(fits), tuple(pairs))
 
 
-def _pair_error(
-    first: Camera, second: Camera, views: CameraViews, others: CameraViews, used: BoolArray, board: Board
-) -> PairError | None:
-    shared = shared_views(views, others, used)
+def _pair_error(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> PairError | None:
+    shared = shared_views(views, others)
     if not shared:
         return None
     errors = np.concatenate([epipolar_errors(first, second, one, two) for one, two, _ in shared])
     sides = np.concatenate(
         [
-            _sides(triangulate([first, second], np.stack([one, two]))[0], ids, board)
+            _sides(triangulate([first, second], np.stack([one, two]))[0], ids, views.board)
             for one, two, ids in shared
         ]
     )

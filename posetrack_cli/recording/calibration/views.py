@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from posetrack_cli.arrays import BoolArray
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
-from posetrack_cli.recording.grey import StoredKind, check_size, decode_as_stored, grey_of, kind_of_image
+from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.image_files import read_image
 from posetrack_cli.recording.image_folders import find_folders, instants
 from posetrack_cli.recording.stored import UnreadableImageError
@@ -21,12 +22,14 @@ class CameraViews:
 
     Attributes:
         name: of the camera.
+        board: that was looked for.
         width, height: of its images, pixels.
         images: how many there are.
         boards: one per instant, None where it has no image or the image shows no board.
     """
 
     name: str
+    board: Board
     width: int
     height: int
     images: int
@@ -36,6 +39,11 @@ class CameraViews:
     def found(self) -> int:
         """In how many images the board was found."""
         return sum(board is not None for board in self.boards)
+
+    def only(self, kept: BoolArray) -> CameraViews:
+        """Return these views without the boards of instants that are not kept (instants,)."""
+        boards = (board if keeps else None for board, keeps in zip(self.boards, kept, strict=True))
+        return replace(self, boards=tuple(boards))
 
 
 def find_views(
@@ -69,7 +77,7 @@ def find_views(
             camera.add(finder, instant.get(name), log)
             done += name in instant
             report(done, total)
-        views.append(camera.views(path))
+        views.append(camera.views(path, board))
     return views
 
 
@@ -78,7 +86,7 @@ class _Camera:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._kind: StoredKind | None = None
+        self._pixels: Grey | None = None
         self._boards: list[FoundBoard | None] = []
         self._images = 0
 
@@ -87,15 +95,15 @@ class _Camera:
         self._images += image is not None
         self._boards.append(None if image is None else self._found(finder, image, losses))
 
-    def views(self, path: Path) -> CameraViews:
+    def views(self, path: Path, board: Board) -> CameraViews:
         """Return what was seen."""
-        if self._kind is None:
+        if self._pixels is None:
             raise RecordingError(
                 "no image can be decoded", where=path / self.name, found=f"{self._images} files"
             )
-        return CameraViews(
-            self.name or "camera", self._kind.width, self._kind.height, self._images, tuple(self._boards)
-        )
+        width, height = self._pixels.width, self._pixels.height
+        boards = tuple(self._boards)
+        return CameraViews(self.name or "camera", board, width, height, self._images, boards)
 
     def _found(self, finder: BoardFinder, image: Path, losses: LossLog) -> FoundBoard | None:
         try:
@@ -103,10 +111,9 @@ class _Camera:
         except UnreadableImageError as error:
             losses.add(f"image skipped, {error}", str(image))
             return None
-        if self._kind is None:
-            self._kind = kind_of_image(stored, image)
-        check_size(stored, self._kind, image)
-        return finder.find(grey_of(stored, self._kind.bits))
+        if self._pixels is None:
+            self._pixels = grey_like(stored, image)
+        return finder.find(self._pixels.from_stored(stored, image))
 
 
 def _chosen(path: Path, folders: dict[str, list[Path]], names: Sequence[str] | None) -> dict[str, list[Path]]:

@@ -15,7 +15,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.face.points import LINES
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
 from reproduction.figures import STYLE, save
 from reproduction.one_camera.figures import pose_columns
 from reproduction.one_camera.measuring import Compared, in_head, pose_of
@@ -73,7 +73,7 @@ def _frame_numbers(one: Compared, rows: Sequence[int]) -> list[int]:
 
 def _images(recording: Path, numbers: Sequence[int]) -> tuple[Camera, Mapping[int, ImageArray]]:
     """The first camera, and its images of some frames."""
-    source = open_images(recording)
+    source = open_recording(recording, "grey")
     images: dict[int, ImageArray] = {}
     for frame in source.frames():
         if frame.index in numbers:

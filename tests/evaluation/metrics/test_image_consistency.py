@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.stored import StoredRecording
+from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
 from posetrack_cli.results import ResultWriter, Subject, read_result
@@ -33,19 +33,19 @@ HAND_DEEP_MM = 300.0
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> StoredRecording:
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Everything that a real recording has."""
     return open_recording(make_recording(tmp_path_factory.mktemp("scene") / "scene.mcap", FRAMES))
 
 
 @pytest.fixture(scope="module")
-def bare(tmp_path_factory: pytest.TempPathFactory) -> StoredRecording:
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A hand before a wall: every pixel has an exact reading, of the one or of the other."""
     path = tmp_path_factory.mktemp("bare") / "bare.mcap"
     return open_recording(make_recording(path, FRAMES, switches=Switches(background=True)))
 
 
-def measured(tmp_path: Path, recording: StoredRecording, *changes: Any, **options: Any) -> dict[str, Value]:
+def measured(tmp_path: Path, recording: Recording, *changes: Any, **options: Any) -> dict[str, Value]:
     found = image_consistency(
         read_result(make_result(tmp_path / "r.mcap", recording, *changes, **options)), recording
     )
@@ -58,7 +58,7 @@ def statistics_of(values: dict[str, Value], name: str) -> Statistics:
     return value
 
 
-def test_the_truth_agrees_to_within_the_sensor_s_noise(tmp_path: Path, scene: StoredRecording) -> None:
+def test_the_truth_agrees_to_within_the_sensor_s_noise(tmp_path: Path, scene: Recording) -> None:
     values = measured(tmp_path, scene)
     residual, overlap = (statistics_of(values, name) for name in ("residual_mm", "region_overlap"))
     expected = np.hypot(NOISE_MM, QUANTUM_MM / np.sqrt(12)) * np.sqrt(2 / np.pi)
@@ -69,7 +69,7 @@ def test_the_truth_agrees_to_within_the_sensor_s_noise(tmp_path: Path, scene: St
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (12.0, 0.0, 0.0), (-25.0, 8.0, 0.0), (0.0, 0.0, 15.0)])
 def test_shifted_hands_against_pixels_counted_one_by_one(
-    tmp_path: Path, bare: StoredRecording, device: RenderingDevice, shift: tuple[float, float, float]
+    tmp_path: Path, bare: Recording, device: RenderingDevice, shift: tuple[float, float, float]
 ) -> None:
     """Overlap and residual over the whole image in numpy: the hand is what is not the wall."""
     values = measured(tmp_path, bare, moved(*shift))
@@ -88,7 +88,7 @@ def test_shifted_hands_against_pixels_counted_one_by_one(
         assert np.mean(overlaps) < 0.8
 
 
-def test_further_from_the_hand_the_overlap_falls(tmp_path: Path, scene: StoredRecording) -> None:
+def test_further_from_the_hand_the_overlap_falls(tmp_path: Path, scene: Recording) -> None:
     overlaps = [
         statistics_of(measured(tmp_path, scene, moved(x)), "region_overlap").mean
         for x in (0.0, 5.0, 20.0, 60.0)
@@ -96,16 +96,14 @@ def test_further_from_the_hand_the_overlap_falls(tmp_path: Path, scene: StoredRe
     assert all(after < before for before, after in pairwise(overlaps))
 
 
-def test_a_hand_where_nothing_is_has_overlap_zero_and_no_residual(
-    tmp_path: Path, bare: StoredRecording
-) -> None:
+def test_a_hand_where_nothing_is_has_overlap_zero_and_no_residual(tmp_path: Path, bare: Recording) -> None:
     values = measured(tmp_path, bare, moved(5000.0))
     assert statistics_of(values, "region_overlap").mean == 0.0
     assert statistics_of(values, "region_overlap").count == FRAMES
     assert statistics_of(values, "residual_mm").count == 0
 
 
-def test_lost_frames_count(tmp_path: Path, bare: StoredRecording) -> None:
+def test_lost_frames_count(tmp_path: Path, bare: Recording) -> None:
     assert statistics_of(measured(tmp_path, bare, lost_from(1)), "region_overlap").count == FRAMES
 
 
@@ -117,7 +115,7 @@ def test_a_left_hand_is_measured_as_one(tmp_path: Path) -> None:
     assert overlaps[1] > 0.98 and overlaps[0] < 0.9
 
 
-def test_a_recording_with_none_of_the_frames_gives_nothing(tmp_path: Path, bare: StoredRecording) -> None:
+def test_a_recording_with_none_of_the_frames_gives_nothing(tmp_path: Path, bare: Recording) -> None:
     class Empty:
         path, cameras = bare.path, bare.cameras
 
@@ -128,7 +126,7 @@ def test_a_recording_with_none_of_the_frames_gives_nothing(tmp_path: Path, bare:
     assert image_consistency(result, Empty()) == {}
 
 
-def test_other_subjects_are_refused(tmp_path: Path, bare: StoredRecording) -> None:
+def test_other_subjects_are_refused(tmp_path: Path, bare: Recording) -> None:
     subject = Subject("head", "camera", (), ("nose",), (-1,))
     with ResultWriter(tmp_path / "r.mcap", subject, bare.cameras[0], {"tracker": "head"}) as writer:
         writer.finish({})

@@ -16,8 +16,8 @@ from posetrack_cli.evaluation.viewing.colours import LOST, SKIN
 from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.recording.opening import open_images
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.camera_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
 
 FPS, FRAMES = 25.0, 3
@@ -78,7 +78,7 @@ def estimate(index: int, status: Status) -> Estimate:
 @pytest.fixture
 def result(recording: Path, tmp_path: Path) -> Callable[..., Path]:
     def write(name: str = "r.mcap", cameras: tuple[Camera, ...] = CAMERAS) -> Path:
-        opened = open_images(recording, fps=FPS)
+        opened = open_recording(recording, "grey", fps=FPS)
         record = {f"input.{key}": value for key, value in opened.identity().items()}
         record |= {"tracker": "head-stereo", "configuration": "{}"}
         statuses = (Status.TRACKING, Status.LOST, Status.REINITIALISED)

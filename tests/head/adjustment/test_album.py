@@ -40,7 +40,7 @@ def seen(seed: int, count: int) -> list[tuple[tuple[int, int], float, PointView]
 def album_of(frames: list[tuple[tuple[int, int], float, PointView]]) -> Album:
     album = Album()
     for _, score, one in frames:
-        album = album.added(one, score)
+        album = album.with_view(one, score)
     return album
 
 
@@ -76,25 +76,25 @@ def test_the_order_of_adding_does_not_matter(seed: int, count: int) -> None:
 def test_of_equal_scores_the_earlier_added_stay() -> None:
     album = Album()
     for stamp in range(PER_CELL + 2):
-        album = album.added(view(stamp, 0.0, 0.0), 0.5)
+        album = album.with_view(view(stamp, 0.0, 0.0), 0.5)
     assert stamps_of(album) == list(range(PER_CELL))
 
 
 def test_roll_is_no_other_direction() -> None:
     album = Album()
     for stamp, roll in enumerate((-30.0, 0.0, 10.0, 30.0)):
-        album = album.added(view(stamp, 1.0, -1.0, roll), float(stamp))
+        album = album.with_view(view(stamp, 1.0, -1.0, roll), float(stamp))
     assert len(album.pages) == 1
 
 
 def test_left_and_right_up_and_down_are_four_directions() -> None:
     album = Album()
     for stamp, (yaw, pitch) in enumerate([(20.0, 0.0), (-20.0, 0.0), (0.0, 20.0), (0.0, -20.0)]):
-        album = album.added(view(stamp, yaw, pitch), 0.5)
+        album = album.with_view(view(stamp, yaw, pitch), 0.5)
     assert len(album.pages) == 4
 
 
 def test_adding_leaves_the_album_before_as_it_was() -> None:
-    before = Album().added(view(0, 0.0, 0.0), 0.5)
-    before.added(view(1, 0.0, 0.0), 0.9).added(view(2, 30.0, 0.0), 0.9)
+    before = Album().with_view(view(0, 0.0, 0.0), 0.5)
+    before.with_view(view(1, 0.0, 0.0), 0.9).with_view(view(2, 30.0, 0.0), 0.9)
     assert stamps_of(before) == [0] and len(before.pages) == 1

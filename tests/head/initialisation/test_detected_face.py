@@ -18,7 +18,7 @@ from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.sensor import make_cameras
-from support.mono_start_scenes import BLANK, PLAIN, Says, found, head
+from support.initialisation_scenes import BLANK, PLAIN, Says, found, head
 
 SETTINGS = MonoInitialisationSettings()
 NEAR, FAR = head(x=-150.0), head(yaw=10.0, x=200.0, z=1000.0)

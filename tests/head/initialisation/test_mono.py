@@ -13,7 +13,7 @@ from posetrack_cli.head.initialisation.detected_face import clicked_face
 from posetrack_cli.head.initialisation.mono import MonoInitialisation, initialise
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from support.mono_start_scenes import BENT, PLAIN, head, pixels_of
+from support.initialisation_scenes import BENT, PLAIN, head, pixels_of
 
 MODEL = load_face_model(None)
 MEAN = MODEL.of_person(MODEL.identity_mean).mean

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from posetrack_cli.geometry.projection import pixels_and_jacobian
 from posetrack_cli.head.face.points import FEATURES
 from posetrack_cli.head.initialisation.single_view import pose_of
-from support.mono_start_scenes import BENT, FISHEYE, PLAIN, head, pixels_of
+from support.initialisation_scenes import BENT, FISHEYE, PLAIN, head, pixels_of
 
 SURE = np.ones(10)
 # mm and rad: the descent ends when a step gains less than 1e-9 squared pixels; one pixel is some 1e-2 rad.

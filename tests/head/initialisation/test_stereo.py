@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.points import FEATURES
-from posetrack_cli.head.initialisation.clicked import head_from_clicked, weak_perspective
+from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
+from posetrack_cli.head.initialisation.clicked import head_from_clicked
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, find_head, head_from_pixels
 from posetrack_cli.head.initialisation.views import camera_images
 from support.rig import LEFT, face_pixels, right_camera, turned_head
@@ -83,7 +84,7 @@ def test_a_hollow_face_is_no_start() -> None:
 def test_weak_perspective_recovers_scale_and_rotation() -> None:
     rotation = (Rotation.from_euler("ZYX", [0.1, 0.3, -0.2])).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     pixels = 1.3 * (FEATURES @ rotation.T)[:, :2] + [300.0, 200.0]
-    scale, found = weak_perspective(pixels)
+    scale, found, _ = weak_perspective(FEATURES, pixels, 1.0 / FEATURE_SD)
     assert scale == pytest.approx(1.3)
     np.testing.assert_allclose(found, rotation, atol=1e-9)
 

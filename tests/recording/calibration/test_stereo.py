@@ -18,7 +18,7 @@ from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import fit_camera, place_cameras
 from posetrack_cli.recording.calibration.stereo import StereoCalibration, calibrate_stereo
 from posetrack_cli.recording.calibration.views import CameraViews
-from posetrack_cli.recording.rig_file import load_rig
+from posetrack_cli.recording.camera_file import load_rig
 from support import boards as support
 
 VIEWS = 10
@@ -37,7 +37,7 @@ def exact_views(board: Board, rig: list[Camera], count: int = VIEWS) -> list[Cam
             pixels = support.corner_pixels(board, camera, pose)
             hidden = number == 2 and index % 2
             boards.append(None if hidden else FoundBoard(np.arange(len(pixels)), pixels))
-        found.append(CameraViews(camera.name, support.WIDTH, support.HEIGHT, count, tuple(boards)))
+        found.append(CameraViews(camera.name, board, support.WIDTH, support.HEIGHT, count, tuple(boards)))
     return found
 
 
@@ -57,10 +57,8 @@ def check_cameras(found: list[Camera], expected: list[Camera], pixel: float, pla
 def test_exact_corners_give_the_cameras_exactly() -> None:
     rig = support.cameras(3)
     views = exact_views(support.CHESSBOARD, rig)
-    fits = [fit_camera(own, support.CHESSBOARD, "four") for own in views]
-    found = place_cameras(
-        [fit.camera for fit, _ in fits], views, [used for _, used in fits], support.CHESSBOARD
-    )
+    fits = [fit_camera(own, "four") for own in views]
+    found = place_cameras([fit.camera for fit, _ in fits], [used for _, used in fits])
     check_cameras(found, rig, EXACT_PX, EXACT_MM)
     for camera, truth in zip(found, rig, strict=True):
         np.testing.assert_allclose(camera.matrix, truth.matrix, atol=0.05)
@@ -79,25 +77,19 @@ def test_a_camera_that_shares_no_view_with_the_reference_is_placed_by_another() 
             for k, b in enumerate(exact_views(support.CHESSBOARD, [rig[2]], 24)[0].boards)
         ),
     ]
-    views = [
-        CameraViews(v.name, v.width, v.height, v.images, b)
-        for v, b in zip((left, right, third), boards, strict=True)
-    ]
-    fits = [fit_camera(own, support.CHESSBOARD, "four") for own in views]
-    found = place_cameras(
-        [fit.camera for fit, _ in fits], views, [used for _, used in fits], support.CHESSBOARD
-    )
+    views = [replace(v, boards=b) for v, b in zip((left, right, third), boards, strict=True)]
+    fits = [fit_camera(own, "four") for own in views]
+    found = place_cameras([fit.camera for fit, _ in fits], [used for _, used in fits])
     check_cameras(found, rig, EXACT_PX, 10 * EXACT_MM)
 
 
 def test_adjustment_finds_exact_cameras_from_wrong_ones_and_tells_its_uncertainty() -> None:
     rig = support.cameras(3)
     views = exact_views(support.CHESSBOARD, rig)
-    used = [np.array([board is not None for board in own.boards]) for own in views]
     wrong = [
         replace(c, fx=c.fx + 15, fy=c.fy - 9, cx=c.cx + 6, distortion=(-0.1, 0.0, 0.0, 0.0)) for c in rig
     ]
-    fit = adjust(wrong, views, used, support.CHESSBOARD)
+    fit = adjust(wrong, views)
     for camera, truth in zip(fit.cameras, rig, strict=True):
         np.testing.assert_allclose(camera.matrix, truth.matrix, atol=EXACT_PX)
         np.testing.assert_allclose(camera.distortion, truth.distortion, atol=1e-4)
@@ -108,7 +100,6 @@ def test_adjustment_finds_exact_cameras_from_wrong_ones_and_tells_its_uncertaint
 def test_the_uncertainty_of_the_focal_length_is_the_scatter_over_noise() -> None:
     rig = support.cameras()
     exact = exact_views(support.CHESSBOARD, rig)
-    used = [np.ones(VIEWS, bool)] * 2
     found, stated = [], []
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -123,7 +114,7 @@ def test_the_uncertainty_of_the_focal_length_is_the_scatter_over_noise() -> None
             )
             for own in exact
         ]
-        fit = adjust(rig, noisy, used, support.CHESSBOARD)
+        fit = adjust(rig, noisy)
         found.append([max(c.fx - t.fx, c.fy - t.fy, key=abs) for c, t in zip(fit.cameras, rig, strict=True)])
         stated.append(fit.focal_sd_px)
         np.testing.assert_allclose(fit.rms_px, np.sqrt(2) * CORNER_PX, rtol=0.15)
@@ -139,11 +130,9 @@ def test_a_view_that_is_wrong_is_left_out() -> None:
     assert wrong is not None
     moved = FoundBoard(wrong.ids, wrong.pixels[np.random.default_rng(1).permutation(len(wrong.ids))])
     boards = (*views[0].boards[:3], moved, *views[0].boards[4:])
-    fit, used = fit_camera(
-        CameraViews("left", support.WIDTH, support.HEIGHT, VIEWS, boards), support.CHESSBOARD, "four"
-    )
+    fit, used = fit_camera(replace(views[0], boards=boards), "four")
     assert (fit.used, fit.found) == (VIEWS - 1, VIEWS)
-    assert not used[3]
+    assert used.boards[3] is None
     check_cameras([fit.camera], rig[:1], EXACT_PX, EXACT_MM)
 
 
@@ -209,7 +198,7 @@ def test_the_reference_is_the_first_that_is_named(rendered: tuple[Path, Board]) 
 @pytest.mark.parametrize(("distortion", "count"), [("none", 0), ("four", 4), ("five", 5), ("eight", 8)])
 def test_the_number_of_coefficients(distortion: str, count: int) -> None:
     views = exact_views(support.CHESSBOARD, support.cameras()[:1])
-    assert len(fit_camera(views[0], support.CHESSBOARD, distortion)[0].camera.distortion) == count
+    assert len(fit_camera(views[0], distortion)[0].camera.distortion) == count
 
 
 def test_images_not_taken_at_once_are_doubted(tmp_path: Path, rendered: tuple[Path, Board]) -> None:

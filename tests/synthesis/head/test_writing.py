@@ -14,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
@@ -35,7 +35,7 @@ METRES = 1e-9
 def test_a_file_reads_as_the_recording_that_was_made(tmp_path: Path, image_format: str, cameras: int) -> None:
     options = replace(SMALL, cameras=cameras, distortion=cameras == 1)
     write_synthetic(options, tmp_path / "a.mcap", image_format=image_format)
-    recording = open_images(tmp_path / "a.mcap")
+    recording = open_recording(tmp_path / "a.mcap", "grey")
     for read, made in zip(recording.cameras, make_cameras(options), strict=True):
         assert (read.matrix == made.matrix).all() and read.distortion == made.distortion
         np.testing.assert_allclose(read.camera_T_reference, made.camera_T_reference, atol=METRES)
@@ -62,7 +62,7 @@ def test_a_folder_reads_as_the_recording_that_was_made(tmp_path: Path, cameras: 
     names = {path.name for path in (tmp_path / "a").iterdir()}
     folders = {"left", "right"} if cameras == 2 else {"camera"}
     assert names == {"camera.toml", "timestamps.csv", "truth.mcap", *folders}
-    recording = open_images(tmp_path / "a")
+    recording = open_recording(tmp_path / "a", "grey")
     assert recording.cameras == make_cameras(options)
     for frame, made in zip(recording.frames(), synthesise(options), strict=True):
         assert frame.stamp_ns == made.stamp_ns
@@ -154,7 +154,7 @@ def test_images_that_are_missing_are_those_of_the_plan(tmp_path: Path, name: str
     )
     taken = np.flatnonzero(~plan.timeline.dropped.all(axis=0))
     whole = list(synthesise(replace(options, drops=False)))
-    for frame, index in zip(open_images(tmp_path / name).frames(), taken, strict=True):
+    for frame, index in zip(open_recording(tmp_path / name, "grey").frames(), taken, strict=True):
         assert frame.stamp_ns == plan.timeline.stamps_ns[index]
         for image, dropped, expected in zip(
             frame.images, plan.timeline.dropped[:, index], whole[index].images, strict=True

@@ -13,9 +13,8 @@ import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.images_video import opened
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.video import open_capture
 
 COUNT, RATE = 12, 25.0
 CAMERA = "fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n"
@@ -44,8 +43,7 @@ def video(tmp_path: Path) -> Path:
 
 
 def test_frames_are_grey_with_the_video_s_stamps(video: Path) -> None:
-    recording = open_images(video)
-    assert isinstance(recording, Recording)
+    recording = open_recording(video, "grey")
     frames = list(recording.frames())
     assert (len(frames), recording.frame_count, recording.losses) == (COUNT, COUNT, ())
     assert [frame.stamp_ns for frame in frames] == [40_000_000 * i for i in range(COUNT)]
@@ -57,23 +55,23 @@ def test_frames_are_grey_with_the_video_s_stamps(video: Path) -> None:
 
 
 def test_range_rate_and_mirror(video: Path) -> None:
-    plain = list(open_images(video).frames())
-    frames = list(open_images(video, fps=10, mirror=True).frames(start=2, end=9, stride=3))
+    plain = list(open_recording(video, "grey").frames())
+    frames = list(open_recording(video, "grey", fps=10, mirror=True).frames(start=2, end=9, stride=3))
     assert [frame.index for frame in frames] == [2, 5, 8]
     assert [frame.stamp_ns for frame in frames] == [200_000_000, 500_000_000, 800_000_000]
     np.testing.assert_array_equal(frames[1].images[0], plain[5].images[0][:, ::-1])
 
 
 def test_the_camera_is_beside_the_video_or_given(video: Path, tmp_path: Path) -> None:
-    assert open_images(video).cameras[0].fx == 70.0
+    assert open_recording(video, "grey").cameras[0].fx == 70.0
     (tmp_path / "face.toml").rename(tmp_path / "camera.toml")
-    assert open_images(video).cameras[0].cx == 31.0
+    assert open_recording(video, "grey").cameras[0].cx == 31.0
     (tmp_path / "camera.toml").rename(tmp_path / "other.toml")
-    assert open_images(video, camera_file=tmp_path / "other.toml").cameras[0].fy == 71.0
+    assert open_recording(video, "grey", camera_file=tmp_path / "other.toml").cameras[0].fy == 71.0
     with pytest.raises(
         RecordingError, match=r"face.avi: cameras are not calibrated.*posetrack calibrate stereo"
     ):
-        open_images(video)
+        open_recording(video, "grey")
 
 
 def test_one_camera_of_a_file_of_several(video: Path, tmp_path: Path) -> None:
@@ -82,8 +80,8 @@ def test_one_camera_of_a_file_of_several(video: Path, tmp_path: Path) -> None:
     with pytest.raises(
         UsageError, match="a video is of one camera, found left, right; choose one with --cameras"
     ):
-        open_images(video)
-    (camera,) = open_images(video, cameras=["right"]).cameras
+        open_recording(video, "grey")
+    (camera,) = open_recording(video, "grey", cameras=["right"]).cameras
     assert camera.name == "right"
     np.testing.assert_array_equal(camera.camera_T_reference, np.eye(3, 4))
 
@@ -92,17 +90,17 @@ def test_a_camera_file_of_another_size_is_named_once(video: Path, tmp_path: Path
     (tmp_path / "face.toml").write_text(f"{CAMERA}width = 640\nheight = 480\n")
     told = rf"^{tmp_path / 'face.toml'}: camera file and images differ in size, found images of 64x48"
     with pytest.raises(RecordingError, match=told):
-        open_images(video)
+        open_recording(video, "grey")
     place = "width = 640\nheight = 480\n"
     (tmp_path / "face.toml").write_text(f"[cameras.left]\n{CAMERA}{place}")
     with pytest.raises(RecordingError, match=rf"^{tmp_path / 'face.toml'}, camera 'left': camera file and"):
-        open_images(video)
+        open_recording(video, "grey")
 
 
 def test_a_video_that_is_cut_ends_with_a_loss(video: Path) -> None:
     data = video.read_bytes()
     video.write_bytes(data[: len(data) * 2 // 3])
-    recording = open_images(video)
+    recording = open_recording(video, "grey")
     frames = list(recording.frames())
     assert 0 < len(frames) < COUNT
     (loss,) = recording.losses
@@ -138,7 +136,7 @@ def packets(count: int = COUNT) -> list[bytes]:
 
 @pytest.mark.parametrize(("suffix", "error_ns"), [(".mp4", 1), (".mkv", OF_MATROSKA_NS)])
 def test_stamps_of_a_video_of_variable_rate_are_its_own(tmp_path: Path, suffix: str, error_ns: int) -> None:
-    recording = open_images(write_packets(tmp_path / f"v{suffix}", packets(len(UNEVEN)), UNEVEN))
+    recording = open_recording(write_packets(tmp_path / f"v{suffix}", packets(len(UNEVEN)), UNEVEN), "grey")
     frames = list(recording.frames())
     true = [round(time * 1e9 / RATE) for time in UNEVEN]
     assert np.abs(np.subtract([frame.stamp_ns for frame in frames], true)).max() <= error_ns
@@ -151,7 +149,7 @@ def test_stamps_of_a_video_of_variable_rate_are_its_own(tmp_path: Path, suffix: 
 def test_frames_that_cannot_be_decoded_are_passed_and_counted(tmp_path: Path, suffix: str) -> None:
     found = packets()
     found[0] = found[5] = found[6] = b"no JPEG"
-    recording = open_images(write_packets(tmp_path / f"v{suffix}", found, range(COUNT)))
+    recording = open_recording(write_packets(tmp_path / f"v{suffix}", found, range(COUNT)), "grey")
     stamps = [frame.stamp_ns for frame in recording.frames()]
     left = [k for k in range(COUNT) if k not in (0, 5, 6)]
     assert np.abs(np.subtract(stamps, [40_000_000 * k for k in left])).max() <= OF_MATROSKA_NS
@@ -162,7 +160,7 @@ def test_frames_that_cannot_be_decoded_are_passed_and_counted(tmp_path: Path, su
 def test_a_frame_out_of_place_is_dropped(tmp_path: Path) -> None:
     """Its neighbours keep their stamps. In Matroska, times may go back, as behind a damaged part."""
     times = [0, 1, 2, 20, 21, 5, 22, 23]
-    recording = open_images(write_packets(tmp_path / "v.mkv", packets(len(times)), times))
+    recording = open_recording(write_packets(tmp_path / "v.mkv", packets(len(times)), times), "grey")
     stamps = [frame.stamp_ns for frame in recording.frames()]
     left = [time for time in times if time != 5]
     assert np.abs(np.subtract(stamps, [40_000_000 * time for time in left])).max() <= OF_MATROSKA_NS
@@ -173,7 +171,7 @@ def test_a_frame_out_of_place_is_dropped(tmp_path: Path) -> None:
 def test_what_is_before_the_first_frame_is_not_missing(tmp_path: Path) -> None:
     """A Matroska video that begins late tells the duration from 0 on."""
     times = [20 + k for k in range(COUNT)]
-    recording = open_images(write_packets(tmp_path / "v.mkv", packets(), times))
+    recording = open_recording(write_packets(tmp_path / "v.mkv", packets(), times), "grey")
     assert len(list(recording.frames())) == COUNT
     assert recording.losses == ()
 
@@ -187,7 +185,7 @@ def test_a_video_is_read_on_behind_the_number_of_frames_that_it_tells(tmp_path: 
     writer.release()
     path.write_bytes(2 * path.read_bytes())
     path.with_suffix(".toml").write_text(CAMERA)
-    recording = open_images(path)
+    recording = open_recording(path, "grey")
     frames = list(recording.frames())
     assert recording.frame_count is not None and recording.frame_count < len(frames) == 2 * COUNT
     assert [frame.stamp_ns for frame in frames] == [40_000_000 * k for k in range(2 * COUNT)]
@@ -196,7 +194,7 @@ def test_a_video_is_read_on_behind_the_number_of_frames_that_it_tells(tmp_path: 
 def test_a_video_of_nothing_that_can_be_decoded(tmp_path: Path) -> None:
     path = write_packets(tmp_path / "v.mp4", [b"no JPEG"] * 3, range(3))
     with pytest.raises(RecordingError, match=r"v\.mp4: video has no frame that can be decoded"):
-        open_images(path)
+        open_recording(path, "grey")
 
 
 def test_a_video_whose_index_is_cut_off_cannot_be_opened(tmp_path: Path) -> None:
@@ -206,7 +204,7 @@ def test_a_video_whose_index_is_cut_off_cannot_be_opened(tmp_path: Path) -> None
     with pytest.raises(
         RecordingError, match=r"v\.mp4: is no video .*, found an MP4 file that ends before its index$"
     ):
-        open_images(path)
+        open_recording(path, "grey")
 
 
 @pytest.mark.parametrize("content", [b"", b"no video at all" * 20])
@@ -215,7 +213,7 @@ def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     (tmp_path / "face.toml").write_text(CAMERA)
     with pytest.raises(RecordingError, match=r"face.mp4: is no video that can be read"):
-        open_images(path)
+        open_recording(path, "grey")
     # a process of its own, where no video was written before: the libraries say nothing of their own
     command = [sys.executable, "-m", "posetrack_cli.cli.main", "info", str(path)]
     process = subprocess.run(command, capture_output=True, text=True, timeout=60)
@@ -225,13 +223,13 @@ def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
 
 def test_options_that_do_not_apply(video: Path) -> None:
     with pytest.raises(UsageError, match="--tolerance-ms does not apply to a video"):
-        open_images(video, tolerance_ms=3)
+        open_recording(video, "grey", tolerance_ms=3)
     with pytest.raises(UsageError, match="--fps 0"):
-        open_images(video, fps=0)
+        open_recording(video, "grey", fps=0)
 
 
 def test_identity(video: Path) -> None:
-    identity = open_images(video, fps=20).identity()
+    identity = open_recording(video, "grey", fps=20).identity()
     assert (identity["kind"], identity["frames"], identity["fps"]) == ("video", str(COUNT), "20")
     assert identity["stored"] == "8-bit colour"
 
@@ -252,11 +250,11 @@ def test_a_list_of_other_files_is_no_video(tmp_path: Path, text: str, disguise: 
     )
     writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
-    with opened(tmp_path / "other.avi"):
+    with open_capture(tmp_path / "other.avi"):
         pass
     path = tmp_path / "list.mp4"
     path.write_text(f"{disguise}ftyp\n{text}" if disguise else text)
-    with pytest.raises(RecordingError, match="is no video that can be read"), opened(path):
+    with pytest.raises(RecordingError, match="is no video that can be read"), open_capture(path):
         pass
 
 
@@ -267,5 +265,5 @@ def test_a_video_larger_than_any_is_refused(tmp_path: Path, monkeypatch: pytest.
     writer.release()
     monkeypatch.setattr(limits, "IMAGE_PIXELS", 64 * 48 - 1)
     expected = "video is larger than any that is read, found 64x48"
-    with pytest.raises(RecordingError, match=expected), opened(path):
+    with pytest.raises(RecordingError, match=expected), open_capture(path):
         pass

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.opening import open_images
+from posetrack_cli.recording.opening import open_recording
 from support import images as support
 
 LEFT, RIGHT = support.grey_images(5), support.grey_images(5, seed=1)
@@ -22,8 +21,7 @@ def stereo(tmp_path: Path) -> Path:
 
 
 def test_frames_have_an_image_of_each_camera(stereo: Path) -> None:
-    recording = open_images(stereo)
-    assert isinstance(recording, Recording)
+    recording = open_recording(stereo, "grey")
     frames = list(recording.frames())
     assert [frame.stamp_ns for frame in frames] == support.stamps(5)
     assert [frame.index for frame in frames] == list(range(5))
@@ -38,14 +36,14 @@ def test_frames_have_an_image_of_each_camera(stereo: Path) -> None:
 
 
 def test_a_range_keeps_the_indices_and_a_second_pass_begins_anew(stereo: Path) -> None:
-    recording = open_images(stereo)
+    recording = open_recording(stereo, "grey")
     assert [frame.index for frame in recording.frames(start=1, end=4, stride=2)] == [1, 3]
     assert len(list(recording.frames())) == 5
 
 
 def test_a_camera_that_drops_out_keeps_its_place(tmp_path: Path) -> None:
     right = [RIGHT[0], None, RIGHT[2], None, RIGHT[4]]
-    recording = open_images(support.write_rig(tmp_path / "r", {"left": LEFT, "right": right}))
+    recording = open_recording(support.write_rig(tmp_path / "r", {"left": LEFT, "right": right}), "grey")
     frames = list(recording.frames())
     assert [frame.images[1] is None for frame in frames] == [False, True, False, True, False]
     np.testing.assert_array_equal(frames[2].images[1], RIGHT[2])
@@ -56,7 +54,7 @@ def test_a_camera_that_drops_out_keeps_its_place(tmp_path: Path) -> None:
 
 def test_the_reference_may_drop_out_too(tmp_path: Path) -> None:
     left = [None, *LEFT[1:]]
-    recording = open_images(support.write_rig(tmp_path / "r", {"left": left, "right": RIGHT}))
+    recording = open_recording(support.write_rig(tmp_path / "r", {"left": left, "right": RIGHT}), "grey")
     frames = list(recording.frames())
     assert frames[0].images[0] is None
     assert frames[0].stamp_ns == support.stamps(1)[0]
@@ -65,7 +63,7 @@ def test_the_reference_may_drop_out_too(tmp_path: Path) -> None:
 
 
 def test_a_camera_that_ends_early_is_a_loss(tmp_path: Path) -> None:
-    recording = open_images(support.write_rig(tmp_path / "r", {"left": LEFT, "right": RIGHT[:2]}))
+    recording = open_recording(support.write_rig(tmp_path / "r", {"left": LEFT, "right": RIGHT[:2]}), "grey")
     assert len(list(recording.frames())) == 5
     assert [(loss.count, loss.first) for loss in recording.losses] == [(3, "frame 2")]
 
@@ -74,7 +72,7 @@ def test_names_with_the_same_number_belong_together(tmp_path: Path) -> None:
     support.write_images(tmp_path / "left", LEFT, [f"left_{i}" for i in range(8, 13)], ".jpg")
     support.write_images(tmp_path / "right", RIGHT[1:], [f"right_{i}" for i in range(9, 13)], ".bmp")
     (tmp_path / "camera.toml").write_text(support.camera_file_text(support.rig()))
-    frames = list(open_images(tmp_path, fps=30).frames())
+    frames = list(open_recording(tmp_path, "grey", fps=30).frames())
     assert frames[0].images[1] is None
     for frame, right in zip(frames[1:], RIGHT[1:], strict=True):
         np.testing.assert_array_equal(frame.images[1], right)
@@ -87,12 +85,14 @@ def test_names_without_anything_in_common_belong_together_by_position_if_there_a
     support.write_images(tmp_path / "left", LEFT, list("abcde"))
     support.write_images(tmp_path / "right", RIGHT, list("vwxyz"))
     (tmp_path / "camera.toml").write_text(support.camera_file_text(support.rig()))
-    assert [frame.images[1] is not None for frame in open_images(tmp_path, fps=30).frames()] == [True] * 5
+    assert [frame.images[1] is not None for frame in open_recording(tmp_path, "grey", fps=30).frames()] == [
+        True
+    ] * 5
     (tmp_path / "right" / "v.png").unlink()
     with pytest.raises(
         RecordingError, match="cannot be told to belong together, found 5 in left, 4 in right"
     ):
-        open_images(tmp_path, fps=30)
+        open_recording(tmp_path, "grey", fps=30)
 
 
 def test_each_camera_s_own_stamps_are_matched_with_a_tolerance(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_each_camera_s_own_stamps_are_matched_with_a_tolerance(tmp_path: Path) -
     support.write_stamps(tmp_path / "left", support.stamps(5))
     late = [stamp for i, stamp in enumerate(support.stamps(5, 4_000_000)) if i != 2]
     support.write_stamps(tmp_path / "right", late, [f"{name}.png" for name in "wxyz"])
-    recording = open_images(tmp_path)
+    recording = open_recording(tmp_path, "grey")
     frames = list(recording.frames())
     assert [frame.stamp_ns for frame in frames] == support.stamps(5)
     assert [frame.images[1] is None for frame in frames] == [False, False, True, False, False]
@@ -110,32 +110,35 @@ def test_each_camera_s_own_stamps_are_matched_with_a_tolerance(tmp_path: Path) -
     with pytest.raises(
         RecordingError, match=r"no frame in common, found stamps 4 ms apart at best.*--tolerance"
     ):
-        open_images(tmp_path, tolerance_ms=3)
+        open_recording(tmp_path, "grey", tolerance_ms=3)
 
 
 def test_the_recording_s_stamps_by_file_name(tmp_path: Path, stereo: Path) -> None:
     names = [f"{i:06d}.png" for i in range(5)]
     support.write_stamps(stereo, support.stamps(5)[::-1], names)
-    frames = list(open_images(stereo).frames())
+    frames = list(open_recording(stereo, "grey").frames())
     assert len(frames) == 1, "stamps that go back are dropped"
     (stereo / "timestamps.csv").write_text("stamp_ns\n0\n1\n")
     with pytest.raises(RecordingError, match="2 stamps, expected 5"):
-        open_images(stereo)
+        open_recording(stereo, "grey")
     (stereo / "timestamps.csv").unlink()
     with pytest.raises(RecordingError, match="no stamps; pass --fps"):
-        open_images(stereo)
+        open_recording(stereo, "grey")
 
 
 def test_one_folder_of_one_camera(tmp_path: Path) -> None:
     support.write_images(tmp_path, LEFT)
     (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
-    recording = open_images(tmp_path, fps=25)
+    recording = open_recording(tmp_path, "grey", fps=25)
     assert [len(frame.images) for frame in recording.frames()] == [1] * 5
     assert recording.cameras[0].fx == 40.0
 
 
 def test_one_camera_of_several(stereo: Path) -> None:
-    for recording in (open_images(stereo, cameras=["right"]), open_images(stereo / "right", fps=30)):
+    for recording in (
+        open_recording(stereo, "grey", cameras=["right"]),
+        open_recording(stereo / "right", "grey", fps=30),
+    ):
         (camera,) = recording.cameras
         assert camera.name == "right"
         np.testing.assert_array_equal(camera.camera_T_reference, np.eye(3, 4))
@@ -147,14 +150,14 @@ def test_one_camera_of_several(stereo: Path) -> None:
 def test_the_reference_comes_first(stereo: Path) -> None:
     file = stereo / "camera.toml"
     file.write_text(file.read_text().replace('reference = "left"', 'reference = "right"'))
-    recording = open_images(stereo)
+    recording = open_recording(stereo, "grey")
     assert [camera.name for camera in recording.cameras] == ["right", "left"]
     np.testing.assert_array_equal(next(iter(recording.frames())).images[0], RIGHT[0])
 
 
 def test_three_cameras(tmp_path: Path) -> None:
     images = {name: support.grey_images(3, seed) for seed, name in enumerate("abc")}
-    recording = open_images(support.write_rig(tmp_path / "r", images))
+    recording = open_recording(support.write_rig(tmp_path / "r", images), "grey")
     frame = list(recording.frames())[2]
     for image, name in zip(frame.images, "abc", strict=True):
         np.testing.assert_array_equal(image, images[name][2])
@@ -163,7 +166,9 @@ def test_three_cameras(tmp_path: Path) -> None:
 def test_colour_becomes_grey(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     colour = rng.integers(0, 256, (support.HEIGHT, support.WIDTH, 3), dtype=np.uint8)
-    recording = open_images(support.write_rig(tmp_path / "r", {"left": [colour], "right": RIGHT[:1]}))
+    recording = open_recording(
+        support.write_rig(tmp_path / "r", {"left": [colour], "right": RIGHT[:1]}), "grey"
+    )
     (frame,) = recording.frames()
     expected = colour @ [0.114, 0.587, 0.299]
     np.testing.assert_allclose(frame.images[0], expected, atol=1.1, err_msg="luma of B G R, cut to integers")
@@ -175,7 +180,7 @@ def test_of_more_bits_the_upper_eight_are_kept(tmp_path: Path, bits: int) -> Non
     codes = np.random.default_rng(3).integers(0, 1 << bits, (support.HEIGHT, support.WIDTH)).astype(np.uint16)
     codes[0, 0] = (1 << bits) - 1
     folder = support.write_rig(tmp_path / "r", {"left": [codes, codes >> 4], "right": RIGHT[:2]})
-    recording = open_images(folder)
+    recording = open_recording(folder, "grey")
     first, second = recording.frames()
     np.testing.assert_array_equal(first.images[0], codes >> (bits - 8))
     np.testing.assert_array_equal(second.images[0], codes >> 4 >> (bits - 8), "the same for all images")
@@ -187,12 +192,12 @@ def test_the_camera_file_tells_the_bits(tmp_path: Path) -> None:
     folder = support.write_rig(tmp_path / "r", {"left": [dark], "right": RIGHT[:1]})
     file = folder / "camera.toml"
     file.write_text(file.read_text().replace("[cameras.left]\n", "[cameras.left]\nbits = 12\n"))
-    (frame,) = open_images(folder).frames()
+    (frame,) = open_recording(folder, "grey").frames()
     assert (frame.images[0] == 900 >> 4).all()
 
 
 def test_mirror_flips_images_and_scene(stereo: Path) -> None:
-    recording = open_images(stereo, mirror=True)
+    recording = open_recording(stereo, "grey", mirror=True)
     frame = next(iter(recording.frames()))
     np.testing.assert_array_equal(frame.images[1], RIGHT[0][:, ::-1])
     expected = [camera.mirrored() for camera in support.rig()]
@@ -204,7 +209,7 @@ def test_mirror_flips_images_and_scene(stereo: Path) -> None:
 def test_crop_of_one_camera(stereo: Path) -> None:
     file = stereo / "camera.toml"
     file.write_text(file.read_text().replace("[cameras.right]\n", "[cameras.right]\ncrop = [3, 2, 20, 18]\n"))
-    recording = open_images(stereo)
+    recording = open_recording(stereo, "grey")
     np.testing.assert_array_equal(next(iter(recording.frames())).images[1], RIGHT[0][2:20, 3:23])
     assert (recording.cameras[1].cx, recording.cameras[1].width) == (12.0, 20)
 
@@ -214,7 +219,7 @@ def test_images_that_cannot_be_decoded_are_left_out_and_counted(stereo: Path) ->
     image.write_bytes(image.read_bytes()[:60])
     for camera in ("left", "right"):
         (stereo / camera / "000003.png").write_bytes(b"")
-    recording = open_images(stereo)
+    recording = open_recording(stereo, "grey")
     frames = list(recording.frames())
     assert [frame.index for frame in frames] == [0, 1, 2, 4], "without any image there is no frame"
     assert frames[1].images[1] is None
@@ -229,7 +234,7 @@ def test_a_cut_jpeg_is_not_filled_up_with_grey(tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
     image = tmp_path / "000001.jpg"
     image.write_bytes(image.read_bytes()[:-150])
-    recording = open_images(tmp_path, fps=30)
+    recording = open_recording(tmp_path, "grey", fps=30)
     assert [frame.index for frame in recording.frames()] == [0, 2]
 
 
@@ -240,7 +245,7 @@ def test_orientation_tags_do_not_turn_images(tmp_path: Path) -> None:
         data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:]
     )
     (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
-    (frame,) = open_images(tmp_path, fps=30).frames()
+    (frame,) = open_recording(tmp_path, "grey", fps=30).frames()
     assert frame.images[0].shape == (support.HEIGHT, support.WIDTH)
 
 
@@ -249,14 +254,14 @@ def test_another_size_later_on_ends_the_pass(stereo: Path) -> None:
     with pytest.raises(
         RecordingError, match=r"000002.png: images differ in size, found 32x10, expected 32x24"
     ):
-        list(open_images(stereo).frames())
+        list(open_recording(stereo, "grey").frames())
 
 
 def test_values_that_are_no_grey_are_refused(tmp_path: Path) -> None:
     support.write_images(tmp_path, [LEFT[0].astype(np.float32)], suffix=".tiff")
     (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
     with pytest.raises(RecordingError, match="image cannot be used, found float32, expected 8 or 16 bits"):
-        open_images(tmp_path, fps=30)
+        open_recording(tmp_path, "grey", fps=30)
 
 
 def without(path: Path, file: str) -> None:
@@ -286,32 +291,32 @@ def rewrite(path: Path, old: str, new: str) -> None:
 def test_what_cannot_be_read_is_told_in_one_line(stereo: Path, spoil, message: str) -> None:  # type: ignore[no-untyped-def]
     spoil(stereo)
     with pytest.raises(RecordingError) as caught:
-        open_images(stereo)
+        open_recording(stereo, "grey")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_options_that_cannot_be_used(stereo: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--tolerance-ms cannot be used, found -1"):
-        open_images(stereo, tolerance_ms=-1)
+        open_recording(stereo, "grey", tolerance_ms=-1)
     with pytest.raises(UsageError, match="--fps 0"):
-        open_images(stereo, fps=0)
+        open_recording(stereo, "grey", fps=0)
     with pytest.raises(RecordingError, match="no camera 'rigth'; did you mean 'right'"):
-        open_images(stereo, cameras=["rigth"])
+        open_recording(stereo, "grey", cameras=["rigth"])
     with pytest.raises(RecordingError, match="no such file or folder"):
-        open_images(tmp_path / "nothing")
+        open_recording(tmp_path / "nothing", "grey")
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError, match="no images"):
-        open_images(tmp_path / "empty")
+        open_recording(tmp_path / "empty", "grey")
 
 
 def test_identity_depends_on_every_byte_that_is_read(stereo: Path) -> None:
-    first = open_images(stereo).identity()
-    assert first == open_images(stereo).identity()
+    first = open_recording(stereo, "grey").identity()
+    assert first == open_recording(stereo, "grey").identity()
     assert (first["kind"], first["cameras"], first["frames"]) == ("folder", "left,right", "5")
-    assert open_images(stereo, fps=30).identity()["fps"] == "30"
+    assert open_recording(stereo, "grey", fps=30).identity()["fps"] == "30"
     for file in ("right/000004.png", "camera.toml", "timestamps.csv"):
         data = (stereo / file).read_bytes()
         (stereo / file).write_bytes(data + b"\n")
-        assert open_images(stereo).identity()["sha256"] != first["sha256"], file
+        assert open_recording(stereo, "grey").identity()["sha256"] != first["sha256"], file
         (stereo / file).write_bytes(data)

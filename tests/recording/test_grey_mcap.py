@@ -12,12 +12,10 @@ import pytest
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import Recording
-from posetrack_cli.recording.images_mcap import ImagesMcapRecording
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.mcap_extrinsics import camera_places
 from posetrack_cli.recording.mcap_topics import scan_topics
-from posetrack_cli.recording.opening import open_images
-from posetrack_cli.recording.rig_file import camera_file_text
+from posetrack_cli.recording.opening import open_recording
 from support import images as support
 
 LEFT, RIGHT = support.grey_images(5), support.grey_images(5, seed=1)
@@ -81,8 +79,7 @@ def test_images_of_both_cameras_from_every_kind_of_file(
     tmp_path: Path, make: SimpleNamespace, flavour: str, encode: str
 ) -> None:
     found = messages(make, flavour, {"left": LEFT, "right": RIGHT}, offsets_ms=(0, 2), encode=encode)
-    recording = open_images(write(make, tmp_path / "r.mcap", found, flavour))
-    assert isinstance(recording, Recording)
+    recording = open_recording(write(make, tmp_path / "r.mcap", found, flavour), "grey")
     frames = list(recording.frames())
     assert [frame.stamp_ns for frame in frames] == support.stamps(COUNT)
     for frame, left, right in zip(frames, LEFT, RIGHT, strict=True):
@@ -100,7 +97,7 @@ def test_images_of_both_cameras_from_every_kind_of_file(
 def test_a_camera_that_drops_out_or_ends_early(tmp_path: Path, make: SimpleNamespace) -> None:
     right = [RIGHT[0], None, RIGHT[2], None, None]
     found = messages(make, "foxglove", {"left": LEFT, "right": right})
-    recording = open_images(write(make, tmp_path / "r.mcap", found))
+    recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
     frames = list(recording.frames())
     assert [frame.images[1] is None for frame in frames] == [False, True, False, True, True]
     np.testing.assert_array_equal(frames[2].images[1], RIGHT[2])
@@ -114,9 +111,11 @@ def test_stamps_beyond_the_tolerance_are_told(tmp_path: Path, make: SimpleNamesp
     with pytest.raises(
         RecordingError, match=r"r.mcap: cameras left, right have no frame in common, found stamps 15 ms"
     ):
-        list(open_images(path).frames())
+        list(open_recording(path, "grey").frames())
     assert [
-        len(f.images) for f in open_images(path, tolerance_ms=16).frames() if f.images[1] is not None
+        len(f.images)
+        for f in open_recording(path, "grey", tolerance_ms=16).frames()
+        if f.images[1] is not None
     ] == [2] * 5
 
 
@@ -125,15 +124,15 @@ def test_cameras_asked_for_by_name_or_topic_the_first_is_the_reference(
 ) -> None:
     images = {name: support.grey_images(3, seed) for seed, name in enumerate(["left", "middle", "right"])}
     path = write(make, tmp_path / "r.mcap", messages(make, "foxglove", images))
-    recording = open_images(path, cameras=["right", "/stereo/left/image_raw"])
+    recording = open_recording(path, "grey", cameras=["right", "/stereo/left/image_raw"])
     assert [camera.name for camera in recording.cameras] == ["right", "left"]
     assert recording.cameras[1].camera_T_reference[0][3] == pytest.approx(240.0)
     np.testing.assert_array_equal(next(iter(recording.frames())).images[1], images["left"][0])
-    assert [camera.name for camera in open_images(path).cameras] == ["left", "right", "middle"]
-    (alone,) = open_images(path, cameras=["middle"]).cameras
+    assert [camera.name for camera in open_recording(path, "grey").cameras] == ["left", "right", "middle"]
+    (alone,) = open_recording(path, "grey", cameras=["middle"]).cameras
     np.testing.assert_array_equal(alone.camera_T_reference, np.eye(3, 4))
     with pytest.raises(RecordingError, match="no topic of camera 'top', found /stereo/left"):
-        open_images(path, cameras=["top"])
+        open_recording(path, "grey", cameras=["top"])
 
 
 @pytest.mark.parametrize(
@@ -156,7 +155,7 @@ def test_colour_becomes_grey(
     found = messages(make, "ros2", {"left": LEFT[:1], "right": RIGHT[:1]})
     fields = make.raw_fields(colour.reshape(support.HEIGHT, -1), encoding) | {"width": support.WIDTH}
     found[-1] = (*found[-1][:4], fields | {"frame_id": "right"})
-    (frame,) = open_images(write(make, tmp_path / "r.mcap", found, "ros2")).frames()
+    (frame,) = open_recording(write(make, tmp_path / "r.mcap", found, "ros2"), "grey").frames()
     np.testing.assert_allclose(frame.images[1], colour @ np.array(weights), atol=1.0)
 
 
@@ -167,7 +166,7 @@ def test_bayer_patterns(tmp_path: Path, make: SimpleNamespace, pattern: str) -> 
     mosaic = np.tile(tile, (support.HEIGHT // 2, support.WIDTH // 2))
     found = messages(make, "ros2", {"left": LEFT[:1], "right": RIGHT[:1]})
     found[-1] = (*found[-1][:4], make.raw_fields(mosaic, f"bayer_{pattern}8") | {"frame_id": "right"})
-    (frame,) = open_images(write(make, tmp_path / "r.mcap", found, "ros2")).frames()
+    (frame,) = open_recording(write(make, tmp_path / "r.mcap", found, "ros2"), "grey").frames()
     luma = 0.299 * 200 + 0.587 * 120 + 0.114 * 40
     np.testing.assert_allclose(frame.images[1][2:-2, 2:-2], luma, atol=1.5)
 
@@ -185,7 +184,7 @@ def test_sixteen_bits_are_used_where_there_is_nothing_else(
         index = next(i for i, m in enumerate(found) if m[0] == f"/stereo/{name}/image_raw")
         fields = make.raw_fields(image, "mono16", big=big) | {"frame_id": name}
         found[index] = (*found[index][:4], fields)
-    recording = open_images(write(make, tmp_path / "r.mcap", found, "ros2"))
+    recording = open_recording(write(make, tmp_path / "r.mcap", found, "ros2"), "grey")
     (frame,) = recording.frames()
     for image, expected in zip(frame.images, codes, strict=True):
         np.testing.assert_array_equal(image, expected >> 4)
@@ -197,14 +196,14 @@ def test_depth_beside_colour_is_left_alone(tmp_path: Path, make: SimpleNamespace
     depth = make.raw_fields(np.full((9, 9), 700, np.uint16), "16UC1") | {"frame_id": "depth"}
     found.append(("/depth/image", "Image", support.START_NS, support.START_NS, depth))
     path = write(make, tmp_path / "r.mcap", found)
-    assert [camera.name for camera in open_images(path).cameras] == ["left", "right"]
+    assert [camera.name for camera in open_recording(path, "grey").cameras] == ["left", "right"]
 
 
 def test_of_a_topic_raw_and_compressed_the_raw_one_counts(tmp_path: Path, make: SimpleNamespace) -> None:
     found = messages(make, "foxglove", {"left": LEFT, "right": RIGHT})
     twin = image_message(make, LEFT[0], support.START_NS, "left", "jpeg")
     found.append(("/stereo/left/image_raw/compressed", *twin))
-    recording = open_images(write(make, tmp_path / "r.mcap", found))
+    recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
     assert recording.identity()["topics"] == "/stereo/left/image_raw,/stereo/right/image_raw"
 
 
@@ -215,7 +214,7 @@ def test_rectified_images_take_intrinsics_from_p(tmp_path: Path, make: SimpleNam
             fields = fields | {"k": [99.0, 0, 1, 0, 99, 1, 0, 0, 1], "d": [0.3, 0, 0, 0, 0]}
             fields["r"] = support.TURN.ravel().tolist()
         found.append((topic.replace("image_raw", "image_rect"), kind, stamp, log, fields))
-    for camera in open_images(write(make, tmp_path / "r.mcap", found, "ros2")).cameras:
+    for camera in open_recording(write(make, tmp_path / "r.mcap", found, "ros2"), "grey").cameras:
         assert (camera.fx, camera.cx, camera.distortion) == (FX, 15.0, ())
         np.testing.assert_allclose(np.array(camera.camera_T_reference)[:, :3], np.eye(3), atol=1e-12)
 
@@ -234,7 +233,7 @@ def test_r_and_p_of_a_stereo_calibration_place_the_cameras_as_opencv_does(
             own = {"k": k.ravel().tolist(), "d": d.tolist(), "r": r.ravel().tolist(), "p": p.ravel().tolist()}
             message = (*message[:4], message[4] | own)
         found.append(message)
-    cameras = open_images(write(make, tmp_path / "r.mcap", found, "ros2")).cameras
+    cameras = open_recording(write(make, tmp_path / "r.mcap", found, "ros2"), "grey").cameras
     np.testing.assert_allclose(cameras[1].camera_T_reference, place, atol=1e-9)
     assert cameras[0].distortion == first.distortion
 
@@ -261,7 +260,7 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
     with pytest.raises(
         RecordingError, match=r"places of cameras left, right, third are not known.*pass --camera"
     ):
-        open_images(tmp_path / "without.mcap")
+        open_recording(tmp_path / "without.mcap", "grey")
     copied = tmp_path / "with.mcap"
     with McapSink(copied) as sink:
         topic = sink.channel("/tf", FrameTransforms)
@@ -269,7 +268,7 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
         copy_messages(tmp_path / "without.mcap", sink)
         sink.finish()
     for expected, camera in zip(
-        cameras, open_images(copied, cameras=["left", "right", "third"]).cameras, strict=True
+        cameras, open_recording(copied, "grey", cameras=["left", "right", "third"]).cameras, strict=True
     ):
         np.testing.assert_allclose(camera.camera_T_reference, expected.camera_T_reference, atol=1e-9)
 
@@ -339,17 +338,17 @@ def test_a_camera_file_replaces_the_calibration(tmp_path: Path, stereo: Path) ->
     cameras = support.rig()
     file = tmp_path / "camera.toml"
     file.write_text(camera_file_text(cameras))
-    recording = open_images(stereo, camera_file=file)
+    recording = open_recording(stereo, "grey", camera_file=file)
     for camera, expected in zip(recording.cameras, cameras, strict=True):
         assert camera.values() == expected.values()
     assert recording.identity()["calibration"] == "camera file"
     file.write_text(camera_file_text([Camera(**{**c.__dict__, "name": c.name[:1]}) for c in cameras]))
     with pytest.raises(RecordingError, match=r"no topic of camera 'l' of camera.toml, found /stereo/left"):
-        open_images(stereo, camera_file=file)
+        open_recording(stereo, "grey", camera_file=file)
 
 
 def test_mirror_and_one_camera(stereo: Path) -> None:
-    recording = open_images(stereo, cameras=["right"], mirror=True)
+    recording = open_recording(stereo, "grey", cameras=["right"], mirror=True)
     np.testing.assert_array_equal(next(iter(recording.frames())).images[0], RIGHT[0][:, ::-1])
     assert recording.cameras[0].cx == support.WIDTH - 1 - 15.0
 
@@ -358,9 +357,9 @@ def test_truth_is_passed_on(tmp_path: Path, make: SimpleNamespace) -> None:
     found = messages(make, "foxglove", {"left": LEFT, "right": RIGHT})
     truth = image_message(make, LEFT[0], support.START_NS, "left", "raw")
     path = write(make, tmp_path / "r.mcap", [*found, ("/truth/image", *truth)])
-    assert [message.topic for message in open_images(path).truth()] == ["/truth/image"]
-    assert list(open_images(path, mirror=True).truth()) == []
-    assert len(open_images(path).cameras) == 2, "images of the truth are no camera"
+    assert [message.topic for message in open_recording(path, "grey").truth()] == ["/truth/image"]
+    assert list(open_recording(path, "grey", mirror=True).truth()) == []
+    assert len(open_recording(path, "grey").cameras) == 2, "images of the truth are no camera"
 
 
 def spoilt(make: SimpleNamespace, path: Path, what: str) -> Path:
@@ -395,20 +394,20 @@ def test_what_is_wrong_is_told_in_one_line(
     tmp_path: Path, make: SimpleNamespace, what: str, message: str
 ) -> None:
     with pytest.raises(RecordingError) as caught:
-        open_images(spoilt(make, tmp_path / "r.mcap", what))
+        open_recording(spoilt(make, tmp_path / "r.mcap", what), "grey")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_options_that_do_not_apply(stereo: Path) -> None:
     with pytest.raises(UsageError, match="--fps does not apply to an MCAP file"):
-        open_images(stereo, fps=30)
+        open_recording(stereo, "grey", fps=30)
 
 
 def test_a_cut_file_is_read_as_far_as_it_goes(tmp_path: Path, stereo: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(stereo.read_bytes()[: stereo.stat().st_size // 2])
-    recording = open_images(path)
+    recording = open_recording(path, "grey")
     frames = list(recording.frames())
     assert 0 < len(frames) < COUNT
     truncated = [loss for loss in recording.losses if "truncated" in loss.what]
@@ -421,7 +420,7 @@ def test_images_that_are_damaged_are_counted(tmp_path: Path, make: SimpleNamespa
         i for i, m in enumerate(found) if m[0].endswith("right/image_raw") and m[2] > support.START_NS
     )
     found[index] = (*found[index][:4], found[index][4] | {"data": b"too short"})
-    recording = open_images(write(make, tmp_path / "r.mcap", found))
+    recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
     assert [frame.images[1] is None for frame in recording.frames()] == [False, True, False, False, False]
     (loss,) = recording.losses
     assert loss.what == "image skipped, 9 bytes do not hold 32x24 mono8"
@@ -433,10 +432,10 @@ def test_a_later_image_of_another_size_ends_the_pass(tmp_path: Path, make: Simpl
     index = max(i for i, m in enumerate(found) if m[0].endswith("right/image_raw"))
     found[index] = (*found[index][:4], small)
     with pytest.raises(RecordingError, match="images differ in size, found 32x10, expected 32x24"):
-        list(open_images(write(make, tmp_path / "r.mcap", found)).frames())
+        list(open_recording(write(make, tmp_path / "r.mcap", found), "grey").frames())
 
 
 def test_identity_tells_topics_and_how_it_was_read(stereo: Path) -> None:
-    identity = ImagesMcapRecording(stereo, tolerance_ms=7.5).identity()
+    identity = open_recording(stereo, "grey", tolerance_ms=7.5).identity()
     assert (identity["kind"], identity["cameras"], identity["tolerance_ms"]) == ("mcap", "left,right", "7.5")
     assert identity["stored"] == "8-bit grey"

@@ -12,18 +12,14 @@ from mcap.records import Metadata
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.mcap.stream import read_extras
-from posetrack_cli.recording.base import Recording
 from posetrack_cli.recording.conversion import convert_recording
-from posetrack_cli.recording.folder import FolderRecording
-from posetrack_cli.recording.inspection import describe
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import describe, open_recording
 
 
 def test_frames_are_the_images_in_order_with_their_stamps(tmp_path: Path, make: SimpleNamespace) -> None:
     images = make.depth_codes(5)
     recording = open_recording(make.write_folder(tmp_path / "r", images))
     frames = list(recording.frames())
-    assert isinstance(recording, Recording)
     assert [frame.stamp_ns for frame in frames] == make.stamps(5)
     assert [frame.index for frame in frames] == [0, 1, 2, 3, 4]
     for frame, image in zip(frames, images, strict=True):
@@ -344,7 +340,7 @@ def test_senz3d_recording_is_read_without_its_empty_column(tmp_path: Path, measu
     camera.write_text(
         "fx = 224.5\nfy = 230.5\ncx = 160\ncy = 120\nmissing = 32001\ncrop = [0, 0, 320, 240]\n"
     )
-    recording = FolderRecording(measured_data / "cvar-hand" / "P1", camera_file=camera, fps=30)
+    recording = open_recording(measured_data / "cvar-hand" / "P1", camera_file=camera, fps=30)
     frames = list(recording.frames(end=5))
     assert all(frame.depth.shape == (240, 320) for frame in frames)
     assert all(0 < frame.depth.max() < 32001 for frame in frames)

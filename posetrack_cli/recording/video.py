@@ -1,4 +1,4 @@
-"""Grey images of one camera from a video file."""
+"""Videos as recordings of one grey camera."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 
@@ -16,15 +17,15 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input, utf8_name
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.recording.grey import check_size, grey_of, kind_of_image
-from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.recording.matching import NS_PER_MS, StoredImage
-from posetrack_cli.recording.rig_file import Rig, found_rig
-from posetrack_cli.recording.several_cameras import SeveralCamerasRecording
-from posetrack_cli.recording.stamps import stamp_at_rate, stamps_at_rate
-from posetrack_cli.recording.video_stamps import VideoStamps
+from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, Rig, found_rig
+from posetrack_cli.recording.description import described_cameras, opened
+from posetrack_cli.recording.grey import grey_like
+from posetrack_cli.recording.identity import file_identity, shown_name
+from posetrack_cli.recording.matching import NS_PER_MS
+from posetrack_cli.recording.pixels import Window
+from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
+from posetrack_cli.recording.stamps import VideoStamps, stamp_at_rate, stamps_at_rate
+from posetrack_cli.recording.stored import StoredImage
 from posetrack_cli.units import NS_PER_S
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
@@ -57,77 +58,67 @@ MOST_FAILURES = 300
 UNDECODABLE, MISSING = "video frame cannot be decoded", "video frame missing"
 
 
-class ImagesVideoRecording(SeveralCamerasRecording):
-    """The frames of a video, made grey; a ``Recording`` of one camera.
+def open_video(path: Path, options: ReadingOptions) -> Recording:
+    """Open a video as a recording of one camera, its frames made grey.
 
-    Args:
-        path: a file that OpenCV can read.
-        cameras: the camera's name in a camera file of several.
-        camera_file: its calibration; None for NAME.toml or camera.toml beside the video.
-        fps: frame rate, Hz, in place of the video's own stamps.
-        mirror: flip left to right; replaces the camera file's value.
-        guess: of the camera, where it is not calibrated.
+    Its calibration is the camera file given, or NAME.toml or camera.toml beside the video.
 
     Raises:
         RecordingError: if it cannot be read, has no frame, or is not calibrated.
+        UsageError: if an option has a value that cannot be used.
     """
+    fps = options.get("fps")
+    file = options.get("camera_file") or _beside(path)
+    rig = _one_camera(found_rig(path, file, [""], options.get("guess")), options.get("cameras"))
+    (name,) = rig.cameras
+    video = _Video(path, fps)
+    if fps is not None:
+        stamps_at_rate(0, fps)  # refuses what is no rate
+    window = rig.window(name, options.get("mirror"))
+    (stored,) = rig.stored_cameras({name: (video.pixels.width, video.pixels.height)})
+    stream = CameraStream(window.camera(stored), video.pixels, partial(video.images, window))
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        cameras: Sequence[str] | None = None,
-        camera_file: Path | None = None,
-        fps: float | None = None,
-        mirror: bool | None = None,
-        guess: Guess | None = None,
-    ) -> None:
-        rig = _one_camera(found_rig(path, camera_file or _beside(path), [""], guess), cameras)
-        (self._name,) = rig.cameras
-        self._rig_path = rig.path
-        with opened(path) as video:
-            self._count = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0) or None
-            self._rate = float(video.get(cv2.CAP_PROP_FPS))
-            self._kind = kind_of_image(_first_image(video, path), path)
-        self._fps = fps
-        if fps is not None:
-            stamps_at_rate(0, fps)  # refuses what is no rate
-        self._mirror = rig.mirror if mirror is None else mirror
-        self._window = rig.window(self._name, self._mirror)
-        (stored,) = rig.stored_cameras({self._name: (self._kind.width, self._kind.height)})
-        super().__init__(path, [self._window.camera(stored)], 0, is_guessed=rig.is_guessed)
-
-    @property
-    def frame_count(self) -> int | None:
-        """The number of frames that the video tells, None if it does not."""
-        return self._count
-
-    def identity(self) -> Mapping[str, str]:
-        """Name, kind, size and SHA-256 of the file, and how it was read."""
-        size, digest = file_digest(self._path)
+    def identity() -> Mapping[str, str]:
         return {
-            "name": shown_name(self._path.resolve()),
-            "kind": "video",
-            "bytes": str(size),
-            "sha256": digest,
-            "frames": "" if self._count is None else str(self._count),
-            "cameras": self._cameras[0].name,
-            "stored": self._kind.words,
-            "mirror": str(self._mirror).lower(),
-            **({} if self._fps is None else {"fps": str(self._fps)}),
+            **file_identity(path, "video"),
+            "frames": "" if video.count is None else str(video.count),
+            "cameras": stream.camera.name,
+            "stored": video.pixels.words,
+            "mirror": str(window.mirror).lower(),
+            **({} if fps is None else {"fps": str(fps)}),
         }
 
-    def _streams(self, losses: LossLog) -> Sequence[Iterator[StoredImage | None]]:
-        return [self._stream(losses)]
+    return Recording(path, [stream], identity=identity, frame_count=video.count, is_guessed=rig.is_guessed)
 
-    def _stream(self, losses: LossLog) -> Iterator[StoredImage | None]:
+
+class _Video:
+    """What a video tells of itself, and its images.
+
+    Args:
+        path: a file that OpenCV can read.
+        fps: frame rate, Hz, in place of the video's own stamps.
+
+    Attributes:
+        count: the number of frames that it tells, None if it does not.
+        pixels: what its frames hold.
+    """
+
+    def __init__(self, path: Path, fps: float | None) -> None:
+        self._path, self._fps = path, fps
+        with open_capture(path) as video:
+            self.count = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0) or None
+            rate = float(video.get(cv2.CAP_PROP_FPS))
+            self.pixels = grey_like(_first_image(video, path), path)
+        self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 if it tells no rate
+
+    def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage]:
         """Yield the frames, decoded: a video cannot go back to one that was passed.
 
         Behind frames that cannot be decoded those that can are looked for.
         """
         index, failed, reached = 0, 0, -1.0
         stamps = VideoStamps(round(self._period_ns))
-        with opened(self._path) as video:
+        with open_capture(self._path) as video:
             while failed <= self._failures_allowed(index):
                 is_read, image = video.read()
                 if not is_read:
@@ -139,14 +130,14 @@ class ImagesVideoRecording(SeveralCamerasRecording):
                 stamp = stamps.stamp(_position_ns(video))
                 if self._fps is not None:
                     stamp = stamp_at_rate(index, self._fps)
-                yield StoredImage(stamp, f"video frame {index}", partial(self._grey, image, index))
+                yield StoredImage(stamp, f"video frame {index}", partial(self._grey, image, index, window))
                 index += 1
         for lost in range(index, self._end(index, reached)):
-            losses.add(MISSING, f"frame {lost} of {self._count}")
+            losses.add(MISSING, f"frame {lost} of {self.count}")
 
     def _failures_allowed(self, index: int) -> int:
         """A video that goes on behind the number of frames that it tells is read to its end."""
-        return 0 if self._count is None else min(max(self._count - index, 0), MOST_FAILURES)
+        return 0 if self.count is None else min(max(self.count - index, 0), MOST_FAILURES)
 
     def _end(self, index: int, reached: float) -> int:
         """Return how many frames there should have been, where ``index`` of them came up to ``reached``, ns.
@@ -154,24 +145,49 @@ class ImagesVideoRecording(SeveralCamerasRecording):
         Some videos tell a duration, of which OpenCV makes a number of frames at an even rate. So fewer that
         fill the duration are all there are.
         """
-        if self._count is None:
+        if self.count is None:
             return index
-        period_ns = self._period_ns
-        is_full = period_ns > 0 and reached + 1.5 * period_ns >= self._count * period_ns
-        return index if is_full else self._count
-
-    @property
-    def _period_ns(self) -> float:
-        """Time between frames at the video's rate, 0 if it tells none."""
-        return NS_PER_S / self._rate if self._rate > 0 else 0.0
+        is_full = self._period_ns > 0 and reached + 1.5 * self._period_ns >= self.count * self._period_ns
+        return index if is_full else self.count
 
     def _reached_ns(self, video: cv2.VideoCapture) -> float:
         """How much of its duration a video has come through; what is before its first frame counts, too."""
         return max(_position_ns(video), video.get(cv2.CAP_PROP_PTS) * self._period_ns)
 
-    def _grey(self, image: ImageArray, index: int) -> ImageArray:
-        check_size(image, self._kind, f"{self._path}, frame {index}")
-        return self._window.apply(grey_of(image, self._kind.bits))
+    def _grey(self, image: ImageArray, index: int, window: Window) -> ImageArray:
+        return window.apply(self.pixels.from_stored(image, f"{self._path}, frame {index}"))
+
+
+def describe_video(path: Path) -> dict[str, Any]:
+    """Describe a video: size, rate, number of frames as it tells them, and its camera if there is one.
+
+    Raises:
+        RecordingError: it is none.
+    """
+    if not is_video(path):
+        raise RecordingError(
+            "is not a recording or result",
+            where=path,
+            expected="a folder of images, an MCAP file or a video",
+        )
+    with open_capture(path) as video:
+        image = {
+            "width": int(video.get(cv2.CAP_PROP_FRAME_WIDTH)),
+            "height": int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        }
+        rate, frames = float(video.get(cv2.CAP_PROP_FPS)), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    recording, no_camera = opened(lambda: open_video(path, {}))
+    return {
+        "name": shown_name(path.resolve()),
+        "kind": "video",
+        "bytes": path.stat().st_size,
+        "image": image,
+        "frames": frames,
+        "rate_hz": rate,
+        "cameras": described_cameras(recording),
+        "no_camera": no_camera,
+        "losses": [],
+    }
 
 
 def _position_ns(video: cv2.VideoCapture) -> int:
@@ -221,7 +237,7 @@ def _capture(path: Path) -> cv2.VideoCapture | None:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[cv2.VideoCapture]:
+def open_capture(path: Path) -> Iterator[cv2.VideoCapture]:
     """Yield an open video.
 
     Raises:

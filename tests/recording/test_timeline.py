@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from posetrack_cli.recording.plausibility import StampCheck
-from posetrack_cli.recording.timeline import Timeline
+from posetrack_cli.recording.timeline import StampCheck, Timeline
 
 FRAME_NS = 33_333_333
 HOUR_NS = 3600 * 10**9

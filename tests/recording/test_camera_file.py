@@ -10,7 +10,7 @@ import pytest
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import IN_PLACE, Camera
 from posetrack_cli.geometry.extrinsics import placed
-from posetrack_cli.recording.rig_file import camera_file_text, load_rig
+from posetrack_cli.recording.camera_file import camera_file_text, load_rig
 from support import images as support
 
 INTRINSICS = "fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n"

@@ -20,11 +20,11 @@ from posetrack_cli.mcap.decoding import (
 from posetrack_cli.mcap.stream import McapItem, read_extras, read_messages
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.base import RUN_RECORD
+from posetrack_cli.recording.description import described_cameras, described_losses, opened
+from posetrack_cli.recording.grey import holds_grey
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.inspection import loss_values
-from posetrack_cli.recording.inspection_images import describe_rig
 from posetrack_cli.recording.mcap_calibration import camera_from_message
-from posetrack_cli.recording.mcap_grey import holds_grey
+from posetrack_cli.recording.mcap_source import open_grey_mcap
 from posetrack_cli.recording.mcap_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 
@@ -101,7 +101,7 @@ def describe_mcap(path: Path) -> dict[str, Any]:
     survey = McapSurvey(path)
     extras = list(_extras(path))
     several = survey.has_several_cameras() and not any(values["name"] == RUN_RECORD for _, values in extras)
-    rig, no_rig = describe_rig(path) if several else ([], None)
+    rig, no_rig = opened(lambda: open_grey_mcap(path, {})) if several else (None, None)
     return {
         "name": shown_name(path.resolve()),
         "kind": "mcap",
@@ -109,11 +109,11 @@ def describe_mcap(path: Path) -> dict[str, Any]:
         "complete": not survey.losses.losses,
         "topics": survey.topics(),
         "cameras": survey.cameras(),
-        "rig": rig,
+        "rig": described_cameras(rig),
         "no_rig": no_rig,
         "metadata": [values for kind, values in extras if kind == "metadata"],
         "attachments": [values for kind, values in extras if kind == "attachment"],
-        "losses": loss_values(survey.losses.losses),
+        "losses": described_losses(survey.losses.losses),
     }
 
 

@@ -1,0 +1,42 @@
+"""What descriptions of recordings have in common: cameras, stamps and losses as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.losses import Loss
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.recording.timeline import Timeline
+
+
+def opened(opening: Callable[[], Recording]) -> tuple[Recording | None, str | None]:
+    """Return a recording, or why it cannot be opened."""
+    try:
+        return opening(), None
+    except PosetrackError as error:
+        return None, str(error)
+
+
+def described_cameras(recording: Recording | None) -> list[dict[str, Any]]:
+    """Return a recording's cameras as plain values, with their distance from the first, mm."""
+    return [
+        camera.values() | {"distance_mm": float(np.linalg.norm(np.array(camera.camera_T_reference)[:, 3]))}
+        for camera in (() if recording is None else recording.cameras)
+    ]
+
+
+def described_stamps(stamps: Iterable[int]) -> dict[str, Any]:
+    """Return rate, gaps and order of stamps, ns, and what of them cannot be meant."""
+    timeline = Timeline()
+    for stamp in stamps:
+        timeline.add(stamp)
+    return timeline.summary() | {"remarks": list(timeline.remarks)}
+
+
+def described_losses(losses: tuple[Loss, ...]) -> list[dict[str, Any]]:
+    """Return losses as plain values."""
+    return [{"what": loss.what, "count": loss.count, "first": loss.first} for loss in losses]

@@ -1,0 +1,132 @@
+"""Describe folders of images: depth, or grey images of one or more cameras; what is missing has a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.losses import LossLog
+from posetrack_cli.recording.camera_file import load_depth_camera
+from posetrack_cli.recording.description import described_cameras, described_stamps, opened
+from posetrack_cli.recording.folder import depth_camera_path, open_grey_folder
+from posetrack_cli.recording.grey import decode_as_stored, grey_like
+from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.image_files import (
+    DEPTH_SUFFIXES,
+    decode_any,
+    first_decoded,
+    list_images,
+    read_image,
+)
+from posetrack_cli.recording.image_folders import find_folders, stamped_images
+from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps
+
+ANY_RATE_HZ = 30.0
+"""Which images belong together does not depend on it."""
+
+
+def describe_folder(path: Path) -> dict[str, Any]:
+    """Describe a folder of 16-bit depth, or images of cameras; of depth only the first image is read."""
+    folders = find_folders(path)
+    if "" in folders:
+        first = first_decoded(folders[""], _as_stored)
+        if first.ndim == 2 and first.dtype == np.uint16 and folders[""][0].suffix.lower() in DEPTH_SUFFIXES:
+            return _describe_depth(path)
+    return _describe_grey(path, folders)
+
+
+def _describe_depth(path: Path) -> dict[str, Any]:
+    """Describe a folder of depth images: number, size, stamps, camera; what is missing has a reason."""
+    images = list_images(path)
+    first = first_decoded(images, _as_stored)
+    height, width = first.shape[:2]
+    channels = 1 if first.ndim == 2 else first.shape[2]
+    image = {"width": width, "height": height, "bits": 8 * first.dtype.itemsize, "channels": channels}
+    stamps, no_stamps = _or_reason(lambda: _stamps(path, images))
+    camera, no_camera = _or_reason(lambda: _camera(path, width, height))
+    return {
+        "name": shown_name(path.resolve()),
+        "kind": "folder",
+        "bytes": sum(entry.stat().st_size for entry in images),
+        "images": len(images),
+        "first": images[0].name,
+        "last": images[-1].name,
+        "image": image,
+        "stamps": stamps,
+        "no_stamps": no_stamps,
+        "cameras": [camera] if camera else [],
+        "no_camera": no_camera,
+        "losses": [],
+    }
+
+
+def _describe_grey(path: Path, folders: Mapping[str, list[Path]]) -> dict[str, Any]:
+    """Describe the images of each camera, the frames that they make, and the cameras together."""
+    fps, no_stamps = _rate_if_unstamped(path, folders)
+    recording, no_camera = opened(lambda: open_grey_folder(path, {"fps": fps}))
+    matched = () if recording is None else recording.matched(LossLog())
+    frames = [frame for frame in matched if frame is not None]
+    return {
+        "name": shown_name(path.resolve()),
+        "kind": "images",
+        "bytes": sum(image.stat().st_size for images in folders.values() for image in images),
+        "folders": [_folder(name, images) for name, images in folders.items()],
+        "frames": len(frames),
+        "incomplete_frames": sum(None in frame.images for frame in frames),
+        "stamps": described_stamps(f.stamp_ns for f in frames) if not no_stamps and frames else None,
+        "no_stamps": no_stamps,
+        "cameras": described_cameras(recording),
+        "no_camera": no_camera,
+        "losses": [],
+    }
+
+
+def _or_reason(make: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any] | None, str | None]:
+    try:
+        return make(), None
+    except PosetrackError as error:
+        return None, str(error)
+
+
+def _stamps(path: Path, images: list[Path]) -> dict[str, Any]:
+    if not (path / STAMPS_FILE_NAME).exists():
+        raise RecordingError(f"no {STAMPS_FILE_NAME}", hint="pass --fps")
+    return described_stamps(load_stamps(path / STAMPS_FILE_NAME, [image.name for image in images]))
+
+
+def _camera(path: Path, width: int, height: int) -> dict[str, Any]:
+    settings = load_depth_camera(depth_camera_path(path, None))
+    camera = settings.window.camera(settings.stored_camera(width, height))
+    depth = {"depth_unit_mm": settings.depth_unit_mm, "missing": settings.missing, "mirror": settings.mirror}
+    return camera.values() | depth
+
+
+def _as_stored(image: Path) -> ImageArray:
+    return decode_any(read_image(image))
+
+
+def _rate_if_unstamped(path: Path, folders: Mapping[str, list[Path]]) -> tuple[float | None, str | None]:
+    """Return a rate to read images without stamps at, and why they have none."""
+    try:
+        stamped_images(path, folders, None)
+    except PosetrackError as error:
+        return ANY_RATE_HZ, str(error)
+    return None, None
+
+
+def _folder(name: str, images: Sequence[Path]) -> dict[str, Any]:
+    kind = first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image))
+    return {
+        "name": name,
+        "images": len(images),
+        "first": images[0].name,
+        "last": images[-1].name,
+        "width": kind.width,
+        "height": kind.height,
+        "stored": kind.words,
+    }

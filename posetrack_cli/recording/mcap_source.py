@@ -1,0 +1,267 @@
+"""MCAP files as recordings: depth on one topic, or grey images of one or more cameras; Foxglove or ROS.
+
+Stamps are the messages' own, or log times where those are 0. A truncated or damaged file is read as far as it
+goes, which ends the frames with a loss, not an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
+from posetrack_cli.mcap.stream import McapItem, read_messages
+from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
+from posetrack_cli.recording.camera_file import (
+    DepthCamera,
+    NotCalibratedError,
+    Rig,
+    load_depth_camera,
+    load_rig,
+)
+from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.guess import Guess, check_one_camera
+from posetrack_cli.recording.identity import file_identity
+from posetrack_cli.recording.matching import NS_PER_MS
+from posetrack_cli.recording.mcap_calibration import choose_calibration
+from posetrack_cli.recording.mcap_cameras import (
+    CameraTopic,
+    GreyTopic,
+    calibrated_camera,
+    cameras_of_messages,
+    distinct_names,
+    find_sources,
+    sources_of_rig,
+)
+from posetrack_cli.recording.mcap_topics import (
+    Topic,
+    calibration_frames,
+    choose_depth_topic,
+    frame_id_of_topic,
+    scan_topics,
+)
+from posetrack_cli.recording.pixels import Pixels, Window
+from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
+from posetrack_cli.recording.stored import StoredImage, no_png
+
+FROM_FILE, FROM_MESSAGES, GUESSED = "camera file", "messages", "guessed"
+"""Where cameras are from."""
+
+
+def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
+    """Open the depth frames of one topic; its calibration comes from a camera file or another topic.
+
+    Raises:
+        RecordingError: if there is not exactly one topic or calibration that fits, or if the calibration is
+            of another image size. A later image of another size or encoding raises it while it is read.
+        UsageError: a camera file that tells what the messages tell themselves, or a calibration topic
+            together with a camera file.
+    """
+    topics = scan_topics(path)
+    source = _depth_topic(choose_depth_topic(path, topics, options.get("topic")))
+    settings = _camera_file(options)
+    calibration = "" if settings else _calibration_topic(source, topics, options.get("camera_topic"))
+    stored = (
+        settings.stored_camera(*source.size, source.name)
+        if settings
+        else calibrated_camera(
+            path, topics, source, calibration, "choose another with --camera-topic, or pass --camera"
+        )
+    )
+    window = _window(settings.crop if settings else None, settings, options)
+
+    def identity() -> Mapping[str, str]:
+        return {
+            **file_identity(path, "mcap"),
+            "topic": source.topic.name,
+            "camera_topic": calibration,
+            "frames": str(source.topic.count),
+            "mirror": str(window.mirror).lower(),
+        }
+
+    return Recording(
+        path,
+        [_stream(path, source, window, stored)],
+        identity=identity,
+        frame_count=source.topic.count,
+        truth=_truth(path, topics, mirror=window.mirror),
+    )
+
+
+def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
+    """Open the grey images of one or more cameras.
+
+    Every camera's images are read in a pass of its own over the file, so that memory does not grow where one
+    ends early.
+
+    Raises:
+        RecordingError: if no topic or no calibration fits, or nothing tells where the cameras are. A later
+            image of another size raises it while it is read.
+    """
+    topics, tolerance = scan_topics(path), tolerance_ns(options)
+    rig, sources, cameras, calibration = _grey_cameras(path, topics, options)
+    windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
+    streams = [
+        _stream(path, source, window, camera)
+        for source, window, camera in zip(sources, windows, cameras, strict=True)
+    ]
+    counts = {source.topic.count for source in sources}
+    count = counts.pop() if len(counts) == 1 else None  # where they differ some have dropped out
+
+    def identity() -> Mapping[str, str]:
+        return {
+            **file_identity(path, "mcap"),
+            "frames": "" if count is None else str(count),
+            "cameras": ",".join(stream.camera.name for stream in streams),
+            "topics": ",".join(source.topic.name for source in sources),
+            "calibration": calibration,
+            "stored": ", ".join(dict.fromkeys(source.pixels.words for source in sources)),
+            "mirror": str(windows[0].mirror).lower(),
+            "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
+        }
+
+    return Recording(
+        path,
+        streams,
+        identity=identity,
+        frame_count=count,
+        truth=_truth(path, topics, mirror=windows[0].mirror),
+        tolerance_ns=tolerance,
+        is_guessed=calibration == GUESSED,
+    )
+
+
+def _depth_topic(topic: Topic) -> CameraTopic[Depth]:
+    """Return the camera of a topic that holds depth, named by its frame id."""
+    image = topic.image
+    if image is None or image.depth is None:
+        raise TypeError(f"{topic.name} holds no depth")
+    pixels = Depth(image.width, image.height, image.depth, stored=image.encoding)
+    return CameraTopic(topic, frame_id_of_topic(topic) or "camera", pixels)
+
+
+def _camera_file(options: ReadingOptions) -> DepthCamera | None:
+    """Load the camera file, if one is given, for images whose depth format the messages tell themselves."""
+    path = options.get("camera_file")
+    if path is None:
+        return None
+    settings = load_depth_camera(path)
+    for key in ("depth_unit_mm", "missing"):
+        if getattr(settings, key) != DepthCamera.model_fields[key].default:
+            raise UsageError(
+                f"key '{key}' does not apply to MCAP",
+                where=path,
+                hint="its encoding tells the unit: 16UC1 mm, 32FC1 m",
+            )
+    return settings
+
+
+def _calibration_topic(source: CameraTopic[Depth], topics: Mapping[str, Topic], wanted: str | None) -> str:
+    frame_id = frame_id_of_topic(source.topic)
+    return choose_calibration(source.topic.name, frame_id, calibration_frames(topics), wanted)
+
+
+def _grey_cameras(
+    path: Path, topics: Mapping[str, Topic], options: ReadingOptions
+) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str]:
+    """Return the camera file if there is one, topics and stored images' cameras, and where these are from."""
+    file, wanted, guess = options.get("camera_file"), options.get("cameras"), options.get("guess")
+    if file is None:
+        sources = distinct_names(find_sources(path, topics, wanted))
+        return None, sources, *_cameras(path, topics, sources, guess)
+    rig = load_rig(file)
+    rig = rig if wanted is None else rig.chosen(wanted)
+    sources = [_with_bits(source, rig) for source in sources_of_rig(path, topics, rig)]
+    cameras = rig.stored_cameras({source.name: source.size for source in sources})
+    if guess is not None:
+        check_one_camera(path, rig.cameras)
+    return rig, sources, cameras, FROM_FILE
+
+
+def _cameras(
+    path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic], guess: Guess | None
+) -> tuple[list[Camera], str]:
+    """Return the cameras of stored images, and where they are from."""
+    if guess is not None:
+        check_one_camera(path, [source.name for source in sources])
+    try:
+        return cameras_of_messages(path, topics, sources), FROM_MESSAGES
+    except NotCalibratedError:
+        if guess is None:
+            raise
+    return [guess.stored_camera(*source.size, source.name) for source in sources], GUESSED
+
+
+def _with_bits(source: GreyTopic, rig: Rig) -> GreyTopic:
+    bits = rig.cameras[source.name].bits
+    if bits is None or source.pixels.bits == 8:
+        return source
+    return replace(source, pixels=replace(source.pixels, bits=bits))
+
+
+def _window(
+    crop: tuple[int, int, int, int] | None, file: DepthCamera | Rig | None, options: ReadingOptions
+) -> Window:
+    mirror = options.get("mirror")
+    return Window(crop, bool(file and file.mirror) if mirror is None else mirror)
+
+
+def _stream(path: Path, source: CameraTopic[Pixels], window: Window, stored: Camera) -> CameraStream:
+    """Return the images of one topic, given the camera of the images as they are stored."""
+
+    def images(losses: LossLog) -> Iterator[StoredImage | None]:
+        decoder, is_alone = MessageDecoder(), source.pixels.is_numbered_as_stored
+        damage = losses if is_alone else LossLog()
+        try:
+            for number, item in enumerate(read_messages(path, damage, [source.topic.name])):
+                try:
+                    yield _image(path, source, window, decoder.decode(*item), item)
+                except UndecodableMessageError as error:
+                    at = f"at {item[2].log_time} ns"
+                    losses.add(f"message skipped, {error}", f"frame {number} {at}" if is_alone else at)
+                    yield None
+        finally:
+            if not is_alone:
+                losses.include(damage.losses)  # every camera's pass meets the same damage
+
+    return CameraStream(window.camera(stored), source.pixels, images)
+
+
+def _image(
+    path: Path, source: CameraTopic[Pixels], window: Window, decoded: Any, item: McapItem
+) -> StoredImage:
+    stamp, kind = stamp_of(decoded, item[2]), str(source.topic.kind)
+    where = f"{source.topic.name} at {stamp} ns"
+
+    def decode() -> ImageArray:
+        return window.apply(source.pixels.from_message(decoded, kind, f"{path}, {where}"))
+
+    png = partial(source.pixels.png_of_message, decoded, kind) if window.keeps_pixels else no_png
+    return StoredImage(stamp, where, decode, png)
+
+
+def _truth(path: Path, topics: Mapping[str, Topic], *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:
+    """Return what yields the truth: nothing if images are mirrored, as it is not about the mirrored scene."""
+    names = [name for name in topics if name.startswith(TRUTH_PREFIX)]
+    return no_truth if mirror or not names else partial(_truth_messages, path, names)
+
+
+def _truth_messages(path: Path, names: Sequence[str]) -> Iterator[TruthMessage]:
+    for schema, channel, message in read_messages(path, LossLog(), names):
+        yield TruthMessage(
+            topic=channel.topic,
+            schema_name=schema.name if schema else "",
+            schema_encoding=schema.encoding if schema else "",
+            schema_data=schema.data if schema else b"",
+            message_encoding=channel.message_encoding,
+            log_time_ns=message.log_time,
+            data=message.data,
+            channel_metadata=dict(channel.metadata),
+        )

@@ -1,0 +1,130 @@
+"""What images hold, and how that becomes the pixels of frames: the interface of the kinds, and their base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Protocol
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.stored import UnreadableImageError
+
+PixelKind = Literal["depth", "grey"]
+"""What frames have: float32 depth, mm, 0 = no reading; or uint8 grey."""
+
+
+class Pixels(Protocol):
+    """What one camera's images hold.
+
+    All decoding raises UnreadableImageError for data that are no image, damaged or incomplete, and
+    RecordingError for an image of another size or kind than the first.
+
+    Attributes:
+        is_numbered_as_stored: whether every stored image is a frame, also one that cannot be used; else
+            images are matched with those of other cameras, and what cannot be used is left out before.
+    """
+
+    is_numbered_as_stored: ClassVar[bool]
+
+    @property
+    def width(self) -> int:
+        """Of the stored images, pixels."""
+
+    @property
+    def height(self) -> int:
+        """Of the stored images, pixels."""
+
+    def from_file(self, data: bytes, where: object) -> ImageArray:
+        """Return the (height, width) pixels of an image file."""
+
+    def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
+        """Return the (height, width) pixels of a message of kind RAW_IMAGE or COMPRESSED_IMAGE."""
+
+    def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
+        """Return the 16-bit PNG of depth in mm that a message carries, None if it does not carry one."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of the stored images that is used: first cut out, then flipped.
+
+    Attributes:
+        crop: x, y, width, height of the part, pixels of the stored image; None for all of it.
+        mirror: flip left to right.
+    """
+
+    crop: tuple[int, int, int, int] | None = None
+    mirror: bool = False
+
+    @property
+    def keeps_pixels(self) -> bool:
+        """Whether images pass through unchanged."""
+        return self.crop is None and not self.mirror
+
+    def apply(self, image: ImageArray) -> ImageArray:
+        """Return the window of an image, contiguous."""
+        if self.crop is not None:
+            x, y, width, height = self.crop
+            image = image[y : y + height, x : x + width]
+        return np.ascontiguousarray(image[:, ::-1] if self.mirror else image)
+
+    def camera(self, camera: Camera) -> Camera:
+        """Return the camera of the window, given the camera of the stored images.
+
+        Raises:
+            RecordingError: if the crop does not lie in the image.
+        """
+        if self.crop is not None:
+            camera = _cropped(camera, self.crop)
+        return camera.mirrored() if self.mirror else camera
+
+
+def _cropped(camera: Camera, crop: tuple[int, int, int, int]) -> Camera:
+    x, y, width, height = crop
+    inside = min(x, y) >= 0 and min(width, height) > 0
+    if not inside or x + width > camera.width or y + height > camera.height:
+        raise RecordingError(
+            "crop does not lie in the image",
+            where="camera.toml",
+            found=f"x {x}, y {y}, {width}x{height}",
+            expected=f"a part of {camera.width}x{camera.height}",
+        )
+    return replace(camera, width=width, height=height, cx=camera.cx - x, cy=camera.cy - y)
+
+
+def check_size(image: ImageArray, pixels: Pixels, where: object) -> None:
+    """Raise RecordingError if an image is not of the size of the first."""
+    if image.shape[:2] != (pixels.height, pixels.width):
+        raise RecordingError(
+            "images differ in size",
+            where=where,
+            found=f"{image.shape[1]}x{image.shape[0]}",
+            expected=f"{pixels.width}x{pixels.height} as in the images before",
+        )
+
+
+def raw_values(decoded: Any, value: str, channels: int = 1) -> ImageArray:
+    """Return the (height, width) or (height, width, channels) values of a raw image message.
+
+    Args:
+        decoded: a foxglove.RawImage or ROS Image, whose rows may be padded to ``step`` bytes.
+        value: dtype of one value, without byte order.
+        channels: values per pixel.
+
+    Raises:
+        UnreadableImageError: the data are too short.
+    """
+    dtype = np.dtype((">" if getattr(decoded, "is_bigendian", 0) else "<") + value)
+    width, height, data = int(decoded.width), int(decoded.height), bytes(decoded.data)
+    pixel = dtype.itemsize * channels
+    step = int(decoded.step) or width * pixel
+    needed = step * (height - 1) + width * pixel
+    if min(width, height) < 1 or step < width * pixel or len(data) < needed:
+        raise UnreadableImageError(f"{len(data)} bytes do not hold {width}x{height} {decoded.encoding}")
+    shape = (height, width, channels)
+    strided: ImageArray = np.ndarray(shape, dtype, data, strides=(step, pixel, dtype.itemsize))
+    whole = strided.astype(dtype.newbyteorder("="))
+    return whole[..., 0] if channels == 1 else whole

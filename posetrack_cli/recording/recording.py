@@ -1,0 +1,157 @@
+"""A recording: the images of its cameras, put together to frames, selected and decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.matching import NS_PER_MS, check_range, match_images, select_frames, unmatched
+from posetrack_cli.recording.pixels import Pixels
+from posetrack_cli.recording.readahead import read_ahead
+from posetrack_cli.recording.stored import StoredFrame, StoredImage, decode_frames
+
+DEFAULT_TOLERANCE_MS, LONGEST_TOLERANCE_MS = 10.0, 1000.0
+
+
+class ReadingOptions(TypedDict, total=False):
+    """How a recording is read; what is missing or None is as the recording itself says.
+
+    Attributes:
+        topic, camera_topic: of an MCAP file's depth images and their calibration.
+        cameras: names (MCAP: or topics) of those to use; None for all.
+        camera_file: in place of the recording's own calibration.
+        fps: frame rate, Hz, in place of timestamps.csv or a video's own stamps.
+        depth_unit_mm, missing: of a folder's depth: mm per stored unit, code for no reading.
+        mirror: flip images left to right.
+        tolerance_ms: largest difference of stamps within a frame; 10 if None.
+        guess: what the only camera is taken for where nothing tells its intrinsics; with a guess several
+            cameras are refused.
+    """
+
+    topic: str | None
+    camera_topic: str | None
+    cameras: Sequence[str] | None
+    camera_file: Path | None
+    fps: float | None
+    depth_unit_mm: float | None
+    missing: int | None
+    mirror: bool | None
+    tolerance_ms: float | None
+    guess: Guess | None
+
+
+def tolerance_ns(options: ReadingOptions) -> int:
+    """Return the largest difference of stamps within a frame.
+
+    Raises:
+        UsageError: the option has a value that cannot be used.
+    """
+    given = options.get("tolerance_ms")
+    tolerance = DEFAULT_TOLERANCE_MS if given is None else given
+    if not 0.0 <= tolerance <= LONGEST_TOLERANCE_MS:
+        expected = f"milliseconds from 0 to {LONGEST_TOLERANCE_MS:g}"
+        raise UsageError("--tolerance-ms cannot be used", found=f"{tolerance:g}", expected=expected)
+    return round(tolerance * NS_PER_MS)
+
+
+@dataclass(frozen=True)
+class CameraStream:
+    """One camera of a recording.
+
+    Attributes:
+        camera: of the images as frames have them, after crop and mirror.
+        pixels: what its images hold, and how they are decoded.
+        images: yields all images as they are stored, None for one that cannot be used; counts what is lost.
+    """
+
+    camera: Camera
+    pixels: Pixels
+    images: Callable[[LossLog], Iterator[StoredImage | None]]
+
+
+def no_truth() -> Iterator[TruthMessage]:
+    """Yield nothing."""
+    return iter(())
+
+
+class Recording:
+    """A recorded sequence that can be read from the start any number of times.
+
+    Args:
+        path: the file or folder.
+        streams: the cameras, the reference first.
+        identity: tells name, kind, size and SHA-256 of the input, and how it was read, for a result's record.
+        frame_count: how many frames there are before reading; None when unknown (a truncated file).
+        truth: yields the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
+        tolerance_ns: largest difference of stamps within a frame.
+        is_guessed: whether the intrinsics are a ``Guess``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        streams: Sequence[CameraStream],
+        *,
+        identity: Callable[[], Mapping[str, str]],
+        frame_count: int | None,
+        truth: Callable[[], Iterator[TruthMessage]] = no_truth,
+        tolerance_ns: int = 0,
+        is_guessed: bool = False,
+    ) -> None:
+        self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
+        self.identity, self.truth = identity, truth
+        self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
+        self.pixels: tuple[Pixels, ...] = tuple(stream.pixels for stream in streams)
+        self._streams, self._tolerance_ns = tuple(streams), tolerance_ns
+        self._log = LossLog()
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """What the last pass over the frames had to skip; empty when nothing was lost."""
+        return self._log.losses
+
+    def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
+        """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""
+        check_range(start, end, stride)
+        log = self._log = LossLog()
+        return read_ahead(self._decoded(self.stored_frames(log, start=start, end=end, stride=stride), log))
+
+    def stored_frames(
+        self, losses: LossLog, *, start: int = 0, end: int | None = None, stride: int = 1
+    ) -> Iterator[tuple[int, StoredFrame]]:
+        """Yield index and undecoded frame, selected and ordered as ``frames`` does."""
+        return select_frames(self.matched(losses), losses, start=start, end=end, stride=stride)
+
+    def matched(self, losses: LossLog) -> Iterator[StoredFrame | None]:
+        """Yield all frames undecoded; None for one that cannot be used and keeps its number all the same."""
+        return match_streams(self._streams, self._tolerance_ns, losses)
+
+    def _decoded(self, stored: Iterator[tuple[int, StoredFrame]], losses: LossLog) -> Iterator[Frame]:
+        try:
+            yield from decode_frames(stored, losses)
+        except RecordingError as error:
+            raise _at(self.path, error) from error
+
+
+def match_streams(
+    streams: Sequence[CameraStream], tolerance_ns: int, losses: LossLog
+) -> Iterator[StoredFrame | None]:
+    """Put together what cameras took at the same time; images numbered as stored are frames by themselves."""
+    names = [stream.camera.name for stream in streams]
+    images = [stream.images(losses) for stream in streams]
+    if streams[0].pixels.is_numbered_as_stored:
+        return unmatched(names[0], images[0])
+    return match_images(names, images, tolerance_ns, losses)
+
+
+def _at(path: Path, error: RecordingError) -> RecordingError:
+    """Return the error with the recording's path, if it does not tell it."""
+    text = str(error)
+    return error if text.startswith(str(path)) else RecordingError(text, where=path)

@@ -1,0 +1,46 @@
+"""The registry of sources: what is opened as what, and which options apply to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from posetrack_cli.cli.recording_options import NAMES
+from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.opening import SOURCES, describe, open_recording
+from posetrack_cli.recording.recording import ReadingOptions
+
+OPENERS = [opener for source in SOURCES for opener in source.openers.values()]
+
+
+def test_every_option_is_one_of_reading_and_applies_somewhere() -> None:
+    applying = frozenset[str]().union(*(opener.options for opener in OPENERS))
+    assert applying == ReadingOptions.__annotations__.keys()
+    assert {*NAMES, "guess"} == applying
+
+
+def test_options_that_exclude_each_other_both_apply_alone() -> None:
+    for opener in OPENERS:
+        assert {*opener.excluded.keys(), *opener.excluded.values()} <= opener.options
+
+
+@pytest.mark.parametrize("pixels", ["depth", "grey"])
+def test_what_is_not_there_is_said_before_any_option(tmp_path: Path, pixels: str) -> None:
+    with pytest.raises(RecordingError, match="no such file or folder"):
+        open_recording(tmp_path / "none", pixels, topic="/t", tolerance_ms=1.0)  # type: ignore[arg-type]
+    with pytest.raises(RecordingError, match="no such file or folder"):
+        describe(tmp_path / "none")
+
+
+def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--depth-unit-mm does not apply to a folder of images"):
+        open_recording(tmp_path, "grey", depth_unit_mm=2.0)
+    with pytest.raises(UsageError, match="--tolerance-ms does not apply to a folder of images"):
+        open_recording(tmp_path, "depth", tolerance_ms=5.0)
+
+
+def test_a_video_holds_no_depth(tmp_path: Path) -> None:
+    (tmp_path / "v.mp4").write_bytes(b"\0\0\0\x20ftypisom")
+    with pytest.raises(RecordingError, match=r"is not a recording, found a file of another kind, expected"):
+        open_recording(tmp_path / "v.mp4")
