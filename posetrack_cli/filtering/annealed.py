@@ -28,9 +28,9 @@ from posetrack_cli.filtering.step import Prediction, Proposed, Weighing, equal_l
 from posetrack_cli.filtering.weights import effective_count, normalise
 
 SMALLEST_STEP = 1e-4
-"""Of the temperature: so a frame comes to its end, however sharp its likelihood."""
+"""Of the temperature: bounds the number of steps, however sharp the likelihood."""
 LEAST_VARIANCE = 1e-9
-"""Of a block's proposal, in units of the prior's: particles that all agree still have a direction to move."""
+"""Of a block's proposal, in units of the prior's: particles that all agree can still move."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The one error of filters, and what is refused everywhere alike: names and time steps."""
+"""The error that filters raise, the check of time steps, and registries of things by name."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class Motion(NamedTuple):
 
 
 class FilterState(ABC):
-    """Weighted poses, and whatever else the particles of a filter carry.
+    """Weighted poses, and what else the particles of a filter carry.
 
     Attributes:
         has_velocity: whether the filter estimates one.

@@ -4,8 +4,8 @@ With one fit's quadratic as a frame's likelihood and a smooth motion as the prio
 linear-Gaussian model about the fits: a Kalman filter on the way forward, the message from the later frames
 (`gaussian_smoothing.BackwardMessage`) on the way back. Which fit, and how far it is trusted, is decided under
 the prediction of the frame from those before it, and again, on the way back, under that from all others.
-There the frame may also be fitted anew, from what all others expect: the likelihood is expanded again about a
-better pose, as in an iterated Kalman smoother (Bell 1994), and a finger that the filter's fits lost may be
+There the frame may also be fitted again, from what all others expect: the likelihood is expanded again about
+a better pose, as in an iterated Kalman smoother (Bell 1994), and a finger that the filter's fits lost may be
 found.
 
 The fit with the greatest evidence is taken. Where it contradicts the belief its information is lowered as a

@@ -14,7 +14,7 @@ information form, as the backward half of a two-filter smoother (Mayne 1966; Fra
 
 L may be singular: one later frame says nothing about velocities. The product with the prediction from the
 past is what Rauch, Tung and Striebel's smoother yields; but here what all *other* frames expect of a frame is
-at hand before its own likelihood is taken in, which may so be looked at again from there.
+at hand before its own likelihood is taken in, which may then be expanded again about that.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a filter must be told: the space poses live in, how they move, and how well they fit an observation.
+"""What a filter is given: the space of poses, how they move, and how well they fit an observation.
 
 Poses are rows of an (N, S) array, in whatever representation suits; small motions are rows of an (N, D)
 array in the tangent space. For the hand S = 22 (with a unit quaternion) and D = 21.

@@ -61,8 +61,9 @@ def effective_count(weights: FloatArray) -> float:
 def truncated(weights: FloatArray) -> FloatArray:
     """Return weights (N,) of sum 1, those above ``TRUNCATION`` sqrt(N) times their mean cut to it.
 
-    All are then scaled anew. Truncated importance sampling (Ionides 2008): where few samples carry most of
-    the weight, the variance of an estimate falls much more than its bias grows, and the bias vanishes with N.
+    All are then normalised again. Truncated importance sampling (Ionides 2008): where few samples carry most
+    of the weight, the variance of an estimate falls much more than its bias grows, and the bias vanishes with
+    N.
     """
     limited = np.minimum(weights, TRUNCATION / math.sqrt(weights.size))
     out: FloatArray = limited / limited.sum()

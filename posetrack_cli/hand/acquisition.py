@@ -1,4 +1,4 @@
-"""Finding a hand of which no pose is known: at the start, and after a loss."""
+"""Finding a hand whose pose is unknown: at the start, and after a loss."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Candidate:
 
 
 class Costs(Protocol):
-    """What a search asks of a likelihood, or of whatever else draws poses."""
+    """What a search asks of a likelihood, or of anything else that scores poses."""
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """Costs D (N,), mm, of poses (N, 22)."""

@@ -22,7 +22,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 class HandSettings(Settings):
     """Which hand, how large, and of what proportions; with ``mesh``, those of the file's hand.
 
-    A side ``auto`` is found out before a run begins (``calibration.before_run``).
+    A side ``auto`` is determined before a run begins (``calibration.before_run``).
     """
 
     side: Literal["auto", "right", "left"] = "auto"
@@ -135,7 +135,7 @@ class DetectionSettings(Settings):
     """What a hand looks like that is found without a prediction.
 
     A palm's surface takes in a disc of ``palm_radius_mm``, smallest to largest; within ``reach_mm`` of its
-    middle the surface goes on at one place at most, the arm, which is ``arm_mm`` wide at most.
+    middle the surface continues at one place at most, the arm, which is ``arm_mm`` wide at most.
     """
 
     nearest_mm: Positive = 120.0
@@ -236,7 +236,7 @@ class StatusSettings(Settings):
     ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and
     replaced by another one in the image if that costs less than ``better`` times as much, or ``better_mm``
     less. Confidence 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
-    hand is then looked for in the whole image.
+    hand is then searched for in the whole image.
     """
 
     doubt_factor: Positive = 1.5
@@ -253,7 +253,7 @@ class SmoothingSettings(Settings):
 
     ``fits`` smooths the local fits of the frames, with ``pose`` and ``velocity`` as noise densities of their
     motion (as ``motion``'s); ``gaussian`` each frame's mean and covariance of the filter; ``particles`` is
-    backward simulation among the filter's particles with so many trajectories.
+    backward simulation among the filter's particles with ``trajectories`` of them.
 
     Of ``fits`` alone: ``refit_iterations`` is how often each frame is fitted again from what all others
     expect, 0 not at all; ``sharpening`` how much sharper the likelihood is than the residuals that a fit

@@ -1,7 +1,7 @@
 """What a frame says about where the hand is: local fits, as approximations of the likelihood.
 
 `LocalFitter` makes them for the filter, from several starts; `HandFits` for the smoother, with what all other
-frames expect as their prior. What a smoother's fit is worth is told by what it leaves (**[ours]**): the
+frames expect as their prior. A smoother's fit is weighed by its own residual (**[ours]**): the
 filter, which has to try all poses by one measure, takes a pixel's noise from the sensor; here it is taken
 from the fit's own union cost D, the mean absolute residual, so sigma = sqrt(pi / 2) D. Where a hand is seen
 well, information is some ten times that of the filter's fits, and where half of it is hidden or cut off, a
@@ -222,7 +222,7 @@ class HandFits:
         return {"image": image, "place": place, "fits": poses, "count": count}
 
     def known(self, frame: Memory) -> LikelihoodModes | None:
-        """Return the filter's fits, assessed anew; None where it had none."""
+        """Return the filter's fits, assessed again; None where it had none."""
         if not frame["count"]:
             return None
         return self._assessed(self._reading(frame), frame["fits"][: int(frame["count"])])

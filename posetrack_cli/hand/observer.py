@@ -2,7 +2,7 @@
 
 A cost alone cannot tell a hand from a wall: the pixels that it compares a hand with are cut out around the
 hand's own prediction, from a wall as readily as from a body that the hand touches. What a wall lacks is an
-outline, which is looked for here, too.
+outline, which is measured here, too.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ Contrast: a bare wall has 0.0, a noisy one 0.1 at most, a step in a wall 0.15; h
 to 1.0, and less where the estimate lies beside them. Broken: walls and steps have 0.05 at most.
 """
 _VIEW = ObservationSettings(window_mm=300.0)
-"""The window that is looked at: of a hand and its surroundings, whatever the likelihood's own window is."""
+"""The window of a hand and its surroundings, independent of the likelihood's own."""
 _BESIDE_MM = (8.0, 20.0)
-"""The surroundings: so far outside the bones as they are drawn, where no skin reaches."""
+"""The surroundings: distances outside the drawn bones that no skin reaches."""
 _CLEAR_STEP_MM, _BREAK_MM = 10.0, 15.0
 """A step in depth that is as good as any larger one, a finger's height above what it lies on; and one that is
 no noise."""
@@ -41,7 +41,7 @@ _BLOCK = np.ones((3, 3), np.uint8)
 
 
 class Outline(NamedTuple):
-    """How a frame goes on beside a hand **[ours]**.
+    """How a frame continues beside a hand **[ours]**.
 
     With y_out the readings beside the hand and y_in that of the nearest pixel well on the hand, each; a
     missing reading counts as far away.
@@ -105,7 +105,7 @@ def _in_image(window: Window, camera: Camera) -> ImageArray:
 
 
 _FOREARM_MM = 160.0
-"""Of a detected arm so much behind the wrist is left out of account, besides what lies beyond the window."""
+"""Length of a detected arm behind the wrist that is ignored, besides what lies beyond the window."""
 _STEP_MM = 25.0
 """A reading farther from the nearest pixel of a detection's coarse mask is of another surface."""
 
@@ -117,7 +117,7 @@ class Observer:
         config: window and segmentation.
         anatomy: the hand.
         camera: of the depth images.
-        segment: whether the hand is told from what is around it; else all readings are targets.
+        segment: whether the hand is separated from its surroundings; else all readings are targets.
     """
 
     def __init__(self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, *, segment: bool) -> None:

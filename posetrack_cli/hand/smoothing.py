@@ -1,4 +1,4 @@
-"""The smoothed track of a hand: what the filter knew at each frame, spooled, and smoothed on the way back."""
+"""The smoothed track of a hand: the filter's belief at each frame, spooled, and smoothed backwards."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class SmoothedTrack:
             for estimate in track.backward(): ...                   # at the end
             track.delete()
 
-    A chain of frames is smoothed as one; where the track was found anew another begins. The memory is a file,
+    A chain of frames is smoothed as one; a re-initialised track begins another. The memory is a file,
     and what is held of it does not grow with the recording.
 
     Args:
@@ -103,7 +103,7 @@ class SmoothedTrack:
             particles: the filter's state.
             estimate: what was written of it.
             dt: seconds that the filter advanced by to this frame; 0 if it stood still.
-            cut: whether the state does not follow from the frame before: the first, or one found anew.
+            cut: whether the state does not follow from the frame before: at the first, or re-initialised.
             frame: what the smoother's fits keep of it (`HandFits.keep`).
         """
         about = {

@@ -155,8 +155,8 @@ class SwarmState:
     Attributes:
         pose: (22,) last solution.
         stamp_ns: of the last frame; None before the first.
-        misses: frames in a row without confidence; those before the first one with it count as many as make
-            a hand lost, for its start is but assumed.
+        misses: frames in a row without confidence. It starts at the number that makes a hand lost, as the
+            start pose is only assumed.
     """
 
     pose: FloatArray

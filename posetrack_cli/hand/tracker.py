@@ -375,7 +375,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
 
 
 def _particle_layouts(count: int) -> dict[str, Layout]:
-    """What the arrays of so many particles must be, whatever filter has them."""
+    """What the arrays of ``count`` particles must be, for any filter."""
     return {
         "poses": pose_layout(count),
         "velocities": floats(count, TANGENT_SIZE),

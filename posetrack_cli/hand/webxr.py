@@ -145,7 +145,9 @@ def _side(joints: FloatArray, path: Path) -> str:
     if len(named) == 1:
         return named[0]
     raise UsageError(
-        "a flat hand, right or left cannot be told", where=path, hint="name the file right.glb or left.glb"
+        "a flat hand, right or left cannot be determined",
+        where=path,
+        hint="name the file right.glb or left.glb",
     )
 
 

@@ -50,7 +50,7 @@ class Decimation:
 
 
 def decimated(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None = None) -> SkinnedMesh:
-    """Return a mesh of at most so many triangles with nearly the same surface; see ``decimation``."""
+    """Return a mesh of at most this many triangles with nearly the same surface; see ``decimation``."""
     return decimation(mesh, triangles, transforms).of(mesh.vertices)
 
 

@@ -125,7 +125,7 @@ def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How a smooth surface follows from a closed mesh, whatever its vertices and weights are.
+    """How a smooth surface follows from a closed mesh with any vertices and weights.
 
     Attributes:
         through: (W, V) takes the mesh's vertices to those of the surface, which passes through them.

@@ -15,7 +15,7 @@ from posetrack_cli.arrays import Float32Array, FloatArray
 _LOGISTIC_OF_NORMAL = 1.702
 """1 / (1 + exp(-1.702 t)) is the normal distribution function to .01 (Camilli 1994)."""
 REACH_PX = 2
-"""So far beside itself a target pixel looks for what is drawn."""
+"""How far beside itself a target pixel looks for what is drawn."""
 LOOKS_BESIDE = 2.0
 FAR_PX = 1e4
 
@@ -88,7 +88,7 @@ class PixelMixture:
         return np.log1p(1.0 / (self.uniforms["outlier_per_sd"] * self.noise_sd(depth)))
 
     def misfit(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray | float = 0.0) -> FloatArray:
-        """rho of readings of the surface, > 0, where it is at a depth and drawn so much aside, mm."""
+        """rho of readings of the surface, > 0, where it is at a depth and drawn ``off_mm`` aside."""
         constants, sd = self.uniforms, self.noise_sd(depth)
         rate = constants["occluder_rate"]
         hidden = constants["occluded_per_sd"] * sd / -np.expm1(-rate * depth)
@@ -99,19 +99,19 @@ class PixelMixture:
         return np.log(best / (here + before + outlier))
 
     def beside(self, depth: FloatArray, off_mm: FloatArray) -> FloatArray:
-        """b of an outline off by so many mm, at a depth, mm."""
+        """b of an outline that is off by ``off_mm``, at a depth, mm."""
         outlier = self.uniforms["outlier_per_sd"] * self.noise_sd(depth)
         return (np.exp(-0.5 * np.square(off_mm / self.outline_sd_mm)) + outlier) / (1.0 + outlier)
 
     def misfit_of_other(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray) -> FloatArray:
-        """rho of readings, > 0, mm, known to be of something else, so many mm beside the target."""
+        """rho of readings, > 0, mm, known to be of something else, ``off_mm`` beside the target."""
         t = _LOGISTIC_OF_NORMAL * (depth - reading) / self.noise_sd(depth)
         # the exponent is bounded: beyond, both shares are 0 or 1 in float32 too
         front = 1.0 / (1.0 + np.exp(np.clip(-t, -80.0, 80.0)))
         return -np.log(front + (1.0 - front) * self.beside(depth, off_mm))
 
     def misfit_of_unread(self, depth: FloatArray, off_mm: FloatArray) -> FloatArray:
-        """rho where there is no reading, so many mm beside the target."""
+        """rho where there is no reading, ``off_mm`` beside the target."""
         return -self.unread_weight * np.log(self.beside(depth, off_mm))
 
 

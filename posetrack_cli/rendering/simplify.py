@@ -75,7 +75,7 @@ _NEIGHBOURS = 4
 
 
 def simplified(mesh: SkinnedMesh, triangles: int) -> SkinnedMesh:
-    """Return a mesh of about so many triangles, or the mesh itself if it has no more.
+    """Return a mesh of about this many triangles, or the mesh itself if it has no more.
 
     Weights are those of the nearest old vertices, by inverse distance.
     """

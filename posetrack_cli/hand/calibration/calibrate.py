@@ -49,10 +49,10 @@ class CalibrationOptions:
 
     Attributes:
         side: ``right`` or ``left``; None to find out.
-        seconds: how much of the recording is looked at, from its start.
+        seconds: length of the part of the recording that is used, from its start.
         frames: how many frames the shape is adjusted to.
         seed: of the scattered starts of fits.
-        start: the first frame that is looked at.
+        start: the first frame that is used.
     """
 
     side: str | None = None
@@ -70,7 +70,7 @@ class Calibration:
         side: ``right`` or ``left``.
         shape: of the hand.
         sd: (16,) standard deviations of the factors.
-        frames_seen: frames that were looked at.
+        frames_seen: frames that were tracked.
         frames_used: frames that the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.
     """

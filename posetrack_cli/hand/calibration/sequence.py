@@ -18,9 +18,9 @@ from posetrack_cli.recording.base import Frame
 
 _KEPT_VELOCITY = 0.8
 _LOST_COST_SHARE = 0.45
-"""Of the clamp: a hand that fits no better is looked for anew."""
+"""Share of the clamp: a hand that fits no better is searched for again."""
 _SEARCHED_EVERY = 8
-"""Frames; so often a hand that fits badly is also looked for in the whole image."""
+"""Frames between searches of the whole image for a hand that fits badly."""
 _SPACE = HandSpace()
 
 
@@ -52,7 +52,7 @@ class SequenceFitter:
         self._observer, self._local_fitter = self._finder.observer, self._finder.local_fitter
 
     def fit(self, frames: Sequence[Frame], rng: np.random.Generator) -> SequenceFit:
-        """Return the hand's poses; where it is lost it is looked for in the whole image."""
+        """Return the hand's poses; where it is lost the whole image is searched."""
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6] = 1.0
         worst = _LOST_COST_SHARE * self._config.observation.clamp_mm
@@ -78,7 +78,7 @@ class SequenceFitter:
         return inside_limits(fits.modes.poses[:1])[0], fits.cost
 
     def _unless_elsewhere(self, frame: Frame, here: tuple[FloatArray, float]) -> tuple[FloatArray, float]:
-        """A fit, or one to the hand found anew where that is far better: a track may be upside down."""
+        """A fit, or that of a new search where it is far better: a track may be upside down."""
         settings = self._config.status
         if here[1] <= settings.sure_mm:
             return here

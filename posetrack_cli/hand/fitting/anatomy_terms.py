@@ -39,7 +39,7 @@ class Plausibility(NamedTuple):
         radii: (5, 5) of the fingers' spheres, mm.
         limit, taut, rest: weights, 1 / rad^2.
         overlap: weight of a collision, 1 / mm^2.
-        allowed_mm: so far skins may sink into each other.
+        allowed_mm: how far skins may sink into each other.
     """
 
     low: FloatArray

@@ -7,7 +7,7 @@ With r the pixels on which the model is drawn and o the hand's observed pixels (
     r, a reading behind it   pull in the image plane to the nearest hand pixel
     o, not explained         the nearest point of the skin that faces the camera is pulled there
 
-A reading that is no hand's and in front of the model hides it; where there is none, nothing is said.
+A reading that is no hand's and in front of the model hides it; where there is none, nothing is known.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Terms(NamedTuple):
         explained_mm: beyond it an observed pixel looks for another part of the skin.
         surface_tau_mm, silhouette_tau_mm, closest_tau_mm: scales of the robust factor.
         clamp_mm, unread_weight: of the union cost.
-        most_unexplained: so many unexplained pixels are used, evenly chosen.
+        most_unexplained: unexplained pixels that are used at most, evenly chosen.
     """
 
     sigma_mm: float = 4.0

@@ -1,4 +1,4 @@
-"""The forearm behind a hand: which way it goes, and where the hand ends, told from widths along it."""
+"""The forearm behind a hand: its direction, and where the hand ends, found from widths along it."""
 
 from __future__ import annotations
 
@@ -99,17 +99,17 @@ def _vertex(errors: FloatArray) -> float:
 _ARM_MM = (20.0, 120.0)
 """The part of the forearm, from the wrist, that tells its direction."""
 _HALF_WIDTH_MM, _OPENING = 55.0, 0.5
-"""It is looked for in a cone: so far from the axis at the wrist, and so much farther per length."""
+"""It is searched for in a cone: its half-width at the wrist, and how much it widens per length."""
 _WIDEST_MM, _LEAST_MM2 = 125.0, 900.0
 """What is wider is a body; what is less is nothing."""
 _SKIN_MM = 25.0
-"""The forearm's skin lies so far before its axis."""
+"""Distance of the forearm's skin before its axis."""
 _PASSES = 2
 _MOST_BENT = float(np.cos(np.deg2rad(75.0)))
 _FINGERS_MM, _BEYOND_MM = 240.0, 80.0
-"""Slices reach so far to the fingers and to the elbow from the wrist."""
+"""How far slices reach from the wrist towards the fingers and towards the elbow."""
 _COMPARED_MM = 8.0
-"""The drawn hand ends so far beyond its wrist joint; widths are compared up to there."""
+"""Where the drawn hand ends beyond its wrist joint; widths are compared up to there."""
 _MOST_SHIFT_MM = 40.0
 _AREA_PER_SD_MM2 = 1000.0
 """Area of disagreement that is worth one standard deviation of the wrist's place."""
@@ -141,14 +141,14 @@ def arm_of(
 ) -> Arm:
     """Find the forearm of a hand.
 
-    Its direction is that of the surface that goes on from the hand beyond the wrist. Across it, widths of the
+    Its direction is that of the surface that continues beyond the wrist. Across it, widths of the
     observed limb and of the predicted hand are compared for every shift of the wrist (``best_shift``):
     fingertips, palm and the narrowing behind it all say where the hand is, and the forearm, which is not
     compared, says nothing.
 
     Args:
         view: the window.
-        limb: (h, w) the surfaces of the hand, and whatever they go on to.
+        limb: (h, w) the surfaces of the hand and of what they are connected to.
         hand: (h, w) what of them lies beside the prediction.
         silhouette: the predicted hand.
         predicted: the hand as expected.
@@ -211,7 +211,7 @@ def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> Boo
 
 
 def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
-    """A direction, turned back towards the palm's where a wrist could not bend so far."""
+    """A direction, turned back towards the palm's by as much as a wrist cannot bend."""
     cosine = float(direction @ palm)
     aside = direction - cosine * palm
     length = float(np.linalg.norm(aside))

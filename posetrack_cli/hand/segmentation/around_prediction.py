@@ -35,7 +35,7 @@ class Label(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """The pixels of a window, told apart.
+    """The pixels of a window, classified.
 
     Attributes:
         window: which pixels.
@@ -82,7 +82,7 @@ def segment(
     Args:
         depth: (height, width) the frame, mm, 0 = no reading.
         sampler: of the camera.
-        window: the pixels asked for; a margin around them is looked at too, where the arm goes.
+        window: the pixels asked for; a margin around them is used too, for the arm.
         camera: its camera.
         predicted: the hand as expected.
         settings: margins.
@@ -97,7 +97,7 @@ def segment(
 
 
 def _widened(window: Window, margin: int) -> Window:
-    """The window with so many more tile pixels on every side."""
+    """The window, larger by a margin in tile pixels on every side."""
     return replace(
         window,
         left=window.left - margin * window.step,
@@ -124,7 +124,7 @@ def _labels(view: View, predicted: PredictedHand, settings: SegmentationSettings
 def _limb(
     view: View, silhouette: Silhouette, predicted: PredictedHand, settings: SegmentationSettings
 ) -> tuple[BoolArray, BoolArray]:
-    """The surfaces of the hand, with whatever they go on to, and what of them is the hand or forearm.
+    """The surfaces connected to the hand, and what of them is the hand or forearm.
 
     A surface is the hand's if most of what lies within the hand's reach lies at the prediction. The one with
     most pixels there is in any case: a hand that touches a body is one with it, and is cut out closely.

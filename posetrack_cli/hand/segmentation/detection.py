@@ -16,7 +16,7 @@ from posetrack_cli.hand.segmentation.region import Region, arm_exit, likeness, r
 from posetrack_cli.rendering.window import Window
 
 _APART_MM, _MOST_ACROSS = 3.5, 240
-"""Pixels are so far apart on what is nearest, or farther: no more than so many across the shorter side."""
+"""Least distance of pixels on the nearest surface, and the most pixels across the shorter side."""
 _NEAREST_PERCENT, _SPARSE = 10.0, 4
 _FORESHORTENED = 0.2
 _MOST_SHARED = 0.2
@@ -24,12 +24,12 @@ _AS_LIKELY = 0.85
 _STEPS_OUTWARDS = 3
 _SURE, _SAME_PALM_MM = 0.9, 60.0
 _REACH_OF_RADIUS = 3.4
-"""A large hand reaches farther: so many radii of its palm."""
+"""The reach of a large hand, in radii of its palm."""
 _SHORTEST_FROM_PALM_MM, _LONGEST_FROM_PALM_MM = 60.0, 130.0
 """From the palm's middle to the end of a fist, and of an outstretched hand."""
 _WRIST_FROM_PALM_MM, _USUAL_WRIST_MM = (20.0, 100.0), 52.0
 _OFF_USUAL = 0.01
-"""A wrist so many mm^2 off the usual place is worth a millimetre of the arm's width."""
+"""Millimetres of the arm's width per mm^2 of the wrist's distance from its usual place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class _Candidate:
 
 
 def _is_of(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
-    """Whether a place is on the palm of what is surely a hand: it need not be looked at once more."""
+    """Whether a place is on the palm of a hand that is already certain."""
     if candidate.score < _SURE:
         return False
     return float(np.linalg.norm(surfaces.points[*place] - candidate.region.palm)) < _SAME_PALM_MM

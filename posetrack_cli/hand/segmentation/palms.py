@@ -22,7 +22,7 @@ from posetrack_cli.hand.segmentation.surfaces import (
 from posetrack_cli.rendering.window import Window
 
 _BESIDE_PX = 5
-"""Missing readings part a surface from one behind it by so many pixels about."""
+"""About how many missing pixels part a surface from one behind it."""
 _BEHIND_JUMPS = 3.0
 _SPREAD_MM = 25.0
 _APART_MM = 12.0
@@ -61,7 +61,8 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: f
         depth: (h, w) the window's readings, mm, 0 = none.
         window: its pixels.
         camera: its camera.
-        steepest: neighbours so many pixel distances apart in depth, and a few mm, are of two surfaces.
+        steepest: neighbours farther apart in depth than this many pixel distances, and a few mm, are of two
+            surfaces.
     """
     unbridged = pixel_mm(depth, window, camera).astype(np.float32)
     whole = without_pinholes(depth, jump_mm(unbridged, steepest))
@@ -81,7 +82,7 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: f
 def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
     """Rows and columns (K, 2) of places where a palm may be, the nearest first.
 
-    They are local maxima of the disc's radius that a palm can have, at a depth where a hand is looked for.
+    They are local maxima of the disc's radius that a palm can have, at a depth where hands are searched for.
     """
     depth, radius = surfaces.depth, surfaces.radius
     low, high = settings.palm_radius_mm

@@ -48,9 +48,9 @@ class PredictedHand:
 _FINGER_MM, _PALM_MM = 14.0, 24.0
 """Thickness of the bones as drawn: fingers, and the palm's five, which together cover it."""
 _PALM_SKIN_MM, _FINGER_SKIN_MM = 15.0, 7.0
-"""The skin lies so far before the bones."""
+"""Distance of the skin before the bones."""
 _PIECES = 2
-"""A bone is drawn in so many pieces, each at one depth."""
+"""Pieces that a bone is drawn in, each at one depth."""
 _CHILDREN = np.arange(1, 21)
 _PARENTS = np.array(JOINT_PARENTS[1:])
 _OF_PALM = _PARENTS == 0
@@ -122,6 +122,6 @@ def _pieces(
 
 
 def _inwards(bones: FloatArray, mm: float) -> FloatArray:
-    """Vectors of a length along bones (N, 3): a thick line ends so far beyond its end."""
+    """Vectors of a length along bones (N, 3): the amount by which a thick line overshoots its end."""
     lengths = np.linalg.norm(bones, axis=1, keepdims=True)
     return np.asarray(bones * np.minimum(1.0, mm / np.maximum(lengths, 1e-9)), dtype=np.float64)

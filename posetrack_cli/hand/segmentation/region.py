@@ -1,4 +1,4 @@
-"""The part of a surface within reach of a palm: where it goes on beyond, and how much it is like a hand."""
+"""The part of a surface within reach of a palm: where it continues beyond, and how hand-like it is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.segmentation.palms import Surfaces
 
 _RING_MM = 14.0
-"""How thick the shell is in which a region is looked at for what leads out of it."""
+"""Thickness of the shell in which a region's exits are searched for."""
 _LEAST_PIXELS = 3
 _NEAR_PALM_MM = 80.0
 """A palm is the widest part of what is so near to it; a finger is not."""
@@ -45,7 +45,7 @@ class Region:
         widest_mm: the largest such disc near the palm.
         area_mm2: seen from the front.
         behind: share of its rim that lies behind something nearer.
-        exits: where it goes on.
+        exits: where it continues.
     """
 
     rows: slice
@@ -161,9 +161,9 @@ _AREAS_MM2 = (800.0, 2500.0, 42000.0, 65000.0)
 _NO_ARM, _MORE_ARMS, _LONG_FINGER = 0.75, 0.2, 0.9
 """Factors for a hand alone, for each further arm, for each finger that reaches too far."""
 _OF_WIDEST, _NARROW = (0.1, 0.6), 0.2
-"""A palm is the widest part of its surroundings: less than so much of the widest counts little."""
+"""A palm is the widest part of its surroundings: shares of the widest that count least and fully."""
 _BEHIND = (0.3, 0.8)
-"""Shares of the rim behind something nearer: so much is usual, so much no hand."""
+"""Shares of the rim behind something nearer: usual ones, and those of no hand."""
 _LARGER_FIRST = 0.1
 
 

@@ -44,7 +44,7 @@ def pixel_mm(z: float | FloatArray | Float32Array, window: Window, camera: Camer
 
 
 def jump_mm(apart: Float32Array, steepest: float) -> Float32Array:
-    """The step between neighbours so far apart that parts surfaces, mm: more than noise, and a slope."""
+    """The step in depth that parts surfaces, mm: more than noise, and than a slope over that distance."""
     return np.asarray(_NOISE_MM + steepest * apart, dtype=np.float32)
 
 
@@ -106,7 +106,7 @@ def rims(depth: Float32Array, jump: Float32Array | float) -> BoolArray:
 
 
 def nearest_around(depth: Float32Array, size: int) -> Float32Array:
-    """The nearest reading (h, w) in a square of so many pixels around each; far away where there is none."""
+    """The nearest reading (h, w) in a square around each pixel; far away where there is none."""
     read = np.where(depth > 0, depth, _FAR_MM)
     return np.asarray(cv2.erode(read, np.ones((size, size), np.uint8)), dtype=np.float32)
 
