@@ -254,18 +254,14 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 
 def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Picture] | None, str]:
     """The worst frames on the recording, None without one and why there is none."""
-    from posetrack_cli.evaluation.head_pictures import worst_head_pictures
     from posetrack_cli.evaluation.pictures import worst_frame_pictures
     from posetrack_cli.evaluation.recording_of import search_recording
     from posetrack_cli.results.reader import read_result
-    from posetrack_cli.results.subject_kind import kind_of
 
     result = read_result(evaluation.path)
     search = search_recording(result, given)
     if search.recording is None:
         return None, search.reason
-    if kind_of(result.subject.name).pixels == "grey":
-        return worst_head_pictures(evaluation, search.recording, WORST_FRAMES), ""
     return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES), ""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,8 @@ from posetrack_cli.cli.track_option import BOTH, FILTERED, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.evaluation.viewing.head_view import HeadView
     from posetrack_cli.evaluation.viewing.outputs import Output
-    from posetrack_cli.evaluation.viewing.view import View
+    from posetrack_cli.evaluation.viewing.view import ResultView
     from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
@@ -109,35 +109,22 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     _close(output, count, drawn, results, interrupted=stopped())
 
 
-def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> View | HeadView:
+def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> ResultView:
     """Everything that can be refused is refused here, before the first frame."""
     from posetrack_cli.evaluation.recording_of import required_recording
-    from posetrack_cli.evaluation.viewing.head_view import HeadView
-    from posetrack_cli.evaluation.viewing.layering import ViewOptions
+    from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
-    from posetrack_cli.evaluation.viewing.view import View
+    from posetrack_cli.evaluation.viewing.view import ResultView, style_of
     from posetrack_cli.rendering.devices import open_device
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[name] for name in DRAWN}
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     _check_one_recording(results, options)
+    style_of(results)
     chosen = {"any_recording": options["any_recording"], **reading_options(options)}
     recording = required_recording(results[0], options["recording"], **chosen)
-    if _of_images(results):
-        return HeadView(results, recording, view_options)
-    return View(results, recording, view_options, open_device(options["device"]))
-
-
-def _of_images(results: Sequence[Result]) -> bool:
-    """Whether results were made from grey images, as those of heads are, and not from depth."""
-    from posetrack_cli.results.subject_kind import kind_of
-
-    kinds = {kind_of(result.subject.name).pixels == "grey" for result in results}
-    if len(kinds) > 1:
-        found = ", ".join(f"a {result.subject.name} in {result.path}" for result in results)
-        raise UsageError("results are of different subjects", found=found)
-    return kinds.pop()
+    return ResultView(results, recording, view_options, cache(lambda: open_device(options["device"])))
 
 
 def _check_one_recording(results: Sequence[Result], options: dict[str, Any]) -> None:
@@ -164,7 +151,7 @@ def _finished(out: Output) -> Iterator[Output]:
         raise
 
 
-def _draw(drawn: View | HeadView, out: Output, stopped: Any) -> int:
+def _draw(drawn: ResultView, out: Output, stopped: Any) -> int:
     """Draw the frames until it is stopped; return how many there are."""
     from contextlib import closing
 
@@ -185,7 +172,7 @@ def _draw(drawn: View | HeadView, out: Output, stopped: Any) -> int:
 
 
 def _close(
-    output: Path, count: int, drawn: View | HeadView, results: Sequence[Result], *, interrupted: bool
+    output: Path, count: int, drawn: ResultView, results: Sequence[Result], *, interrupted: bool
 ) -> None:
     """The closing line, and the exit code."""
     from posetrack_cli.losses import loss_line
@@ -206,7 +193,7 @@ def _close(
         context.exit(EXIT_DATA_LOST)
 
 
-def _nothing(drawn: View | HeadView) -> Exception:
+def _nothing(drawn: ResultView) -> Exception:
     from posetrack_cli.errors import RecordingError
     from posetrack_cli.losses import loss_line
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 
 from posetrack_cli.arrays import IntArray
@@ -11,9 +11,6 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.stored import StoredFrame, decode_frames
-
-Numbered = tuple[int, StoredFrame]
-Key = Callable[[int, StoredFrame], int]
 
 
 def matched_frames(
@@ -25,55 +22,40 @@ def matched_frames(
     at another rate, frames are matched by their number.
 
     Args:
-        recording: of depth; read once, twice if no stamp agrees.
+        recording: read once; twice if no stamp agrees.
         stamp_ns: (N,) of the estimates, unique.
         frame_index: (N,) their frames' positions in the recording, None if unknown.
         losses: gets what cannot be decoded, and the estimates without a frame.
     """
-    found, lost_before = 0, _count(losses)
-    for pair in _frames_at(recording, stamp_ns, _stamp, losses):
-        found += 1
-        yield pair
-    if not found and frame_index is not None:
-        for pair in _frames_at(recording, frame_index, _index, losses):
-            found += 1
-            yield pair
-    undecoded = _count(losses) - lost_before
-    for _ in range(len(stamp_ns) - found - undecoded):
+    met: list[int] = []  # numbers of the frames that belong to an estimate, those that do not decode, too
+    for keys in (stamp_ns, frame_index):
+        if keys is None or met:
+            continue
+        positions = {int(key): position for position, key in enumerate(keys)}
+        by_number = keys is frame_index
+        for frame in _frames_at(recording, positions, met, losses, by_number=by_number):
+            yield positions[frame.index if by_number else frame.stamp_ns], frame
+    for _ in range(len(stamp_ns) - len(met)):
         losses.add("estimates whose frame the recording does not give", str(recording.path))
 
 
-def _count(losses: LossLog) -> int:
-    return sum(loss.count for loss in losses.losses)
-
-
-def _stamp(index: int, frame: StoredFrame) -> int:
-    return frame.stamp_ns
-
-
-def _index(index: int, frame: StoredFrame) -> int:
-    return index
-
-
 def _frames_at(
-    recording: Recording, keys: IntArray, key: Key, losses: LossLog
-) -> Iterator[tuple[int, Frame]]:
-    """Yield the frames whose key is among those asked for, with its position there."""
-    positions = {int(value): position for position, value in enumerate(keys)}
-    if not positions:
+    recording: Recording, keys: Collection[int], met: list[int], losses: LossLog, *, by_number: bool
+) -> Iterator[Frame]:
+    """Yield the frames whose stamps, or numbers, are among the keys."""
+    if not keys:
         return
-    by_index: dict[int, int] = {}
-    last = max(positions)
+    last = max(keys)
 
-    def chosen() -> Iterator[Numbered]:
+    def chosen() -> Iterator[tuple[int, StoredFrame]]:
         # what is wrong with frames that nobody asked for is no loss here
-        for index, frame in recording.stored_frames(LossLog()):
-            if key(index, frame) > last:
+        for index, stored in recording.stored_frames(LossLog()):
+            key = index if by_number else stored.stamp_ns
+            if key > last:
                 return  # both keys increase
-            if key(index, frame) in positions:
-                by_index[index] = positions[key(index, frame)]
-                yield index, frame
+            if key in keys:
+                met.append(index)
+                yield index, stored
 
     with closing(read_ahead(decode_frames(chosen(), losses))) as frames:
-        for frame in frames:
-            yield by_index.pop(frame.index), frame
+        yield from frames

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.evaluation.subjects import KINDS
+from posetrack_cli.losses import LossLog
+from posetrack_cli.results.reader import read_result
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
-    from posetrack_cli.evaluation.viewing.panels import Panels
+    from posetrack_cli.evaluation.viewing.view import OpenDevice, Panels
     from posetrack_cli.recording.recording import Recording
-    from posetrack_cli.rendering.port import RenderingDevice
-
-ERRORS = {
-    "joint_error_mm": "joint error",
-    "point_error_mm": "point error",
-    "position_mm": "position error",
-}
-"""Series that say how bad a frame is, the first that an evaluation has, and what captions call them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +41,8 @@ def worst_frame_pictures(
 ) -> list[Picture]:
     """Draw the worst frames: the largest error, without truth the lost ones and then the highest cost.
 
-    Each picture shows the observed depth and, right of it, the estimate over it, the truth as a green
-    contour; all are cut out around the hand and of one size.
+    Each picture shows what was observed, in depth with the estimate right of it, on grey images with the
+    estimate on them, the truth in green; all are cut out around the subject and of one size.
 
     Args:
         evaluation: what was measured.
@@ -69,71 +64,61 @@ def worst_frame_pictures(
     rows = worst_rows(evaluation.track, errors, count)
     if not rows.size:
         return []
-    with closing(open_device(device)) as drawing:
-        drawn = _drawn(evaluation, recording, rows, drawing)
-    return [
-        Picture(*drawn[int(row)], said_of(evaluation, int(row), errors, name))
-        for row in rows
-        if int(row) in drawn
-    ]
+    with ExitStack() as opened:
+        drawn = _drawn(
+            evaluation, recording, rows, lambda: opened.enter_context(closing(open_device(device)))
+        )
+    kept = [int(row) for row in rows if int(row) in drawn]
+    return [Picture(*drawn[row], caption_of(evaluation, row, errors, name)) for row in kept]
 
 
 def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
     """Return the error (N,) of every frame, NaN without truth, and its name; None where there is none."""
-    found = next((name for name in ERRORS if name in evaluation.series), None)
+    kind = KINDS[evaluation.subject]
+    found = next((name for name in kind.worst_by if name in evaluation.series), None)
     if found is None or evaluation.pairs is None:
         return None, ""
     errors = np.full(len(evaluation.track), np.nan)
     errors[evaluation.pairs.estimate] = evaluation.series[found]
-    return errors, ERRORS[found]
+    return errors, next(metric.label for metric in kind.metrics if metric.name == found)
 
 
 def _drawn(
-    evaluation: Evaluation, recording: Recording, rows: IntArray, device: RenderingDevice
+    evaluation: Evaluation, recording: Recording, rows: IntArray, device: OpenDevice
 ) -> dict[int, tuple[bytes, int, int]]:
     """PNG, frame number and stamp of each row that the recording has a frame of."""
     from posetrack_cli.evaluation.matched_frames import matched_frames
     from posetrack_cli.evaluation.viewing.outputs import png_of
-    from posetrack_cli.evaluation.viewing.viewport import Viewport, largest_viewport, moved_to
-    from posetrack_cli.losses import LossLog
 
-    track, panels = evaluation.track, _panels(evaluation, recording, device)
-    points = track.points
-    whole = Viewport.enlarged(panels.camera)
-    common = whole if points is None else largest_viewport(points[rows], panels.camera, None)
+    track, panels = evaluation.track, _panels(evaluation, recording, rows, device)
     drawn = {}
     ordered = np.sort(rows)
     numbers = None if track.frame_index is None else track.frame_index[ordered]
     for position, frame in matched_frames(recording, track.stamp_ns[ordered], numbers, LossLog()):
         row = int(ordered[position])
-        viewport = common if points is None else moved_to(common, points[row], panels.camera)
-        drawn[row] = png_of(panels.pair(frame, viewport)), frame.index, frame.stamp_ns
+        points = None if track.points is None else track.points[row]
+        picture = panels.plain(frame, int(track.stamp_ns[row]), points)
+        drawn[row] = png_of(picture), frame.index, frame.stamp_ns
     return drawn
 
 
-def _panels(evaluation: Evaluation, recording: Recording, device: RenderingDevice) -> Panels:
-    from posetrack_cli.evaluation.recording_of import cameras_of
+def _panels(evaluation: Evaluation, recording: Recording, rows: IntArray, device: OpenDevice) -> Panels:
     from posetrack_cli.evaluation.viewing.colours import TRUTH
-    from posetrack_cli.evaluation.viewing.layers import Layer
-    from posetrack_cli.evaluation.viewing.panels import Panels
-    from posetrack_cli.evaluation.viewing.view import drawer_of, usual_range
-    from posetrack_cli.hand.observation import PixelSampler
-    from posetrack_cli.results.reader import read_result
+    from posetrack_cli.evaluation.viewing.layers import Drawing, DrawnTrack
+    from posetrack_cli.evaluation.viewing.view import drawer_of, report_panels
 
     result, track, truth = read_result(evaluation.path), evaluation.track, evaluation.truth
-    (camera,), drawer = cameras_of(result, recording), drawer_of(result, device)
-    return Panels(
-        camera=camera,
-        sampler=PixelSampler(camera),
-        depths=usual_range(track),
-        layers=(Layer(track, drawer),),
-        truth=None if truth is None else Layer(truth, drawer, TRUTH),
-        skeleton=None,
-        start_ns=int(track.stamp_ns[0]),
+    drawer = drawer_of(result, device)
+    drawing = Drawing(
+        (DrawnTrack(track, drawer),),
+        None if truth is None else DrawnTrack(truth, drawer, TRUTH),
+        around=None if track.points is None else track.points[rows],
+        still=False,
     )
+    return report_panels(result, recording, drawing)
 
 
-def said_of(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:
+def caption_of(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:
     """Return the line below a picture: frame, time, what the estimate is like."""
     track = evaluation.track
     seconds = 1e-9 * int(track.stamp_ns[row] - track.stamp_ns[0])

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
 from posetrack_cli.configuration import validated
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.recording_of import folders_of
-from posetrack_cli.hand.config import HandSettings
+from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_model
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.results.reader import Result
@@ -65,3 +65,16 @@ def _places(result: Result, stated: str) -> Iterator[Path]:
     for folder in folders_of(result):
         for first in reversed(range(len(parts))):
             yield folder.joinpath(*parts[first:])
+
+
+def configuration_of(run: Mapping[str, str]) -> HandConfig:
+    """The configuration of a hand run, from its record.
+
+    Raises:
+        ResultError: the record holds none.
+    """
+    try:
+        return validated(HandConfig, json.loads(run["configuration"]), "run record")
+    except (KeyError, TypeError, ValueError, UsageError) as error:
+        what = "run record holds no hand's configuration"
+        raise ResultError(what, found=error, expected="the record of a hand run") from error

@@ -16,12 +16,12 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.records import camera_from_json
-from posetrack_cli.results.subject_kind import Pixels, kind_of
+from posetrack_cli.results.subject_kind import kind_of
 
-_OF_IMAGES = frozenset({"camera_file", "cameras", "fps", "guess", "mirror", "tolerance_ms"})
 MEANT = ("fps", "mirror")
 """Options that frames and estimates depend on: those of the run must not be replaced by others."""
 
@@ -76,8 +76,9 @@ def search_recording(
     """
     if given is None:
         return _found_beside(result, opening)
-    pixels = kind_of(result.subject.name).pixels
-    return Search(_opened(given, pixels, opening) if any_recording else _same(given, result, opening))
+    if any_recording:
+        return Search(open_recording(given, pixels_of(result), **opening))
+    return Search(_same(given, result, opening))
 
 
 def _found_beside(result: Result, opening: Mapping[str, Any]) -> Search:
@@ -108,6 +109,15 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
     return search.recording
 
 
+def pixels_of(result: Result) -> PixelKind:
+    """Return what images a result was made from: as its run record states, else as usual for its subject."""
+    if "input.cameras" in result.run:
+        return "grey"
+    if {"input.topic", "input.depth_unit_mm"} & result.run.keys():
+        return "depth"
+    return kind_of(result.subject.name).pixels
+
+
 def folders_of(result: Result) -> Iterator[Path]:
     """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
@@ -132,22 +142,12 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
         options.pop("camera_topic", None)
     with _camera_file(path, result, given) as camera:
         try:
-            recording = _opened(path, kind_of(result.subject.name).pixels, options | camera | given)
+            recording = open_recording(path, pixels_of(result), **(options | camera | given))
         except RecordingError:
             check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise
     check_identity(recording, run)
     return recording
-
-
-def _opened(path: Path, pixels: Pixels, options: Mapping[str, Any]) -> Recording:
-    given = {name: value for name, value in options.items() if value is not None}
-    if pixels == "depth":
-        return open_recording(path, **given)
-    for name in given.keys() - _OF_IMAGES:
-        option = f"--{name.replace('_', '-')}"
-        raise UsageError(f"{option} does not apply to images", found=f"'{given[name]}'", hint="leave it out")
-    return open_recording(path, "grey", **given)
 
 
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
@@ -191,7 +191,7 @@ def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterat
     stored = [camera.mirrored() if mirrored else camera for camera in cameras]
     with TemporaryDirectory() as folder:
         file = Path(folder) / CAMERA_FILE_NAME
-        write = _depth_camera_text if kind_of(result.subject.name).pixels == "depth" else camera_file_text
+        write = _depth_camera_text if pixels_of(result) == "depth" else camera_file_text
         file.write_text(write(stored), encoding="utf-8", errors="backslashreplace")
         yield {"camera_file": file}
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.euler import EULER_ORDER, head_roll_pitch_yaw, roll_pitch_yaw
-
-Pixels: TypeAlias = Literal["depth", "grey"]
+from posetrack_cli.recording.pixels import PixelKind
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class SubjectKind:
     euler_angles: Callable[[FloatArray], FloatArray] = roll_pitch_yaw
     euler_order: str = EULER_ORDER
     rigid: bool = False
-    pixels: Pixels = "depth"
+    pixels: PixelKind = "depth"
 
 
 _HEAD = SubjectKind(

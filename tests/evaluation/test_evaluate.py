@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -378,3 +380,13 @@ def test_a_tolerance_is_exact_in_nanoseconds() -> None:
     assert DEFAULT_OPTIONS.tolerance_ns == 5 * MS
     assert EvalOptions(tolerance_ms=0.1).tolerance_ns == 100_000
     assert EvalOptions(tolerance_ms=0.0).tolerance_ns == 0
+
+
+def test_measuring_imports_no_drawing() -> None:
+    code = (
+        "import sys; import posetrack_cli.evaluation.evaluate; "
+        "import posetrack_cli.evaluation.metrics.image_consistency; "
+        "print([name for name in sys.modules if 'evaluation.viewing' in name or 'evaluation.html' in name])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -39,7 +39,7 @@ class SubjectKind:
         studied_figures: what groups of results are compared by beyond the key figures.
         lead: metrics that a page begins with.
         readings: metrics that a page tells beside the view in space.
-        worst_by: metrics that say how bad a frame is; the first counts that an evaluation has.
+        worst_by: those of its metrics that say how bad a frame is; the first counts that an evaluation has.
         remove_offsets: takes a constant offset of each point out of an estimate; None where none is meant.
         compare_images: measures against depth images; None where there are none.
     """

@@ -65,6 +65,13 @@ class Drawer(Protocol):
         """Paint a line drawing that leaves what is below it visible."""
 
 
+class Segments(Protocol):
+    """Tells the pixels of a subject from others, around an estimate."""
+
+    def paint(self, straight: ImageArray, depth: ImageArray, shown: Shown) -> None:
+        """Paint over a picture (h, w, 3) of the whole image without lens distortion, in place."""
+
+
 @dataclass(frozen=True)
 class SkeletonDrawer:
     """Points, the bones between them and their parents, lines, and the axes of the pose.

@@ -1,4 +1,4 @@
-"""Draws hands: the fine mesh in an estimate's pose, by the renderer that the likelihood uses."""
+"""Draws hands: the fine mesh in an estimate's pose, and what a hand's segmentation tells apart."""
 
 from __future__ import annotations
 
@@ -7,16 +7,30 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray
 from posetrack_cli.evaluation.metrics.image_consistency import MESH_LEVEL
+from posetrack_cli.evaluation.recorded_hand import configuration_of, hand_of
 from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
 from posetrack_cli.evaluation.viewing.drawing import Shown, SkeletonDrawer
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import JOINT_PARENTS
+from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
+from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.observation import PixelSampler, window_around
+from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
 from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.results.reader import Result
 
 _RIM = np.ones((3, 3), np.uint8)
+
+
+LABEL_COLOURS: dict[Label, Colour] = {
+    Label.UNREAD: (90, 30, 90),
+    Label.HAND: (90, 200, 90),
+    Label.FOREARM: (40, 150, 255),
+    Label.OTHER: (170, 120, 80),
+}
+_OPACITY = 0.7
 
 
 class HandDrawer:
@@ -75,3 +89,65 @@ def _rim(mask: BoolArray) -> BoolArray:
     """The pixels of a region that touch what is outside."""
     eroded = cv2.erode(mask.astype(np.uint8), _RIM, borderType=cv2.BORDER_CONSTANT, borderValue=1)
     return np.asarray(mask & (eroded == 0), dtype=np.bool_)
+
+
+class HandSegments:
+    """Segments images around estimates as a run with this configuration does around its predictions.
+
+    Args:
+        anatomy: of the hand.
+        config: of the run: window and segmentation.
+        camera: of the images.
+    """
+
+    def __init__(self, anatomy: HandAnatomy, config: HandConfig, camera: Camera) -> None:
+        self._anatomy, self._config, self._camera = anatomy, config, camera
+        self._sampler = PixelSampler(camera)
+
+    def segmentation(self, depth: ImageArray, shown: Shown) -> Segmentation | None:
+        """The labels around an estimate in a depth image, mm; None where its pose is not known."""
+        if shown.position is None or shown.quaternion is None or shown.shape is None:
+            return None
+        pose = np.concatenate([shown.position, shown.quaternion, shown.shape])
+        hand = PredictedHand.of(self._anatomy, pose)
+        window = window_around(hand.joints, self._camera, self._config.observation)
+        return segment(depth, self._sampler, window, self._camera, hand, self._config.segmentation)
+
+    def paint(self, straight: ImageArray, depth: ImageArray, shown: Shown) -> None:
+        """Paint the labels over a picture (h, w, 3) of the whole image without lens distortion, in place."""
+        told = self.segmentation(depth, shown)
+        if told is None:
+            return
+        colours = np.array([LABEL_COLOURS[label] for label in sorted(Label)], dtype=np.uint8)
+        step = told.window.step
+        tile = np.repeat(np.repeat(colours[told.labels], step, axis=0), step, axis=1)
+        # a label is told at a pixel: it stands for the block around it
+        left, top = told.window.left - step // 2, told.window.top - step // 2
+        _blend(straight, tile, left, top)
+
+
+def _blend(picture: ImageArray, tile: ImageArray, left: int, top: int) -> None:
+    """Blend a tile into a picture, as far as it reaches over it."""
+    height, width = picture.shape[:2]
+    x0, y0 = max(left, 0), max(top, 0)
+    x1, y1 = min(left + tile.shape[1], width), min(top + tile.shape[0], height)
+    if x0 >= x1 or y0 >= y1:
+        return
+    ground, over = picture[y0:y1, x0:x1], tile[y0 - top : y1 - top, x0 - left : x1 - left]
+    picture[y0:y1, x0:x1] = cv2.addWeighted(
+        np.ascontiguousarray(over), _OPACITY, np.ascontiguousarray(ground), 1.0 - _OPACITY, 0.0
+    )
+
+
+def hand_drawer(result: Result, device: RenderingDevice) -> HandDrawer:
+    """Return what draws the hand that a result's run tracked."""
+    return HandDrawer(device, hand_of(result))
+
+
+def hand_segments(result: Result, camera: Camera) -> HandSegments:
+    """Return what tells the hand's pixels as a result's own run does.
+
+    Raises:
+        ResultError: the result is of another subject than a hand.
+    """
+    return HandSegments(hand_of(result).anatomy, configuration_of(result.run), camera)

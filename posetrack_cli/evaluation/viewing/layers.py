@@ -1,27 +1,39 @@
-"""A result or a truth as it is drawn: which estimate belongs to a frame, its colour, its words."""
+"""Results and truth as they are drawn: which estimate belongs to a frame, its colour, its words."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.evaluation.association import associate, nearest_rows
 from posetrack_cli.evaluation.metrics.pose_errors import distances
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, Colour
-from posetrack_cli.evaluation.viewing.drawing import Drawer, Shown
-from posetrack_cli.evaluation.viewing.segments import HandSegments
+from posetrack_cli.evaluation.result_names import unique_names
+from posetrack_cli.evaluation.track import Track, track_of_result
+from posetrack_cli.evaluation.truth.loading import load_truth
+from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, TONES, Colour
+from posetrack_cli.evaluation.viewing.drawing import Drawer, Segments, Shown
+from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
+from posetrack_cli.results.reader import Result
+from posetrack_cli.results.tracks import FILTERED
+from posetrack_cli.units import NS_PER_S
 
 TOLERANCE_NS = 5_000_000
 """How far apart the stamps of a frame and of an estimate of it may be."""
 
 
+MOST_RESULTS = len(TONES)
+MOST_IN_SHEET = 120
+SHEET_CHOICE = "spread:6"
+USUAL_RATE_HZ = 30.0
+
+
 @dataclass(frozen=True, eq=False)
-class Layer:
-    """One track to draw.
+class DrawnTrack:
+    """One track as it is drawn.
 
     Attributes:
         track: its poses.
@@ -29,7 +41,7 @@ class Layer:
         colour: of what has none of its own.
         name: what captions call it; empty where there is only one.
         error_mm: (N,) mean distance of the points from the truth, NaN where there is none.
-        segments: tells the hand's pixels from others; None where that is not drawn.
+        segments: tells the subject's pixels from others; None where that is not drawn.
     """
 
     track: Track
@@ -37,7 +49,7 @@ class Layer:
     colour: Colour = SKIN
     name: str = ""
     error_mm: FloatArray | None = None
-    segments: HandSegments | None = None
+    segments: Segments | None = None
 
     def row(self, stamp_ns: int) -> int | None:
         """The row of the estimate whose stamp is nearest within the tolerance; None without one."""
@@ -93,3 +105,116 @@ def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
     apart = distances(track.points[pairs.estimate], truth.points[pairs.truth])
     errors[pairs.estimate] = apart.mean(axis=1)
     return errors
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How results are drawn.
+
+    Attributes:
+        frames: see ``chosen_rows``; None for all, or for six of a sheet.
+        layout: one of ``LAYOUTS``; None for beside, or side-by-side for two results.
+        crop: ``full``, or ``hand`` or ``head`` for where it goes; None for full, or hand in the layout paper.
+        scale: picture pixels per image pixel; None enlarges small images.
+        range_mm: depths that are red and blue; None takes them from the hand's.
+        truth: whether the truth's contour is drawn.
+        skeleton: whether joints, bones and axes are drawn.
+        sheet: whether all pictures go onto one, each cut out around the hand by itself.
+        tracks: of each result; both tracks of one result are drawn beside each other.
+    """
+
+    frames: str | None = None
+    layout: str | None = None
+    crop: str | None = None
+    scale: float | None = None
+    range_mm: tuple[float, float] | None = None
+    truth: bool = False
+    skeleton: bool = False
+    sheet: bool = False
+    tracks: tuple[str, ...] = (FILTERED,)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What pictures show.
+
+    Attributes:
+        tracks: of results; captions count the time from the first one's first frame.
+        truth: drawn over them, None for none.
+        around: (N, P, 3) mm, in the axes of the first camera, that pictures are cut out around; None for all
+            of the image.
+        scale: picture pixels per image pixel; None enlarges small pictures.
+        still: whether all pictures show the same part.
+    """
+
+    tracks: tuple[DrawnTrack, ...]
+    truth: DrawnTrack | None
+    around: FloatArray | None = None
+    scale: float | None = None
+    still: bool = True
+
+    @property
+    def start_ns(self) -> int:
+        """The stamp that captions count the time from."""
+        return int(self.tracks[0].track.stamp_ns[0])
+
+    def when(self, frame_index: int, stamp_ns: int) -> list[str]:
+        """What a caption says of an instant."""
+        return [f"frame {frame_index}", f"{(stamp_ns - self.start_ns) / NS_PER_S:.3f} s"]
+
+
+def truth_of(result: Result, options: ViewOptions) -> Track | None:
+    """The truth that a result carries; one that cannot be used is an error only where it is to be drawn."""
+    try:
+        truth = load_truth(result, None)
+    except PosetrackError:
+        if options.truth:
+            raise
+        return None
+    if truth is None and options.truth:
+        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --truth")
+    return truth
+
+
+def drawn_tracks(
+    results: Sequence[Result],
+    tracks: Sequence[str],
+    truth: Track | None,
+    drawer_of: Callable[[Result], Drawer],
+) -> tuple[DrawnTrack, ...]:
+    """Return what is drawn of results: each of these tracks, by the drawer of its result."""
+    names = unique_names([result.path for result in results])
+    shown = [
+        (result, which, name if len(tracks) == 1 else f"{name} {which}")
+        for result, name in zip(results, names, strict=True)
+        for which in tracks
+    ]
+    drawn = []
+    for (result, which, name), tone in zip(shown, TONES, strict=False):
+        track = track_of_result(result, name, which)
+        shown_name = name if len(shown) > 1 else ""
+        drawn.append(DrawnTrack(track, drawer_of(result), tone, shown_name, point_errors(track, truth)))
+    return tuple(drawn)
+
+
+def rows_to_draw(options: ViewOptions, first: DrawnTrack) -> IntArray:
+    """The rows to draw, of the first result."""
+    choice = options.frames or (SHEET_CHOICE if options.sheet else "all")
+    rows = chosen_rows(choice, first.track, first.error_mm)
+    if options.sheet and len(rows) > MOST_IN_SHEET:
+        expected = f"at most {MOST_IN_SHEET} in one picture"
+        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --frames")
+    return rows
+
+
+def not_lost(track: Track, rows: IntArray) -> IntArray:
+    """The rows that are tracked; all where none is."""
+    if track.lost is None or track.lost[rows].all():
+        return rows
+    return rows[~track.lost[rows]]
+
+
+def rate_of(track: Track, rows: IntArray) -> float:
+    """Pictures per second that show some rows as fast as they were recorded."""
+    steps = np.diff(track.stamp_ns[rows])
+    return NS_PER_S / float(np.median(steps)) if steps.size else USUAL_RATE_HZ

@@ -9,6 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.projection import in_camera_axes
 
 MARGIN_MM = 45.0
 """How far skin reaches beyond the outermost joints, and some room around it."""
@@ -64,6 +65,34 @@ class Viewport:
         """The picture of an image; depth is repeated, never interpolated."""
         part = image[self.top : self.top + self.height, self.left : self.left + self.width]
         return cv2.resize(part, self.size, interpolation=cv2.INTER_NEAREST) if self.scale != 1.0 else part
+
+
+class Framing:
+    """Chooses which part of a camera's image pictures show; all pictures are of one size.
+
+    Args:
+        camera: of the image.
+        points: (N, P, 3) mm, in the axes of the reference camera, that pictures are cut out around; None for
+            all of the image.
+        scale: picture pixels per image pixel; None enlarges small pictures.
+        still: whether all pictures show the same part, or each is centred on its own points.
+    """
+
+    def __init__(
+        self, camera: Camera, points: FloatArray | None, scale: float | None = None, *, still: bool = True
+    ) -> None:
+        self._camera, self._moves = camera, points is not None and not still
+        if points is None:
+            self._common = Viewport.enlarged(camera, scale)
+        else:
+            choose = around_points if still else largest_viewport
+            self._common = choose(in_camera_axes(camera, points), camera, scale)
+
+    def viewport(self, points: FloatArray | None) -> Viewport:
+        """Return the part to show where points (P, 3) mm are, in the axes of the reference camera."""
+        if not self._moves or points is None:
+            return self._common
+        return moved_to(self._common, in_camera_axes(self._camera, points), self._camera)
 
 
 def around_points(points: FloatArray, camera: Camera, scale: float | None = None) -> Viewport:

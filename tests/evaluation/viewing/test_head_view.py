@@ -151,7 +151,7 @@ def test_it_is_found_beside_the_result(result: Callable[..., Path], recording: P
     [
         (["--layout", "segments"], "layout cannot be used, found --layout segments"),
         (["--range-mm", "1", "2"], "--range-mm does not apply to images"),
-        (["--missing", "3"], "--missing does not apply to images"),
+        (["--missing", "3"], "--missing does not apply to a folder of images"),
         (["--truth"], "carries no truth to draw"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

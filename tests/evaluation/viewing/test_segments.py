@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.evaluation.recorded_hand import configuration_of
 from posetrack_cli.evaluation.viewing.drawing import Shown
-from posetrack_cli.evaluation.viewing.layering import ViewOptions
-from posetrack_cli.evaluation.viewing.segments import LABEL_COLOURS, HandSegments, configuration_of
-from posetrack_cli.evaluation.viewing.view import View
+from posetrack_cli.evaluation.viewing.hand_drawing import LABEL_COLOURS, HandSegments
+from posetrack_cli.evaluation.viewing.layers import ViewOptions
+from posetrack_cli.evaluation.viewing.view import ResultView
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
@@ -61,7 +62,8 @@ def test_outside_the_window_and_without_a_pose_nothing_is_painted() -> None:
 def test_view_draws_observed_and_segments_beside_each_other(tmp_path: Path, device: RenderingDevice) -> None:
     recording = open_recording(make_recording(tmp_path / "r.mcap", frames=1))
     result = read_result(make_result(tmp_path / "result.mcap", recording))
-    view = View([result], recording, ViewOptions(layout="segments", scale=1.0), device)
+    options = ViewOptions(layout="segments", scale=1.0)
+    view = ResultView([result], recording, options, lambda: device)
     ((_, picture),) = view.pictures()
     assert picture.shape[1] == 2 * KINECT.width
     panel = picture[: KINECT.height, KINECT.width :].astype(int)

@@ -11,14 +11,13 @@ import pytest
 
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import LOST, SECOND, SKIN, TRUTH, DepthRange
+from posetrack_cli.evaluation.viewing.depth_panels import LAYOUTS, DepthPanels
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
-from posetrack_cli.evaluation.viewing.layers import Layer, point_errors
-from posetrack_cli.evaluation.viewing.panels import LAYOUTS, Panels
+from posetrack_cli.evaluation.viewing.layers import Drawing, DrawnTrack, point_errors
 from posetrack_cli.evaluation.viewing.viewport import Viewport
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from support.evaluation import FRAME_NS, hand_track
@@ -47,9 +46,14 @@ def frame_of(drawer: HandDrawer, track: Track, row: int = 1, camera: Camera = KI
     return Frame(row, int(track.stamp_ns[row]), (np.where(depth > 0, depth, 2000.0).astype(np.float32),))
 
 
-def panels_of(*layers: Layer, camera: Camera = KINECT, truth: Layer | None = None) -> Panels:
-    sampler, depths = PixelSampler(camera), DepthRange(500.0, 1000.0)
-    return Panels(camera, sampler, depths, layers, truth, None, start_ns=0)
+def panels_of(
+    *tracks: DrawnTrack, camera: Camera = KINECT, truth: DrawnTrack | None = None, layout: str = "over"
+) -> DepthPanels:
+    return DepthPanels(camera, Drawing(tracks, truth, scale=1.0), DepthRange(500.0, 1000.0), layout)
+
+
+def picture_of(panels: DepthPanels, frame: Frame) -> np.ndarray:
+    return panels.picture(frame, frame.stamp_ns, None)
 
 
 def near_colour(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
@@ -57,27 +61,29 @@ def near_colour(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray
 
 
 def test_over_changes_the_hand_s_pixels_and_dims_the_rest(drawer: HandDrawer, track: Track) -> None:
-    frame, panels = frame_of(drawer, track), panels_of(Layer(track, drawer))
+    frame, panels = frame_of(drawer, track), panels_of(DrawnTrack(track, drawer))
     hand = frame.depth < 1000.0
     observed = panels.observed(frame, WHOLE)
-    over = panels.over(observed, frame.stamp_ns, WHOLE, panels.layers)
+    over = panels.over(observed, frame.stamp_ns, WHOLE, panels.drawing.tracks)
     np.testing.assert_allclose(over[~hand], 0.6 * observed[~hand], atol=1.0)
     changed = np.abs(over.astype(float) - 0.6 * observed).max(axis=2) > 10
     assert changed[hand].mean() > 0.99
 
 
 def test_rendered_shows_the_estimate_and_nothing_else(drawer: HandDrawer, track: Track) -> None:
-    frame, panels = frame_of(drawer, track), panels_of(Layer(track, drawer))
+    frame, panels = frame_of(drawer, track), panels_of(DrawnTrack(track, drawer))
     hand = frame.depth < 1000.0
-    np.testing.assert_array_equal(panels.rendered(frame.stamp_ns, WHOLE, panels.layers[0]).any(axis=2), hand)
+    np.testing.assert_array_equal(
+        panels.rendered(frame.stamp_ns, WHOLE, panels.drawing.tracks[0]).any(axis=2), hand
+    )
 
 
 def test_the_truth_is_a_green_contour_where_the_truth_is(drawer: HandDrawer, track: Track) -> None:
     assert track.position is not None
     wrong = replace(track, position=track.position + np.array([60.0, 0.0, 0.0]))
-    panels = panels_of(Layer(wrong, drawer), truth=Layer(track, drawer, TRUTH))
+    panels = panels_of(DrawnTrack(wrong, drawer), truth=DrawnTrack(track, drawer, TRUTH))
     frame = frame_of(drawer, track)
-    picture = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, panels.layers)
+    picture = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, panels.drawing.tracks)
     hand = (frame.depth < 1000.0).astype(np.uint8)
     rim = (hand > 0) & (cv2.erode(hand, np.ones((3, 3), np.uint8)) == 0)
     np.testing.assert_array_equal(near_colour(picture, TRUTH), rim)
@@ -95,7 +101,7 @@ def test_frames_that_are_not_simply_tracked_have_a_border(
     frame = frame_of(drawer, track, row)
     if status == "no estimate":
         frame = replace(frame, stamp_ns=10 * FRAMES * FRAME_NS)
-    layer = Layer(changed, drawer)
+    layer = DrawnTrack(changed, drawer)
     assert layer.status(frame.stamp_ns) == status
     panels = panels_of(layer)
     border = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, (layer,))[0]
@@ -122,9 +128,9 @@ def test_a_distorted_image_is_straightened_to_where_the_hand_is_drawn(
     seen = cv2.remap(straight.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     frame = replace(straight, images=(seen,))
     assert ((seen < 1000.0) != (straight.depth < 1000.0)).sum() > 300, "the lens moves the hand"
-    panels = panels_of(Layer(track, drawer), camera=LENS)
+    panels = panels_of(DrawnTrack(track, drawer), camera=LENS)
     shown = panels.observed(frame, WHOLE)
-    drawn = panels.rendered(frame.stamp_ns, WHOLE, panels.layers[0]).any(axis=2)
+    drawn = panels.rendered(frame.stamp_ns, WHOLE, panels.drawing.tracks[0]).any(axis=2)
     wall = tuple(shown[350, 100].tolist())
     in_image = ~near_colour(shown, wall) & shown.any(axis=2)
     assert (in_image != drawn).sum() < 0.05 * drawn.sum()  # nearest pixels twice: an edge moves by one
@@ -145,20 +151,19 @@ def test_a_distorted_image_is_straightened_to_where_the_hand_is_drawn(
 def test_sizes_of_layouts(
     drawer: HandDrawer, track: Track, layout: str, results: int, across: int, down: int
 ) -> None:
-    layers = [Layer(track, drawer, tone, name) for tone, name in ((SKIN, "a"), (SECOND, "b"))]
-    panels = panels_of(*(layers if results == 2 else [Layer(track, drawer)]))
-    viewport = Viewport(100, 100, 300, 200, 2.0)
-    pictures = [panels.picture(frame_of(drawer, track, row), layout, viewport) for row in range(FRAMES)]
+    layers = [DrawnTrack(track, drawer, tone, name) for tone, name in ((SKIN, "a"), (SECOND, "b"))]
+    panels = panels_of(*(layers if results == 2 else [DrawnTrack(track, drawer)]), layout=layout)
+    pictures = [picture_of(panels, frame_of(drawer, track, row)) for row in range(FRAMES)]
     height, width = pictures[0].shape[:2]
-    assert width == 600 * across
-    assert (height - 400 * down) in (CAPTION_PX, 2 * CAPTION_PX, 3 * CAPTION_PX)
+    assert width == KINECT.width * across
+    assert (height - KINECT.height * down) in (CAPTION_PX, 2 * CAPTION_PX, 3 * CAPTION_PX)
     assert {picture.shape for picture in pictures} == {pictures[0].shape}, "a video needs one size"
     assert layout in LAYOUTS
 
 
 def test_two_results_differ_in_colour(drawer: HandDrawer, track: Track) -> None:
-    panels = panels_of(Layer(track, drawer, SKIN, "a"), Layer(track, drawer, SECOND, "b"))
-    picture = panels.picture(frame_of(drawer, track), "side-by-side", WHOLE)[:-CAPTION_PX]
+    both = DrawnTrack(track, drawer, SKIN, "a"), DrawnTrack(track, drawer, SECOND, "b")
+    picture = picture_of(panels_of(*both, layout="side-by-side"), frame_of(drawer, track))[:-CAPTION_PX]
     left, right = np.hsplit(picture.astype(int), 2)
     hand = np.abs(left - right).max(axis=2) > 10
     assert (left[hand][:, 2] > left[hand][:, 0]).mean() > 0.9, "skin is red rather than blue"
@@ -166,18 +171,18 @@ def test_two_results_differ_in_colour(drawer: HandDrawer, track: Track) -> None:
 
 
 def test_estimates_within_the_tolerance_of_a_stamp_are_its_own(drawer: HandDrawer, track: Track) -> None:
-    layer = Layer(track, drawer)
+    layer = DrawnTrack(track, drawer)
     assert [layer.row(FRAME_NS + late) for late in (0, 4_999_999, -5_000_000)] == [1, 1, 1]
     assert layer.row(FRAME_NS + 5_000_001) is None
     assert layer.row(-FRAME_NS) is None and layer.row(FRAMES * FRAME_NS) is None
     empty = Track("t", "hand", (), (), (), stamp_ns=np.empty(0, np.int64))
-    assert Layer(empty, drawer).row(0) is None
+    assert DrawnTrack(empty, drawer).row(0) is None
 
 
 def test_words_tell_what_is_known(drawer: HandDrawer, track: Track) -> None:
-    assert Layer(track, drawer).words(0) == ["tracking", "confidence 0.80"]
+    assert DrawnTrack(track, drawer).words(0) == ["tracking", "confidence 0.80"]
     errors = np.array([np.nan, 12.345, 0.0, 0.0])
-    named = Layer(replace(track, confidence=None), drawer, name="mine", error_mm=errors)
+    named = DrawnTrack(replace(track, confidence=None), drawer, name="mine", error_mm=errors)
     assert named.words(FRAME_NS) == ["mine", "tracking", "error 12.3 mm"]
     assert named.words(0) == ["mine", "tracking"]
 

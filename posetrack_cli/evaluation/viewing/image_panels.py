@@ -1,0 +1,173 @@
+"""Pictures of one instant on the images of cameras: estimates drawn on each, and a caption."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.viewing.captions import caption
+from posetrack_cli.evaluation.viewing.colours import TEXT, TRUTH
+from posetrack_cli.evaluation.viewing.depth_panels import marked
+from posetrack_cli.evaluation.viewing.drawing import Shown
+from posetrack_cli.evaluation.viewing.layers import MOST_RESULTS, Drawing, DrawnTrack, ViewOptions
+from posetrack_cli.evaluation.viewing.viewport import Framing
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_normalised
+from posetrack_cli.geometry.rotations import canonical, multiply, quaternions_from_matrices
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.reader import Result
+from posetrack_cli.results.subject_kind import kind_of
+
+NO_IMAGE = 40
+"""Grey of a picture that the camera did not take."""
+
+
+LAYOUTS = ("beside", "over", "side-by-side")
+ANGLES = ("roll", "pitch", "yaw")
+
+
+class CameraPanel:
+    """Draws what one of several cameras saw.
+
+    Args:
+        camera: placed relative to that of the estimates.
+        drawing: says which part is shown.
+    """
+
+    def __init__(self, camera: Camera, drawing: Drawing) -> None:
+        self._camera = camera
+        self._framing = Framing(camera, drawing.around, drawing.scale, still=drawing.still)
+
+    def picture(self, image: ImageArray | None, points: FloatArray | None) -> tuple[ImageArray, Camera]:
+        """Return the picture (height, width, 3) of a grey image, and the pinhole camera that sees it.
+
+        Args:
+            image: (h, w) uint8 as it was taken, None where the camera gave none.
+            points: (P, 3) mm, in the axes of the reference camera, that it is cut out around if the part that
+                is shown moves.
+        """
+        viewport = self._framing.viewport(points)
+        straight = self._straight(image)
+        picture = cv2.cvtColor(np.ascontiguousarray(viewport.cut(straight)), cv2.COLOR_GRAY2BGR)
+        return picture, viewport.camera(self._camera)
+
+    def _straight(self, image: ImageArray | None) -> ImageArray:
+        """The image without lens distortion."""
+        if image is None:
+            return np.full((self._camera.height, self._camera.width), NO_IMAGE, dtype=np.uint8)
+        if not self._camera.is_distorted:
+            return image
+        u, v = self._map
+        return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR))
+
+    @cached_property
+    def _map(self) -> tuple[Float32Array, Float32Array]:
+        """u and v (h, w) in the image as it was taken, for every pixel of one without distortion."""
+        camera = self._camera
+        v, u = np.mgrid[: camera.height, : camera.width].astype(float)
+        normalised = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=-1)
+        pixels = pixels_from_normalised(camera, normalised).astype(np.float32)
+        return np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+
+
+def seen_from(camera: Camera, shown: Shown) -> Shown:
+    """What is shown, from the reference camera's axes to another's."""
+    rotation = np.array(camera.camera_T_reference)[:, :3]
+    turned = None
+    if shown.quaternion is not None:
+        turned = canonical(multiply(quaternions_from_matrices(rotation), shown.quaternion))
+    position = None if shown.position is None else in_camera_axes(camera, shown.position)
+    points = None if shown.points is None else in_camera_axes(camera, shown.points)
+    return replace(shown, position=position, quaternion=turned, points=points)
+
+
+class ImagePanels:
+    """Draws frames: cameras beside each other, results one below the other.
+
+    Args:
+        cameras: of the images.
+        drawing: what is shown.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], drawing: Drawing) -> None:
+        self._panels = [CameraPanel(camera, drawing) for camera in cameras]
+        self._drawing = drawing
+
+    def picture(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
+        """Return the picture (height, width, 3) of a frame, with a caption below each result.
+
+        Args:
+            frame: the images.
+            stamp_ns: of the estimates.
+            points: (P, 3) mm that it is cut out around, where the part that is shown moves.
+        """
+        parts = []
+        for drawn in self._drawing.tracks:
+            body = self._body(frame, stamp_ns, points, drawn)
+            parts += [body, self._caption(frame, stamp_ns, drawn, body.shape[1])]
+        return np.vstack(parts)
+
+    def plain(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
+        """Return what the cameras saw, with the first result's estimate; no caption."""
+        return self._body(frame, stamp_ns, points, self._drawing.tracks[0])
+
+    def _body(self, frame: Frame, stamp_ns: int, points: FloatArray | None, drawn: DrawnTrack) -> ImageArray:
+        pictures = []
+        for panel, image in zip(self._panels, frame.images, strict=True):
+            picture, camera = panel.picture(image, points)
+            drawn.drawer.draw(picture, camera, seen_from(camera, drawn.shown(stamp_ns)), drawn.colour)
+            if self._drawing.truth is not None:
+                shown = seen_from(camera, self._drawing.truth.shown(stamp_ns))
+                self._drawing.truth.drawer.outline(picture, camera, shown, TRUTH)
+            pictures.append(marked(picture, drawn.mark(stamp_ns)))
+        return np.hstack(_equally_high(pictures))
+
+    def _caption(self, frame: Frame, stamp_ns: int, drawn: DrawnTrack, width: int) -> ImageArray:
+        said = [*drawn.words(stamp_ns), *_angles(drawn, stamp_ns)]
+        words = [*self._drawing.when(frame.index, stamp_ns), *said]
+        return caption([(words, drawn.mark(stamp_ns) or TEXT)], width)
+
+
+def image_panels(
+    results: Sequence[Result], cameras: Sequence[Camera], drawing: Drawing, options: ViewOptions
+) -> ImagePanels:
+    """Return what draws results on the images of their cameras."""
+    return ImagePanels(cameras, drawing)
+
+
+def image_layout(options: ViewOptions, count: int) -> str:
+    """Return how so many tracks are arranged: all layouts are the same.
+
+    Raises:
+        UsageError: there are too many, or an option is for depth.
+    """
+    if count > MOST_RESULTS:
+        expected = f"at most {MOST_RESULTS} one below the other"
+        raise UsageError("too many results", found=count, expected=expected)
+    if options.layout is not None and options.layout not in LAYOUTS:
+        found, hint = f"--layout {options.layout}", "it is drawn on the images of its cameras"
+        raise UsageError("layout cannot be used", found=found, expected="none", hint=hint)
+    if options.range_mm is not None:
+        raise UsageError("--range-mm does not apply to images", hint="leave it out")
+    return options.layout or LAYOUTS[0]
+
+
+def _equally_high(pictures: Sequence[ImageArray]) -> list[ImageArray]:
+    """Pictures with black below those that are lower than others."""
+    height = max(len(picture) for picture in pictures)
+    return [np.pad(picture, ((0, height - len(picture)), (0, 0), (0, 0))) for picture in pictures]
+
+
+def _angles(drawn: DrawnTrack, stamp_ns: int) -> list[str]:
+    """The words of a caption about where the subject is turned."""
+    quaternion = drawn.shown(stamp_ns).quaternion
+    if quaternion is None or drawn.status(stamp_ns) == "lost":
+        return []
+    angles = np.degrees(kind_of(drawn.track.subject).euler_angles(quaternion))
+    return [f"{name} {angle:+.1f}" for name, angle in zip(ANGLES, angles, strict=True)]
