@@ -5,15 +5,11 @@ Usage: scripts/reproduce mono [-o out/mono] [--heads FOLDER] [--clips FOLDER] [-
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from typing import Any
 
 import click
 
-from posetrack_cli import __version__
-from reproduction.accuracy.options import FIRST_SEED, Targets
-from reproduction.closing import close_study, write_study
 from reproduction.one_camera.clips import Clips
 from reproduction.one_camera.comparing import Population
 from reproduction.one_camera.experiments import Experiments
@@ -27,16 +23,26 @@ from reproduction.one_camera.options import (
     Part,
 )
 from reproduction.one_camera.people import People
+from reproduction.running import FOLDER, Study, thesis_head
 from reproduction.steps import run_chains
 
 PARTS: tuple[Part, ...] = (People(), Clips(), Experiments(), Population())
-FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 QUICK_PEOPLE, QUICK_MODEL_PEOPLE, QUICK_FRAMES, QUICK_MOTION_FRAMES = 1, 6, 180, 240
 """A model of ten identity dimensions needs five persons, and experiment B one more."""
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("-o", "--output", default=Path("out/mono"), type=click.Path(path_type=Path), show_default=True)
+def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:
+    return run_chains((chain for part in parts for chain in part.chains(options)), options.output, jobs)
+
+
+def _head(options: Options) -> Iterable[str]:
+    return thesis_head("Head pose and face deformation from one camera", 4, "head-mono", options.modelled)
+
+
+STUDY = Study("mono", "mono.json", PARTS, _make, lambda options: Measured(options.output), _head)
+
+
+@STUDY.command
 @click.option(
     "--heads",
     type=FOLDER,
@@ -71,81 +77,25 @@ QUICK_PEOPLE, QUICK_MODEL_PEOPLE, QUICK_FRAMES, QUICK_MOTION_FRAMES = 1, 6, 180,
     type=click.IntRange(120),
     help="Frames per recording of the two motions that the model is built from.",
 )
-@click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1))
-@click.option(
-    "--only",
-    "chosen",
-    multiple=True,
-    type=click.Choice([part.name for part in PARTS]),
-    help="Do this part alone; repeatable.",
-)
-@click.option(
+@STUDY.running_options(
     "--first-identity",
-    default=FIRST_SEED,
-    show_default=True,
-    type=click.IntRange(0),
-    help="Of the synthetic persons; smaller ones are for trying things out.",
+    f"a person of {QUICK_FRAMES} frames, a model of {QUICK_MODEL_PEOPLE} persons of "
+    f"{QUICK_MOTION_FRAMES} frames",
 )
-@click.option(
-    "--quick",
-    is_flag=True,
-    help=f"Try it out: a person of {QUICK_FRAMES} frames, a model of {QUICK_MODEL_PEOPLE} persons of "
-    f"{QUICK_MOTION_FRAMES} frames.",
-)
-def main(
-    output: Path,
-    heads: Path | None,
-    clips: Path | None,
-    people: int,
-    model_people: int,
-    frames: int,
-    motion_frames: int,
-    jobs: int,
-    chosen: tuple[str, ...],
-    first_identity: int,
-    quick: bool,
-) -> None:
+def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None:
     """Redo experiments A, B, C and measure accuracy; everything goes to the output folder, report.md tells.
 
     Recordings and tracks that the same code made with the same arguments are kept: an interrupted study goes
     on where it stopped.
     """
     if quick:
-        people, model_people = QUICK_PEOPLE, QUICK_MODEL_PEOPLE
-        frames, motion_frames = QUICK_FRAMES, QUICK_MOTION_FRAMES
-    if people > model_people:
-        raise click.UsageError(f"--people {people}: only {model_people} are in the model (--model-people)")
-    heads, clips = (folder and folder.resolve() for folder in (heads, clips))
-    options = Options(output, heads, clips, people, model_people, frames, motion_frames, first_identity)
-    output.mkdir(parents=True, exist_ok=True)
-    parts = [part for part in PARTS if not chosen or part.name in chosen]
-    failures = run_chains((chain for part in parts for chain in part.chains(options)), output, jobs)
-    _report(parts, options, failures)
-    close_study(output, failures)
-
-
-def _report(parts: Sequence[Part], options: Options, failures: Sequence[str]) -> None:
-    measured, targets = Measured(options.output), Targets()
-    lines = (part.lines(options, measured, targets) for part in parts)
-    figures = options.output / "mono.json"
-    write_study(figures, _head(options), lines, targets, lambda: measured.everything, failures)
-
-
-def _head(options: Options) -> Iterable[str]:
-    yield "# Head pose and face deformation from one camera"
-    yield ""
-    kept = ", none of them used for tuning" if options.first_identity >= FIRST_SEED else ""
-    yield (
-        "Sugano, *User-independent techniques for real-time estimation of non-rigid 3D head motion* (2007), "
-        f"chapter 4, by posetrack {__version__}. Synthetic persons {options.modelled[0]} to "
-        f"{options.modelled[-1]}{kept}; {os.cpu_count()} cores."
-    )
-    yield ""
-    yield (
-        "`head-mono` is our default; `head-mono-paper` is the thesis's method as printed, as far as there "
-        "are switches (`configs/head-mono-paper.toml` says what is ours all the same)."
-    )
-    yield ""
+        values |= {"people": QUICK_PEOPLE, "model_people": QUICK_MODEL_PEOPLE}
+        values |= {"frames": QUICK_FRAMES, "motion_frames": QUICK_MOTION_FRAMES}
+    options = Options(**values)
+    if options.people > options.model_people:
+        modelled = f"only {options.model_people} are in the model (--model-people)"
+        raise click.UsageError(f"--people {options.people}: {modelled}")
+    STUDY.run(options, chosen, jobs)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ from pathlib import Path
 import click
 
 from posetrack_cli.errors import PosetrackError
-from reproduction.accuracy.tasks import code_digest, command
-from reproduction.heads.tasks import drawing_digest
+from reproduction.made import code_digest, command, drawing_digest, is_made, mark_made, stamp_path
 from reproduction.processes import run_modules
 
 FILE = "@"
@@ -123,30 +122,24 @@ def _made(step: Step, out: Path) -> bool:
     """Run a step's command; say whether it went well."""
     path = out / step.output
     path.parent.mkdir(parents=True, exist_ok=True)
-    _stamp_path(path).unlink(missing_ok=True)  # an old output is not this step's, whatever happens now
+    stamp_path(path).unlink(missing_ok=True)  # an old output is not this step's, whatever happens now
     try:
-        stamp = _stamp(step, out)
+        facts = _facts(step, out)
         command(*step.command(out))
     except PosetrackError as error:
         click.echo(str(error), err=True)
         return False
-    _stamp_path(path).write_text(stamp, encoding="utf-8")
+    mark_made(path, facts)
     return True
 
 
 def is_current(step: Step, out: Path) -> bool:
     """Whether the output is there that the same code makes of the files that are there now."""
-    path = out / step.output
-    stamp = _stamp_path(path)
-    inputs_known = all(_stamp_path(out / name).exists() for name in step.inputs)
-    return inputs_known and path.exists() and stamp.exists() and stamp.read_text("utf-8") == _stamp(step, out)
+    inputs_known = all(stamp_path(out / name).exists() for name in step.inputs)
+    return inputs_known and is_made(out / step.output, _facts(step, out))
 
 
-def _stamp_path(path: Path) -> Path:
-    return path.with_name(f"{path.name}.made.json")
-
-
-def _stamp(step: Step, out: Path) -> str:
+def _facts(step: Step, out: Path) -> dict[str, object]:
     """What an output depends on.
 
     Raises:
@@ -154,13 +147,13 @@ def _stamp(step: Step, out: Path) -> str:
     """
     digest: Callable[[], str] = drawing_digest if step.arguments[: len(DRAWS)] == DRAWS else code_digest
     inputs = {name: _known(out / name) for name in step.inputs}
-    return json.dumps({"arguments": step.arguments, "inputs": inputs, "code": digest()}, indent=1) + "\n"
+    return {"arguments": step.arguments, "inputs": inputs, "code": digest()}
 
 
 def _known(path: Path) -> object:
     """What an input was made of."""
     try:
-        return json.loads(_stamp_path(path).read_text("utf-8"))
+        return json.loads(stamp_path(path).read_text("utf-8"))
     except OSError as error:
         raise PosetrackError(f"{path} was not made") from error
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from dataclasses import asdict
 from pathlib import Path
 
@@ -28,6 +30,15 @@ def calibrate(recording: Path, output: Path, *more: str) -> int:
     return run(["hand", "calibrate", str(recording), "-o", str(output), *more])
 
 
+@pytest.fixture(scope="module")
+def calibrated(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A configuration that was written, and the lines that were printed."""
+    output, printed = tmp_path_factory.mktemp("calibrated") / "hand.toml", io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert calibrate(recording, output, *QUICK) == 0
+    return output, printed.getvalue().splitlines()
+
+
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     lines = capsys.readouterr().err.strip().splitlines()
     assert "Traceback" not in "".join(lines)
@@ -35,11 +46,9 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_a_table_and_a_configuration(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, calibrated: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    output = tmp_path / "hand.toml"
-    assert calibrate(recording, output, *QUICK) == 0
-    shown = capsys.readouterr().out.splitlines()
+    output, shown = calibrated
     assert shown[0].split() == ["side", "right"]
     rows = {" ".join(line.split()[:-2]): line.split()[-2:] for line in shown[2:-1]}
     assert list(rows) == [name.replace("_", " ") for name in SHAPE_NAMES]
@@ -54,8 +63,11 @@ def test_a_table_and_a_configuration(
     assert run([*arguments, "--config", "hand", "--config", str(output)]) in (0, 3)
 
 
-def test_an_existing_file_is_kept(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_existing_file_is_kept_or_replaced_by_the_same_hand(
+    recording: Path,
+    calibrated: tuple[Path, list[str]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     output = tmp_path / "hand.toml"
     output.write_text("precious")
@@ -63,7 +75,7 @@ def test_an_existing_file_is_kept(
     assert "--overwrite" in one_line(capsys)
     assert output.read_text() == "precious"
     assert calibrate(recording, output, *QUICK, "--overwrite") == 0
-    assert "[hand]" in output.read_text()
+    assert output.read_bytes() == calibrated[0].read_bytes()
 
 
 def test_the_recording_is_never_replaced(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,7 +29,8 @@ from posetrack_cli.results import load_arrays, read_result
 
 FRAMES = 24
 SMALL = ["--particles", "48"]
-MANY = "1024"  # particles of a run that is slow enough to be stopped in the middle
+SLOW = ["--particles", "256", "--end", "14", "--set", "output.flush_frames=5"]
+"""Slow enough to be stopped in the middle."""
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
 
 
@@ -227,13 +228,13 @@ def test_closing_line(recording: Path, tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def start_slow(recording: Path, output: Path) -> subprocess.Popen[str]:
-    """A run of many particles, so that it can be stopped in the middle."""
-    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(output), "--particles", MANY]
+    """A run in a process of its own."""
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(output), *SLOW]
     return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def wait_for_flush(process: subprocess.Popen[str], output: Path) -> None:
-    """Wait until the first ten frames are flushed: the checkpoint then holds a tracker's state."""
+    """Wait until the first five frames are flushed: the checkpoint then holds a tracker's state."""
     deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline and process.poll() is None:
         if state_path(output).exists():
@@ -247,7 +248,7 @@ def wait_for_flush(process: subprocess.Popen[str], output: Path) -> None:
 @pytest.fixture(scope="module")
 def slow_result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("slow") / "r.mcap"
-    assert run(["hand", "run", str(recording), "-o", str(path), "--particles", MANY]) == 0
+    assert run(["hand", "run", str(recording), "-o", str(path), *SLOW]) == 0
     return path
 
 
@@ -268,8 +269,8 @@ def test_stopped_run_is_readable_and_resumes_to_the_same_bytes(
         assert process.returncode == 130
         assert "--resume" in errors.splitlines()[-1]
         assert run(["info", str(part_path(output))]) == 0
-    assert len(list(read_result(part_path(output)).estimates())) >= 10
-    assert run(["hand", "run", str(recording), "-o", str(output), "--particles", MANY, "--resume"]) == 0
+    assert len(list(read_result(part_path(output)).estimates())) >= 5
+    assert run(["hand", "run", str(recording), "-o", str(output), *SLOW, "--resume"]) == 0
     assert filecmp.cmp(output, slow_result, shallow=False)
     assert not part_path(output).exists() and not state_path(output).exists()
 
@@ -534,7 +535,14 @@ def test_real_kinect_frames_from_folder_and_mcap(tmp_path: Path, measured_data: 
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
     reading = ["--fps", "30", "--camera", str(camera)]
     assert run(["convert", str(kinect), str(tmp_path / "in.mcap"), *reading]) == 0
-    assert track(kinect, tmp_path / "a.mcap", "--hand-side", "left", *reading) == 0
-    assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", "--hand-side", "left") == 0
+    recorded = [open_recording(kinect, fps=30.0, camera_file=camera), open_recording(tmp_path / "in.mcap")]
+    count = 0
+    for one, other in zip(*(opened.frames() for opened in recorded), strict=True):
+        assert one.stamp_ns == other.stamp_ns and np.array_equal(one.depth, other.depth)
+        count += 1
+    assert count == 181
+    every = ["--hand-side", "left", "--stride", "9"]
+    assert track(kinect, tmp_path / "a.mcap", *every, *reading) == 0
+    assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", *every) == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 181
+    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 21

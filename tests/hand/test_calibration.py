@@ -210,12 +210,6 @@ def test_side_size_and_proportions_are_found_without_truth(recording: Path, cali
     assert calibration.sd.shape == (SHAPE_SIZE,) and (calibration.sd > 0).all()
 
 
-def test_the_same_recording_gives_the_same_hand(recording: Path, calibration: Calibration) -> None:
-    options = CalibrationOptions(seconds=2.4, frames=10)
-    again = calibrate(open_recording(recording), HandConfig(), options)
-    assert again.shape == calibration.shape
-
-
 def test_the_file_is_a_configuration(tmp_path: Path, calibration: Calibration) -> None:
     path = tmp_path / "hand.toml"
     write_hand_file(path, calibration, None, 'a "quoted" name')

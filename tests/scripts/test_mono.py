@@ -25,12 +25,12 @@ from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
 from reproduction import mono
-from reproduction.accuracy.options import FIRST_SEED, Targets
 from reproduction.one_camera import clips, comparing, figures, overlays, people, population
 from reproduction.one_camera.experiments import Experiments
 from reproduction.one_camera.measuring import Figures, Measured, Removed, compare, figures_of
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.tables import THESIS
+from reproduction.running import FIRST_SEED, Targets
 from reproduction.steps import FILE, Chain, Step
 from support.heads import CAMERAS, FRAME_NS, heads_folder, judged, pose
 

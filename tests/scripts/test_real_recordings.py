@@ -18,9 +18,10 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
 from reproduction.accuracy import real
 from reproduction.accuracy.measuring import Measured
-from reproduction.accuracy.options import Options, Targets
+from reproduction.accuracy.options import Options
 from reproduction.accuracy.real import HeadMounted, Kinect
-from reproduction.accuracy.tasks import command
+from reproduction.made import command
+from reproduction.running import Targets
 from support.cvar import make_folder as make_annotated
 from support.viewing import make_folder, make_recording, truth_of
 

@@ -19,12 +19,12 @@ from posetrack_cli.head.subject import StereoDiagnostics, head_subject
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import Estimate, ResultWriter, Status
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
-from reproduction.accuracy.options import FIRST_SEED, Targets
 from reproduction.heads import comparison, conditions, experiment, figures, people, tasks
 from reproduction.heads.events import Events, events_of
 from reproduction.heads.measuring import Course, Figures, Measured, course, figures_of, recovery_s
 from reproduction.heads.options import Options
 from reproduction.heads.tasks import ENTRANTS, Task, is_current, run_task
+from reproduction.running import FIRST_SEED, Targets
 from reproduction.stereo import PARTS
 from support.heads import CAMERAS, FRAME_NS, heads_folder, judged, pose
 

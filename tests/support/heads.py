@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.face.pose import HeadPose
-from reproduction.accuracy.options import Targets
+from reproduction.running import Targets
 
 FRAME_NS = 33_333_333
 CAMERAS = (

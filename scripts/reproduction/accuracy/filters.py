@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import paired
-from reproduction.accuracy.measuring import Measured, Row, mean_and_sd, table
-from reproduction.accuracy.options import NO_MESH, Options, Targets, seeds, synthetic
+from reproduction.accuracy.measuring import Measured, Row, mean_and_sd
+from reproduction.accuracy.options import NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import RECORDING, Task
+from reproduction.running import Targets, table
 
 CONDITIONS = (("B", 1.0), ("B", 2.0), ("C", 1.0), ("C", 2.0))
 PROPOSALS = {"guided": "by the local fits", "marginal": "from the motion alone"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -122,12 +122,3 @@ def mean_and_sd(values: FloatArray, digits: int = 2) -> str:
         return "-"
     sd = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
     return f"{values.mean():.{digits}f}{sd}"
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterable[str]:
-    """Lines of a Markdown table and an empty one."""
-    yield f"| {' | '.join(header)} |"
-    yield "|---" * len(header) + "|"
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
-    yield ""

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from reproduction import running
 from reproduction.accuracy.measuring import Measured
 from reproduction.accuracy.tasks import Task
+from reproduction.running import FIRST_SEED
 
-FIRST_SEED = 201
-"""Seeds from here on were not used for tuning."""
 NO_MESH = ("--set", "output.mesh=none")
 """Nobody looks at the hands of the study."""
 
@@ -25,7 +24,6 @@ class Options:
         seeds: recordings per condition.
         frames: per synthetic recording.
         hand_seeds: recordings of each other hand.
-        jobs: processes at a time.
         kinect: folder of the real Kinect v2 recording; None leaves it out.
         cvar: folder of the annotated, head-mounted recordings; None leaves them out.
         mesh: GLB file of a hand; None leaves it out.
@@ -37,7 +35,6 @@ class Options:
     seeds: int = 20
     frames: int = 300
     hand_seeds: int = 3
-    jobs: int = 1
     kinect: Path | None = None
     cvar: Path | None = None
     mesh: Path | None = None
@@ -50,28 +47,11 @@ class Options:
         return self.output / "runs"
 
 
-@dataclass(frozen=True)
-class Targets:
-    """What was reached of what was asked for, filled in by the parts of the study."""
-
-    rows: list[tuple[str, str, str, str]] = field(default_factory=list)
-
-    def add(self, what: str, target: str, measured: str, reached: bool | None) -> None:
-        """Keep a figure: what it is, what was asked for, what came out; None where nothing was measured."""
-        said = {True: "reached", False: "**missed**", None: "not measured"}[reached]
-        self.rows.append((what, target, measured, said))
-
-
-class Part(Protocol):
+class Part(running.Part[Options, Measured], Protocol):
     """One part of the study: the recordings it needs, and what it says about their results."""
-
-    name: str
 
     def tasks(self, options: Options) -> list[Task]:
         """What has to be tracked."""
-
-    def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
-        """The report, in Markdown; figures go to ``options.output``."""
 
 
 def synthetic(

@@ -9,9 +9,10 @@ import numpy as np
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.evaluation.figures import figure_of
 from posetrack_cli.hand.anatomy import JOINT_NAMES
-from reproduction.accuracy.measuring import Measured, Row, mean_and_sd, mean_of, number, table
-from reproduction.accuracy.options import NO_MESH, Options, Targets, synthetic
+from reproduction.accuracy.measuring import Measured, Row, mean_and_sd, mean_of, number
+from reproduction.accuracy.options import NO_MESH, Options, synthetic
 from reproduction.accuracy.tasks import CALIBRATED, Task
+from reproduction.running import Targets, table
 
 MOST_MM = 5.0
 AVERAGE, FITTED = Row("average", title="average hand"), Row("calibrated", title="calibrated")

@@ -10,9 +10,10 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.results.tracks import SMOOTHED
 from reproduction.accuracy import pictures
-from reproduction.accuracy.measuring import Measured, Row, mean_and_sd, mean_of, number, table
-from reproduction.accuracy.options import NO_MESH, Options, Targets, seeds, synthetic
+from reproduction.accuracy.measuring import Measured, Row, mean_and_sd, mean_of, number
+from reproduction.accuracy.options import NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import Task
+from reproduction.running import Targets, table
 
 SPEEDS = (1.0, 2.0)
 MOST_MM = {1.0: 2.0, 2.0: 3.0}

@@ -13,9 +13,11 @@ from posetrack_cli.evaluation.evaluation import Curve, Evaluation
 from posetrack_cli.evaluation.figures import figure_of
 from reproduction import cvar
 from reproduction.accuracy import pictures
-from reproduction.accuracy.measuring import Measured, number, table
-from reproduction.accuracy.options import Options, Targets
-from reproduction.accuracy.tasks import CALIBRATED, Task, command
+from reproduction.accuracy.measuring import Measured, number
+from reproduction.accuracy.options import Options
+from reproduction.accuracy.tasks import CALIBRATED, Task
+from reproduction.made import command
+from reproduction.running import Targets, table
 
 KINECT_CAMERA = "fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n"
 KINECT_HZ = 30.0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from reproduction.accuracy.measuring import Measured, Row, table
-from reproduction.accuracy.options import NO_MESH, Options, Targets, synthetic
+from reproduction.accuracy.measuring import Measured, Row
+from reproduction.accuracy.options import NO_MESH, Options, synthetic
 from reproduction.accuracy.tasks import Task
+from reproduction.running import Targets, table
 
 CONFIGURATIONS = ("hand", "hand-fast", "hand-pso", "hand-paper")
 LEAST_HZ = {"hand": 20.0, "hand-fast": 40.0}

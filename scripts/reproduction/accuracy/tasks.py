@@ -12,20 +12,15 @@ import json
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from pathlib import Path
 
 import click
 
-import posetrack_cli
-from posetrack_cli.cli.main import run as posetrack
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError
-from posetrack_cli.recording.identity import files_digest
+from posetrack_cli.errors import PosetrackError
+from reproduction.made import code_digest, command, is_made, mark_made
 
 RECORDING, CALIBRATED = "{recording}", "{calibrated}"
 """In an entrant's arguments: the recording's path, and that of the hand calibrated on it."""
-SOURCES = ("**/*.py", "**/*.npz", "**/shaders/*")
-CONFIGURATIONS = Path(posetrack_cli.__file__).parents[1] / "configs"
 
 
 @dataclass(frozen=True)
@@ -98,7 +93,7 @@ def _track(task: Task, entrant: str, recording: Path, out: Path) -> bool:
     except PosetrackError as error:
         click.echo(str(error), err=True)
         return False
-    _stamp_path(result).write_text(_stamp(task, entrant), encoding="utf-8")
+    mark_made(result, _facts(task, entrant))
     return True
 
 
@@ -110,41 +105,14 @@ def _side(arguments: tuple[str, ...]) -> tuple[str, ...]:
     return arguments[at : at + 2]
 
 
-def command(*arguments: str) -> None:
-    """Run ``posetrack`` in this process.
-
-    Raises:
-        PosetrackError: it failed.
-    """
-    code = posetrack(list(arguments))
-    if code not in (EXIT_DONE, EXIT_DATA_LOST):
-        raise PosetrackError(f"posetrack {' '.join(arguments[:3])} ended with exit code {code}")
-
-
 def is_current(task: Task, entrant: str, out: Path) -> bool:
     """Whether the result that the same code and arguments give is there."""
-    result = task.result(out, entrant)
-    stamp = _stamp_path(result)
-    return result.exists() and stamp.exists() and stamp.read_text("utf-8") == _stamp(task, entrant)
+    return is_made(task.result(out, entrant), _facts(task, entrant))
 
 
-def _stamp_path(result: Path) -> Path:
-    return result.with_suffix(".made.json")
-
-
-def _stamp(task: Task, entrant: str) -> str:
+def _facts(task: Task, entrant: str) -> dict[str, object]:
     """What a result depends on."""
-    made = {"recording": task.recording, "arguments": task.entrants[entrant], "code": code_digest()}
-    return json.dumps(made, indent=1) + "\n"
-
-
-@cache
-def code_digest() -> str:
-    """SHA-256 over the package's sources and the shipped configurations."""
-    package = Path(posetrack_cli.__file__).parent
-    files = {str(path.relative_to(package)): path for pattern in SOURCES for path in package.glob(pattern)}
-    files |= {path.name: path for path in CONFIGURATIONS.glob("*.toml")}
-    return files_digest([(name, files[name]) for name in sorted(files) if files[name].is_file()])[1]
+    return {"recording": task.recording, "arguments": task.entrants[entrant], "code": code_digest()}
 
 
 if __name__ == "__main__":

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.heads.measuring import RIGID_FRAMES, Measured
 from reproduction.heads.options import Options, Part
 from reproduction.heads.tasks import Task
+from reproduction.running import Targets, table
 
 MODELS, PASSES = ("rigid", "deformable"), ("deformable", "deformable-2")
 COMPARED = {

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.heads.measuring import Measured
 from reproduction.heads.options import Options, synthetic
 from reproduction.heads.tables import COLUMNS, EXPLAINED, TITLES, accuracy_rows
 from reproduction.heads.tasks import Task
+from reproduction.running import Targets, table
 
 CONDITIONS: dict[str, tuple[str, ...]] = {
     "slow light": (),

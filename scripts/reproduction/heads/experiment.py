@@ -15,13 +15,13 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.results import load_arrays, read_result
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.heads import figures
 from reproduction.heads.measuring import FOLLOWED, MOVING_MM, RIGID_FRAMES, Course, Measured, course_of
 from reproduction.heads.options import Options, synthetic
 from reproduction.heads.tables import COLUMNS, EXPLAINED, accuracy_rows
 from reproduction.heads.tasks import Task
+from reproduction.running import Targets, table
 
 DEFORMING_PART = 2 / 3
 """Of the recording, as in the thesis: 1200 of 1800 frames."""

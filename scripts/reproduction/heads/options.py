@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from reproduction.accuracy.options import FIRST_SEED, Targets
+from reproduction import running
 from reproduction.heads.measuring import Measured
 from reproduction.heads.tasks import Task
+from reproduction.running import FIRST_SEED
 
 EXPERIMENT_FRAMES, FRAMES, IDENTITIES = 1800, 300, 3
 
@@ -42,16 +42,11 @@ class Options:
         return range(self.first_identity, self.first_identity + self.identities)
 
 
-class Part(Protocol):
+class Part(running.Part[Options, Measured], Protocol):
     """One part of the study: the recordings it needs, and what it says about their results."""
-
-    name: str
 
     def tasks(self, options: Options) -> list[Task]:
         """What has to be tracked."""
-
-    def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
-        """The report, in Markdown; figures go to ``options.output``."""
 
 
 def synthetic(identity: int, frames: int, *more: str) -> tuple[str, ...]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.heads.measuring import Measured
 from reproduction.heads.options import Options
 from reproduction.heads.tables import COLUMNS, EXPLAINED, accuracy_rows
 from reproduction.heads.tasks import CALIBRATION, TRUTH, Task
+from reproduction.running import Targets, table
 
 ONE_PASS = {
     "x_mm": 0.3,

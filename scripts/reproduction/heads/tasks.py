@@ -9,35 +9,18 @@ made with the same arguments is kept, too: a study that was stopped goes on wher
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 
 import click
 
-import posetrack_cli
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
-from posetrack_cli.recording.identity import files_digest
-from reproduction.accuracy.tasks import code_digest, command
 from reproduction.heads_data import camera_file_text, frame_rate
+from reproduction.made import code_digest, command, drawing_digest, is_made, mark_made
 
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
-DRAWING = (
-    "synthesis/head/*.py",
-    "head/face/pose.py",
-    "geometry/camera.py",
-    "geometry/distortion.py",
-    "geometry/poses.py",
-    "geometry/rotations.py",
-    "rendering/gl/textured.py",
-    "rendering/gl/shaders/textured.*",
-)
-"""What a synthetic recording's images and truth come from, beside the average face."""
 ENTRANTS: dict[str, tuple[str, ...]] = {
     "deformable": (),
     "deformable-2": ("--passes", "2"),
@@ -123,9 +106,9 @@ def _prepared(task: Task, out: Path) -> tuple[str, ...]:
         camera = out / "recordings" / f"{task.name}.{CAMERA_FILE_NAME}"
         camera.write_text(camera_file_text(path / CALIBRATION), encoding="utf-8")
         return (str(path), "--camera", str(camera), "--fps", f"{frame_rate(path / CALIBRATION):g}")
-    if not (path.exists() and _is_stamped(path, _recording_stamp(task))):
+    if not is_made(path, _recording_facts(task)):
         command("head", "synth", *task.synthetic, "-o", str(path), "--overwrite")
-        _stamp_path(path).write_text(_recording_stamp(task), encoding="utf-8")
+        mark_made(path, _recording_facts(task))
     return (str(path),)
 
 
@@ -137,48 +120,24 @@ def _track(task: Task, entrant: str, reading: tuple[str, ...], out: Path) -> boo
     except PosetrackError as error:
         click.echo(str(error), err=True)
         return False
-    _stamp_path(result).write_text(_result_stamp(task, entrant), encoding="utf-8")
+    mark_made(result, _facts(task, entrant))
     return True
 
 
 def is_current(task: Task, entrant: str, out: Path) -> bool:
     """Whether the result that the same code and arguments give is there."""
-    result = task.result(out, entrant)
-    return result.exists() and _is_stamped(result, _result_stamp(task, entrant))
+    return is_made(task.result(out, entrant), _facts(task, entrant))
 
 
-def _is_stamped(path: Path, stamp: str) -> bool:
-    known = _stamp_path(path)
-    return known.exists() and known.read_text("utf-8") == stamp
-
-
-def _stamp_path(path: Path) -> Path:
-    return path.with_suffix(".made.json")
-
-
-def _result_stamp(task: Task, entrant: str) -> str:
+def _facts(task: Task, entrant: str) -> dict[str, object]:
     """What a result depends on."""
     source = {"folder": task.folder} if task.folder else {"recording": task.synthetic}
-    return _stamp({**source, "arguments": ENTRANTS[entrant], "code": code_digest()})
+    return {**source, "arguments": ENTRANTS[entrant], "code": code_digest()}
 
 
-def _recording_stamp(task: Task) -> str:
+def _recording_facts(task: Task) -> dict[str, object]:
     """What a recording depends on."""
-    return _stamp({"recording": task.synthetic, "code": drawing_digest()})
-
-
-def _stamp(values: Mapping[str, object]) -> str:
-    return json.dumps(values, indent=1) + "\n"
-
-
-@cache
-def drawing_digest() -> str:
-    """SHA-256 over the sources that synthetic heads are drawn by, and the average face."""
-    package = Path(posetrack_cli.__file__).parent
-    files = sorted({path for pattern in DRAWING for path in package.glob(pattern) if path.is_file()})
-    sources = files_digest([(str(path.relative_to(package)), path) for path in files])[1]
-    face = json.dumps([MEAN_SHAPE.tolist(), SHAPE_SD.tolist()])
-    return hashlib.sha256(f"{sources}{face}".encode()).hexdigest()
+    return {"recording": task.synthetic, "code": drawing_digest()}
 
 
 if __name__ == "__main__":

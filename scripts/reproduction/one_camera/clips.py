@@ -14,14 +14,14 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE
 from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry import rotations
 from posetrack_cli.results.reader import read_result
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.one_camera.entrants import CLIPS
 from reproduction.one_camera.figures import pose_columns
 from reproduction.one_camera.measuring import Measured, pose_of
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.population import TRACKED
 from reproduction.one_camera.tables import AXES
+from reproduction.running import Targets, table
 from reproduction.steps import Chain, Step
 
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm")

@@ -9,13 +9,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import SIGNIFICANCE, paired
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.one_camera import population
 from reproduction.one_camera.entrants import POPULATION
 from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.tables import COLUMNS, EXPLAINED, WAYS, mean_row
+from reproduction.running import Targets, table
 from reproduction.steps import Chain
 
 METRICS = {

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from reproduction.accuracy.measuring import number
-from reproduction.accuracy.options import Targets
 from reproduction.one_camera import figures, overlays, population
 from reproduction.one_camera.entrants import EXPERIMENTS, POPULATION
 from reproduction.one_camera.measuring import Compared, Figures, Measured, Removed, compare
@@ -20,6 +19,7 @@ from reproduction.one_camera.tables import (
     six_table,
     thesis_rows,
 )
+from reproduction.running import Targets
 from reproduction.steps import Chain
 
 TITLES = {

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Protocol
 
-from reproduction.accuracy.options import FIRST_SEED, Targets
+from reproduction import running
+from reproduction.running import FIRST_SEED
 from reproduction.steps import Chain
-
-if TYPE_CHECKING:
-    from reproduction.one_camera.measuring import Measured
 
 MODEL_PEOPLE, PEOPLE = 11, 6
 """S of the thesis; and with six pairs Wilcoxon's test can find a difference."""
@@ -53,13 +50,8 @@ class Options:
         return range(self.first_identity, self.first_identity + self.model_people)
 
 
-class Part(Protocol):
+class Part(running.Part[Options, Any], Protocol):
     """One part of the study: what it needs, and what it says about it."""
-
-    name: str
 
     def chains(self, options: Options) -> list[Chain]:
         """What has to be made."""
-
-    def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
-        """The report, in Markdown; figures go to ``options.output``."""

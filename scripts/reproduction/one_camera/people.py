@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from reproduction.accuracy.measuring import number, table
-from reproduction.accuracy.options import Targets
+from reproduction.accuracy.measuring import number
 from reproduction.heads.people import persons_in
 from reproduction.heads.tasks import CALIBRATION, TRUTH
 from reproduction.heads_data import camera_file_text, frame_rate
@@ -16,6 +15,7 @@ from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
 from reproduction.one_camera.population import CAMERA, TRACKED
 from reproduction.one_camera.tables import COLUMNS, EXPLAINED, THESIS, WAYS, mean_row
+from reproduction.running import Targets, table
 from reproduction.steps import Chain, Step
 
 AIM = dict(zip(HEAD_POSE, (1.3, 1.6, 4.8, 0.22, 1.2, 1.2), strict=True))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from reproduction.accuracy.measuring import number, table
+from reproduction.accuracy.measuring import number
 from reproduction.one_camera.measuring import Figures, Removed, values_of
+from reproduction.running import table
 
 Six = tuple[float, float, float, float, float, float]
 THESIS: dict[str, tuple[Six, Six]] = {

@@ -48,7 +48,7 @@ def frames(device: RenderingDevice) -> list[Told]:
     scene = Scene(HAND, Switches(forearm=True))
     limb = device.depth_renderer(scene.mesh, size, 1)
     told = []
-    for frame in list(synthesise(SynthOptions(frames=120, seed=12, speed=2.0), device=device))[::15]:
+    for frame in synthesise(SynthOptions(frames=8, fps=2.0, seed=12, speed=2.0), device=device):
         alone = hand.depth(skinning_transforms(ANATOMY, frame.pose[None]), CAMERA, window)[0].copy()
         both = limb.depth(scene.transforms(frame.pose, 0.0), CAMERA, window)[0].copy()
         on_limb = (frame.depth > 0) & (both > 0) & (np.abs(frame.depth - both) < SAME_MM)

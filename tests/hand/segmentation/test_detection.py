@@ -229,7 +229,7 @@ def test_a_moved_image_gives_moved_hands(right: int, down: int) -> None:
 def test_a_hand_before_its_own_body_is_the_first(device: RenderingDevice) -> None:
     """Natural motion with forearm, body, room and every sensor effect: the hand is found, the nearest."""
     found, overlap = 0, []
-    frames = list(synthesise(SynthOptions(motion="C", frames=90, seed=7), device=device))[::9]
+    frames = list(synthesise(SynthOptions(motion="C", frames=10, fps=10.0 / 3.0, seed=7), device=device))
     for frame in frames:
         hands = detect(frame.depth, CAMERA, SETTINGS)
         assert hands
