@@ -65,6 +65,7 @@ SUBJECT = Subject(
     point_names=tuple(f"corner_{k}" for k in range(8)),
     point_parents=(-1, 0, 0, 1, 0, 1, 2, 3),
     triangles=SKIN.triangles,
+    lines=tuple((a, b) for a, b in combinations(range(8), 2) if (a ^ b).bit_count() == 1),  # its edges
 )
 FRAME_NS = 33_333_333
 FIRST_NS = 1_700_000_000_000_000_000
