@@ -16,7 +16,7 @@ from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import ResultWriter
 from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.checkpoint import Checkpoint, Progress
+from posetrack_cli.results.checkpoint import FORMAT_VERSION, Checkpoint, Progress
 from posetrack_cli.results.layouts import floats
 from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
 from posetrack_cli.tracking.loop import RunState
@@ -164,11 +164,11 @@ def test_flipped_bits_are_refused_or_change_nothing(path: Path) -> None:
             assert found.partition("Generator")[0] == expected.partition("Generator")[0]
 
 
-@pytest.mark.parametrize("version", [1, 3])
+@pytest.mark.parametrize("version", [FORMAT_VERSION - 1, FORMAT_VERSION + 1])
 def test_another_version_is_told(path: Path, version: int) -> None:
     contents = read_npz(state_path(path).read_bytes())
     line = refused(path, changed_json(contents, lambda fields: fields.update(version=version)))
-    assert f"'version' as {version}, not 2; start again" in line and HINT in line
+    assert f"'version' as {version}, not {FORMAT_VERSION}; start again" in line and HINT in line
 
 
 @pytest.mark.parametrize(
