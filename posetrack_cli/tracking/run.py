@@ -193,10 +193,15 @@ class Run(ABC):
         camera, *others = self.cameras
         about = self.subject, camera, self.record
         if options.resume:
-            writer, checkpoint = ResultWriter.resume(
-                options.output, *about, others=others, flush_frames=flush, check=self.run_state_at
+            resumed: list[RunState] = []
+            writer, _ = ResultWriter.resume(
+                options.output,
+                *about,
+                others=others,
+                flush_frames=flush,
+                check=lambda checkpoint: resumed.append(self.run_state_at(checkpoint)),
             )
-            return writer, self.run_state_at(checkpoint)
+            return writer, resumed[0]
         overwrite = options.overwrite
         writer = ResultWriter(options.output, *about, others=others, flush_frames=flush, overwrite=overwrite)
         start = RunState(None, self.new_rng())

@@ -13,7 +13,6 @@ from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.projection import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
@@ -23,7 +22,7 @@ from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.fields import check_estimate
-from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
+from support.textured_face import SHAPE, TexturedFace, pose_at, stereo, textured_face
 
 FRAME_NS = 33_333_333
 (CAMERA,) = stereo(1)
@@ -41,13 +40,6 @@ def drawn_model() -> FaceModel:
 
 
 MODEL = drawn_model()
-
-
-def pose_at(index: int) -> HeadPose:
-    """A head that turns, nods and moves aside, up to 3 mm and 0.5 degrees a frame."""
-    t = index / 30.0
-    turn = np.array([0.12 * np.sin(1.3 * t), 0.2 * np.sin(1.1 * t), 0.05 * np.sin(0.9 * t)])
-    return FACING.moved(np.concatenate([[30.0 * np.sin(t), 10.0 * np.sin(1.7 * t), 20.0 * np.sin(t)], turn]))
 
 
 @dataclass

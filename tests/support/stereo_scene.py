@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.projection import project
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation
@@ -16,7 +15,7 @@ from posetrack_cli.head.tracker.stereo import StereoTracker, stereo_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.fields import check_estimate
-from support.textured_face import FACING, SHAPE, TexturedFace, stereo, textured_face
+from support.textured_face import SHAPE, TexturedFace, pose_at, stereo, textured_face
 
 FRAME_NS = 33_333_333
 CAMERAS = stereo()
@@ -25,13 +24,6 @@ FEW = HeadStereoConfig.model_validate({"particles": {"count": 200}})
 NOISE = 2.0
 """Grey levels. A patch of 256 pixels with slopes of some 10 levels a pixel then places a point to 0.02 px:
 0.015 mm across, 0.1 mm in depth with a base of 120 mm at 700 mm; ten points share the pose."""
-
-
-def pose_at(index: int) -> HeadPose:
-    """A head that turns, nods and moves aside, up to 5 mm and 0.5 degrees a frame."""
-    t = index / 30.0
-    turn = np.array([0.12 * np.sin(1.3 * t), 0.2 * np.sin(1.1 * t), 0.05 * np.sin(0.9 * t)])
-    return FACING.moved(np.concatenate([[30.0 * np.sin(t), 10.0 * np.sin(1.7 * t), 20.0 * np.sin(t)], turn]))
 
 
 @dataclass

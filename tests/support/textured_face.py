@@ -22,6 +22,13 @@ REACH = 26
 WAVES = 7
 
 
+def pose_at(index: int) -> HeadPose:
+    """A head that turns, nods and moves aside, up to 1.4 mm and 0.5 degrees a frame."""
+    t = index / 30.0
+    turn = np.array([0.12 * np.sin(1.3 * t), 0.2 * np.sin(1.1 * t), 0.05 * np.sin(0.9 * t)])
+    return FACING.moved(np.concatenate([[30.0 * np.sin(t), 10.0 * np.sin(1.7 * t), 20.0 * np.sin(t)], turn]))
+
+
 def turned_camera(name: str, baseline_mm: float, **lens) -> Camera:
     """A camera beside the reference, turned towards a head 700 mm away."""
     angle = np.arctan2(baseline_mm, 700.0)

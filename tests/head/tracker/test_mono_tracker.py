@@ -21,8 +21,8 @@ from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same
-from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told, pose_at
-from support.textured_face import SHAPE, textured_face
+from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told
+from support.textured_face import SHAPE, pose_at, textured_face
 
 ACROSS_MM = 0.2
 """0.3 px. Noise places a patch to some 0.02 px; where the features were first found, it is compared with."""

@@ -35,8 +35,8 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
 from support.mono_scene import CAMERA as SCENE_CAMERA
-from support.mono_scene import FACE, FRAME_NS, MODEL, pose_at
-from support.textured_face import SHAPE
+from support.mono_scene import FACE, FRAME_NS, MODEL
+from support.textured_face import SHAPE, pose_at
 
 CAMERA = Camera(640, 480, 700.0, 702.0, 321.0, 238.0)
 LENSES = {

@@ -12,8 +12,8 @@ from posetrack_cli.head.tracker.estimates import UNSEEN
 from posetrack_cli.head.tracker.stereo import stereo_tracker
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
-from support.stereo_scene import CAMERAS, FEW, Scene, Told, pose_at
-from support.textured_face import textured_face
+from support.stereo_scene import CAMERAS, FEW, Scene, Told
+from support.textured_face import pose_at, textured_face
 
 POSITION_MM, ROTATION_RAD = 0.3, np.radians(0.3)
 """Far above that, which leaves room for the planes' edges, and far below a pixel: 0.7 mm."""
