@@ -161,7 +161,7 @@ class Acquisition:
     ) -> None:
         self._config, self._settings = config, config.acquisition
         self._hand, self._camera, self._space = hand, camera, HandSpace()
-        self.observer = Observer(config, hand.anatomy, camera, segment=True)
+        self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
         self.local_fitter = LocalFitter(config, hand, camera)
         self._scorer = scorer or DrawnCosts(self.local_fitter.fitter)
 

@@ -37,6 +37,7 @@ JOINT_NAMES: tuple[str, ...] = (
 )
 JOINT_PARENTS: tuple[int, ...] = (-1, *(0 if k == 0 else 4 * f + k for f in range(5) for k in range(4)))
 BONE_COUNT = 16  # the palm, then three per finger
+ARM_BONE = 16  # a forearm's, where one is drawn behind the hand
 POSE_SIZE = 22
 TANGENT_SIZE = 21
 ANGLES = slice(7, 22)  # of a pose

@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
+from posetrack_cli.hand.forearm import forearm_transforms
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
@@ -46,7 +47,7 @@ def union_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
     Returns:
         (N,) costs in 0..c_max.
     """
-    disagree = sums.rendered_only + settings.unread_weight * sums.unread + (sums.observed - sums.both)
+    disagree = sums.rendered_only - sums.occluded + settings.unread_weight * sums.unread + (sums.observed - sums.both)
     union = sums.both + disagree
     total = sums.error + settings.clamp_mm * disagree
     return np.divide(total, union, out=np.full_like(total, settings.clamp_mm), where=union > 0)
@@ -153,8 +154,8 @@ class RenderedCosts:
         self._model = (
             pixel_mixture(settings.mixture, settings.unread_weight) if settings.cost == "mixture" else None
         )
-        self._many = device.depth_renderer(hand.lean, tile, particles)
-        self._one = device.depth_renderer(hand.lean, tile, 1)
+        self._many = device.depth_renderer(hand.lean_with_arm, tile, particles)
+        self._one = device.depth_renderer(hand.lean_with_arm, tile, 1)
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """Costs D (N,), mm, of poses (N, 22)."""
@@ -184,7 +185,8 @@ class RenderedCosts:
 
     def _sums(self, poses: FloatArray, observation: Observation) -> TileSums:
         renderer = self._one if len(poses) == 1 else self._many
-        transforms = skinning_transforms(self._anatomy, poses)
+        hands = skinning_transforms(self._anatomy, poses)
+        transforms = np.concatenate([hands, forearm_transforms(poses, observation.arm)], axis=1)
         clamp = self._settings.clamp_mm
         return renderer.sums(
             transforms, self._camera, observation.window, Comparison(observation.image, clamp, self._model)

@@ -20,15 +20,16 @@ from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import POSE_SIZE
+from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
-from posetrack_cli.hand.fitting.gauss_newton import Fit
+from posetrack_cli.hand.fitting.gauss_newton import GIRTH_SD, SWING_SD, Fit
+from posetrack_cli.hand.fitting.normal_equations import NormalEquations
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import pixel_mixture, reading_share
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observation import NO_ARM, Observation
 from posetrack_cli.hand.space import HandSpace, tangent_vector
 from posetrack_cli.rendering.window import Window
 
@@ -43,11 +44,13 @@ class LocalFits(NamedTuple):
         modes: approximations of log p(y | x), the best first.
         cost: union cost D of the best, mm, with the smooth skin.
         renders: how many poses were drawn for it.
+        arm: (4,) the forearm of the best, as in ``Observation``.
     """
 
     modes: LikelihoodModes
     cost: float
     renders: int
+    arm: FloatArray
 
 
 class FrameReading(NamedTuple):
@@ -109,6 +112,7 @@ class LocalFitter:
         prior = PosePrior(expected, motion_precision(settings, dt))
         priors = [prior.about(start[:3]) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.iterations)
+        tile = tile._replace(arm=min(fits, key=_cost).arm)
         best = fitter.swapped(tile, fits)
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
@@ -116,8 +120,9 @@ class LocalFitter:
         if _cost(first) > enough_mm:
             refolded, more = self._refolded(tile, first.pose, prior)
             fits, renders = fits + refolded, renders + more
-        modes = self._likelihood(reading, fits)
-        return LocalFits(modes, min(_cost(fit) for fit in fits), renders + len(modes))
+        best_fit = min(fits, key=_cost)
+        modes = self._likelihood(reading._replace(tile=tile._replace(arm=best_fit.arm)), fits)
+        return LocalFits(modes, _cost(best_fit), renders + len(modes), best_fit.arm)
 
     def _refolded(self, tile: Tile, pose: FloatArray, prior: PosePrior) -> tuple[list[Fit], int]:
         """Fits from a pose (22,) with one finger at a time in another fold, and how many poses they drew."""
@@ -153,12 +158,13 @@ class LocalFitter:
     def modes(self, fits: Sequence[Fit], scales: FloatArray, log_heights: FloatArray) -> LikelihoodModes:
         """Return the likelihood about fits, its sharpness (K,) times theirs, with the anatomy's factor."""
         parts = [
-            (scale, fit.data, self.fitter.anatomy(fit.pose)) for scale, fit in zip(scales, fits, strict=True)
+            _without_arm(fit, scale, self.fitter.anatomy(fit.pose))
+            for scale, fit in zip(scales, fits, strict=True)
         ]
         return LikelihoodModes(
             np.array([fit.pose for fit in fits]),
-            np.array([scale * data.vector + own.vector for scale, data, own in parts]),
-            np.array([scale * data.matrix + own.matrix for scale, data, own in parts]),
+            np.array([gradient for gradient, _ in parts]),
+            np.array([information for _, information in parts]),
             log_heights,
         )
 
@@ -175,6 +181,19 @@ class LocalFitter:
                 chosen.append(fit)
                 joints.append(here)
         return chosen[: self._settings.most_modes]
+
+
+def _without_arm(fit: Fit, scale: float, own: NormalEquations) -> tuple[FloatArray, FloatArray]:
+    """Gradient (21,) and information (21, 21) of the pose alone: the forearm is integrated out.
+
+    With H and g of pose p and arm a, the arm's prior included: H_pp - H_pa H_aa^-1 H_ap, g_p - H_pa H_aa^-1 g_a.
+    """
+    matrix, vector = scale * fit.data.matrix + own.matrix, scale * fit.data.vector + own.vector
+    p, a = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
+    arm = matrix[a, a] + np.diag(1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD]))
+    carried = np.linalg.solve(arm, np.column_stack([matrix[a, p], vector[a]]))
+    information = matrix[p, p] - matrix[p, a] @ carried[:, :-1]
+    return vector[p] - matrix[p, a] @ carried[:, -1], 0.5 * (information + information.T)
 
 
 def _cost(fit: Fit) -> float:
@@ -215,11 +234,13 @@ class HandFits:
         """Return what is kept of a frame: its window and where the filter's fits are."""
         poses, count = np.zeros((self._most, POSE_SIZE)), 0
         image, place = np.zeros((self._size, self._size), dtype=np.float32), np.zeros(3, dtype=np.int64)
+        arm = NO_ARM
         if observation is not None and modes is not None:
             count = len(modes)
             poses[:count], image = modes.poses, observation.image
             place[:] = observation.window.left, observation.window.top, observation.window.step
-        return {"image": image, "place": place, "fits": poses, "count": count}
+            arm = observation.arm
+        return {"image": image, "place": place, "fits": poses, "count": count, "arm": arm}
 
     def known(self, frame: Memory) -> LikelihoodModes | None:
         """Return the filter's fits, assessed again; None where it had none."""
@@ -274,4 +295,4 @@ class HandFits:
         image = np.asarray(frame["image"])
         left, top, step = (int(value) for value in frame["place"])
         window = Window(left, top, step, self._size, self._size)
-        return self._local.read(Observation(window, image, int(np.count_nonzero(image > 0))))
+        return self._local.read(Observation(window, image, int(np.count_nonzero(image > 0)), np.asarray(frame["arm"])))

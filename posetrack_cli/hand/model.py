@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, POSE_SIZE, HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
+from posetrack_cli.hand.forearm import with_forearm
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.shape import HandShape
@@ -21,6 +22,7 @@ from posetrack_cli.rendering.decimation import Decimation, decimation
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 LEAN_TRIANGLES = 410
+_LEAN_ARM, _SMOOTH_ARM = (10, 4), (16, 6)
 # flexion of joint 3 and 2, rad: open, half closed, a fist, hooked, and bent at the knuckles alone
 _BENDS = ((0.0, 0.0), (0.8, 0.9), (1.4, 1.6), (0.2, 1.3), (1.3, 0.2))
 _THUMB_SHARE = 0.5  # of the fingers' bends in the thumb's
@@ -92,6 +94,16 @@ class HandModel:
     lean: SkinnedMesh
     smooth: SkinnedMesh
     whole: Callable[[], SkinnedMesh] | None = None
+
+    @cached_property
+    def lean_with_arm(self) -> SkinnedMesh:
+        """The lean skin with a forearm's: what many poses are drawn with where arms are explained."""
+        return with_forearm(self.lean, self.anatomy, *_LEAN_ARM)
+
+    @cached_property
+    def smooth_with_arm(self) -> SkinnedMesh:
+        """The smooth skin with a forearm's."""
+        return with_forearm(self.smooth, self.anatomy, *_SMOOTH_ARM)
 
     def skin(self, level: str) -> SkinnedMesh:
         """The skin of a level: ``lean``, ``medium`` (the smooth one) or ``fine`` (the whole)."""

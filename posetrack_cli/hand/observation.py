@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -19,20 +19,28 @@ _MARGIN_MM = 12.0
 """Around the joints: a finger's radius and a little of its motion."""
 
 
+IGNORED = -1.0
+"""What an image holds where nothing counts: a reading so near that it hides whatever may be there."""
+NO_ARM: FloatArray = np.zeros(4)
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """A window of a depth image.
 
     Attributes:
         window: which pixels.
-        image: (tile, tile) float32: depth of target pixels, mm; negative: reading of something else; 0:
-            no reading, or one that is not to count (the forearm's).
+        image: (tile, tile) float32: depth of target pixels, mm: the hand's, and its forearm's as far as that is
+            explained; negative: reading of something else, ``IGNORED`` where nothing counts; 0: no reading.
         target_pixels: how many there are.
+        arm: (4,) the forearm as it is expected to go on behind the wrist: unit direction towards the elbow,
+            camera axes, and the logarithm of its girth's factor; direction 0 where none is explained.
     """
 
     window: Window
     image: Float32Array
     target_pixels: int
+    arm: FloatArray = field(default_factory=NO_ARM.copy)
 
 
 class PixelSampler:

@@ -19,6 +19,7 @@ from posetrack_cli.hand.config import HandConfig, ObservationSettings
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
 from posetrack_cli.hand.segmentation import Detection, Label, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
+from posetrack_cli.hand.segmentation.arm import is_forearm
 from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette, silhouette_of
 from posetrack_cli.hand.segmentation.surfaces import pixel_mm, points_of, without_pinholes
 from posetrack_cli.rendering.window import Window
@@ -118,20 +119,40 @@ class Observer:
         anatomy: the hand.
         camera: of the depth images.
         segment: whether the hand is separated from its surroundings; else all readings are targets.
+        with_arm: whether the forearm is a target, too, for a likelihood that explains it; else it is cut off.
     """
 
-    def __init__(self, config: HandConfig, anatomy: HandAnatomy, camera: Camera, *, segment: bool) -> None:
-        self._config, self._anatomy, self._camera, self._segment = config, anatomy, camera, segment
+    def __init__(
+        self,
+        config: HandConfig,
+        anatomy: HandAnatomy,
+        camera: Camera,
+        *,
+        segment: bool,
+        with_arm: bool = False,
+    ) -> None:
+        self._config, self._anatomy, self._camera = config, anatomy, camera
+        self._segment, self._with_arm = segment, with_arm
         self.sampler = PixelSampler(camera)
 
-    def observe(self, depth: ImageArray, predicted: FloatArray) -> Observation:
-        """Cut the window around a predicted pose (22,) and find the target pixels in it."""
+    def observe(self, depth: ImageArray, predicted: FloatArray, log_girth: float = 0.0) -> Observation:
+        """Cut the window around a predicted pose (22,) and find the target pixels in it.
+
+        Args:
+            depth: (height, width) the frame, mm.
+            predicted: (22,).
+            log_girth: of the forearm, as far as it is known.
+        """
         hand = PredictedHand.of(self._anatomy, predicted)
         window = window_around(hand.joints, self._camera, self._config.observation)
         if not self._segment:
             return everything(self.sampler.sample(depth, window), window)
         settings = self._config.segmentation
-        return segment_hand(depth, self.sampler, window, self._camera, hand, settings).observation
+        found = segment_hand(depth, self.sampler, window, self._camera, hand, settings)
+        return self._observation(found, log_girth)
+
+    def _observation(self, found: Segmentation, log_girth: float) -> Observation:
+        return found.observation_with_arm(log_girth) if self._with_arm else found.observation
 
     def shows_hand(self, depth: ImageArray, pose: FloatArray, *, is_known: bool) -> bool:
         """Whether a frame shows the outline of a hand in a pose (22,), however well its surface fits.
@@ -157,9 +178,11 @@ class Observer:
         if detection.wrist is not None and detection.arm is not None:
             offset = points_of(tile, window, self._camera) - detection.wrist
             beyond = (offset @ detection.arm < 0.0) & (np.linalg.norm(offset, axis=2) < _FOREARM_MM)
-            labels[beyond & (labels == Label.OTHER)] = Label.FOREARM
+            beyond &= labels == Label.OTHER
+            near = is_forearm(offset[beyond], -detection.arm, self._anatomy.scale)
+            labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
         wrist = detection.palm if detection.wrist is None else detection.wrist
-        return Segmentation(window, tile, labels, wrist, detection.arm).observation
+        return self._observation(Segmentation(window, tile, labels, wrist, detection.arm), 0.0)
 
 
 def _corners_of(detection: Detection, camera: Camera) -> FloatArray:

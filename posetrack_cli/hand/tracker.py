@@ -186,7 +186,7 @@ class HandTracker:
             return FrameObservation(state, dt, observation)
         enough = state.monitor.sufficient_mm
         fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough)
-        seen = FrameObservation(state, dt, observation, fits)
+        seen = FrameObservation(state, dt, replace(observation, arm=fits.arm), fits)
         return self._reconsidered(self._finder, seen, frame, rng)
 
     def _search(
@@ -242,7 +242,7 @@ class HandTracker:
         if observation.target_pixels == 0:
             return seen
         fits = finder.local_fitter.fit(observation, found.pose, seen.state.pose[None], seen.dt, rng)
-        return seen._replace(observation=observation, fits=fits)
+        return seen._replace(observation=replace(observation, arm=fits.arm), fits=fits)
 
     def _restarted(
         self,
@@ -260,7 +260,7 @@ class HandTracker:
         if observation.target_pixels == 0:
             return FrameObservation(state, dt, None, restarted=True)
         fits = finder.local_fitter.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
-        return FrameObservation(state, dt, observation, fits, restarted=True)
+        return FrameObservation(state, dt, replace(observation, arm=fits.arm), fits, restarted=True)
 
     def _confidence(self, cost: float | None) -> float:
         return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)

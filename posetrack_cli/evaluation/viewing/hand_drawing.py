@@ -29,6 +29,7 @@ LABEL_COLOURS: dict[Label, Colour] = {
     Label.HAND: (90, 200, 90),
     Label.FOREARM: (40, 150, 255),
     Label.OTHER: (170, 120, 80),
+    Label.BEYOND: (60, 110, 170),
 }
 _OPACITY = 0.7
 

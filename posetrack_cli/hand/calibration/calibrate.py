@@ -187,7 +187,7 @@ class _Calibrator:
             observation = observer.observe(frames[f].depth, pose)
             image = observation.image.astype(np.float64)
             view = View(*observation.window.tile_projection(self._camera))
-            return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view)
+            return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
 
         return observe
 

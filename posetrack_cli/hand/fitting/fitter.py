@@ -29,7 +29,7 @@ from posetrack_cli.hand.fitting.gauss_newton import (
 )
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.raster import View, skin_of
-from posetrack_cli.hand.fitting.skeleton import pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.skeleton import place_arm, pose_bones, skeleton_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
@@ -121,7 +121,7 @@ class HandFitter:
         steps: Steps | None = None,
     ) -> None:
         anatomy = model.anatomy
-        self.hand = Hand(skeleton_of(anatomy), skin_of(model.smooth), plausibility_of(anatomy))
+        self.hand = Hand(skeleton_of(anatomy), skin_of(model.smooth_with_arm), plausibility_of(anatomy))
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(THREADS)]
         self._threads = ThreadPoolExecutor(THREADS)
@@ -130,7 +130,7 @@ class HandFitter:
         """Return an observation as the fits read it."""
         image = observation.image.astype(np.float64)
         view = View(*observation.window.tile_projection(self._camera))
-        return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view)
+        return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
 
     def aligned(self, tile: Tile, poses: FloatArray) -> FloatArray:
         """Return poses (K, 22) shifted so that what is drawn has the observed hand's middle."""

@@ -11,12 +11,25 @@ from posetrack_cli.compiled import kernel
 from posetrack_cli.geometry.kernels import quaternion_product
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
-from posetrack_cli.hand.fitting.normal_equations import NormalEquations, clear, copy, empty_equations, gather
+from posetrack_cli.hand.fitting.normal_equations import (
+    UNKNOWNS,
+    NormalEquations,
+    clear,
+    copy,
+    empty_equations,
+    gather,
+)
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View, draw, empty_drawing
-from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, empty_posed, pose_bones
+from posetrack_cli.hand.fitting.skeleton import ARM, Posed, Skeleton, empty_posed, place_arm, pose_bones
+from posetrack_cli.hand.observation import IGNORED
 from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
 
 WIDENING = 1.3  # factor on the robust scales per iteration left
+SWING_SD, GIRTH_SD = 0.25, 0.1
+"""Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
+MOST_GIRTH = 0.5
+FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
+"""Up to where a wrist bends freely, rad, and the weight beyond, 1 / rad^2."""
 
 
 class Hand(NamedTuple):
@@ -51,11 +64,13 @@ class Fit(NamedTuple):
 
     Attributes:
         pose: (22,).
+        arm: (4,) the forearm, as in ``Tile``.
         data: of the image's residuals at the pose.
         cost: (1,) union cost D, mm.
     """
 
     pose: FloatArray
+    arm: FloatArray
     data: NormalEquations
     cost: FloatArray
 
@@ -74,7 +89,7 @@ def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
 
 def empty_fit() -> Fit:
     """Return a fit to be filled in."""
-    return Fit(np.zeros(POSE_SIZE), empty_equations(), np.zeros(1))
+    return Fit(np.zeros(POSE_SIZE), np.zeros(4), empty_equations(), np.zeros(1))
 
 
 @kernel
@@ -113,15 +128,69 @@ def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
 
 
 @kernel
+def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
+    """Pull the forearm to what is expected of it, and the wrist back from where it cannot bend to."""
+    H, g, axes = equations.matrix, equations.vector, posed.axes
+    swing, girth = 1.0 / (SWING_SD * SWING_SD), 1.0 / (GIRTH_SD * GIRTH_SD)
+    x = arm[1] * expected[2] - arm[2] * expected[1]
+    y = arm[2] * expected[0] - arm[0] * expected[2]
+    z = arm[0] * expected[1] - arm[1] * expected[0]
+    for k in range(2):
+        off = x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]
+        H[21 + k, 21 + k] += swing
+        g[21 + k] += swing * off
+    H[23, 23] += girth
+    g[23] += girth * (expected[3] - arm[3])
+    palm = posed.bones[0]  # its y points towards the elbow where the wrist is straight
+    x = palm[1, 1] * arm[2] - palm[2, 1] * arm[1]
+    y = palm[2, 1] * arm[0] - palm[0, 1] * arm[2]
+    z = palm[0, 1] * arm[1] - palm[1, 1] * arm[0]
+    sine = np.sqrt(x * x + y * y + z * z)
+    cosine = palm[0, 1] * arm[0] + palm[1, 1] * arm[1] + palm[2, 1] * arm[2]
+    excess = np.arctan2(sine, cosine) - FREE_BEND
+    if excess <= 0.0 or sine < 1e-9:
+        return
+    row = np.zeros(UNKNOWNS)
+    for k in range(3):
+        row[3 + k] = (x * palm[0, k] + y * palm[1, k] + z * palm[2, k]) / sine
+    for k in range(2):
+        row[21 + k] = -(x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]) / sine
+    for i in range(UNKNOWNS):
+        g[i] += STIFF_BEND * excess * row[i]
+        for j in range(UNKNOWNS):
+            H[i, j] += STIFF_BEND * row[i] * row[j]
+
+
+@kernel
+def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
+    """Swing the forearm by delta[21:23] about its axes, and widen it by delta[23]."""
+    axes, x, y, z = posed.axes, arm[0], arm[1], arm[2]
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        return
+    a = min(max(delta[21], -most.rotation_rad), most.rotation_rad)
+    b = min(max(delta[22], -most.rotation_rad), most.rotation_rad)
+    u = a * axes[ARM, 0, 0] + b * axes[ARM, 1, 0]
+    v = a * axes[ARM, 0, 1] + b * axes[ARM, 1, 1]
+    w = a * axes[ARM, 0, 2] + b * axes[ARM, 1, 2]
+    arm[0], arm[1], arm[2] = x + v * z - w * y, y + w * x - u * z, z + u * y - v * x
+    share = 1.0 / np.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
+    for i in range(3):
+        arm[i] *= share
+    arm[3] = min(max(arm[3] + delta[23], -MOST_GIRTH), MOST_GIRTH)
+
+
+@kernel
 def _solve(
     hand: Hand,
+    tile: Tile,
     pose: FloatArray,
+    arm: FloatArray,
     mean: FloatArray,
     precision: FloatArray,
     workspace: Workspace,
     delta: FloatArray,
 ) -> None:
-    """Write the Gauss-Newton step (21,) for image, prior N(mean, 1 / precision) and anatomy."""
+    """Write the Gauss-Newton step (24,) for image, prior N(mean, 1 / precision), forearm and anatomy."""
     whole = workspace.whole
     copy(workspace.data, whole)
     _difference(mean, pose, delta)
@@ -129,14 +198,16 @@ def _solve(
         whole.matrix[i, i] += precision[i]
         whole.vector[i] += precision[i] * delta[i]
     add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
+    _add_arm_prior(tile.arm, arm, workspace.posed, whole)
     step = np.linalg.solve(whole.matrix, whole.vector)
-    for i in range(TANGENT_SIZE):
+    for i in range(UNKNOWNS):
         delta[i] = step[i]
 
 
 @kernel
-def _keep(pose: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
+def _keep(pose: FloatArray, arm: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
     out.cost[0] = cost
+    out.arm[:] = arm
     for i in range(POSE_SIZE):
         out.pose[i] = pose[i]
     copy(data, out.data)
@@ -167,10 +238,11 @@ def descend(
         workspace: is written to.
         out: the fit. Its cost is c_max if the hand cannot be drawn.
     """
-    pose, delta = start.copy(), np.empty(TANGENT_SIZE)
-    _keep(pose, workspace.data, np.inf, out)
+    pose, arm, delta = start.copy(), tile.arm.copy(), np.empty(UNKNOWNS)
+    _keep(pose, arm, workspace.data, np.inf, out)
     for k in range(iterations + 1):
         pose_bones(hand.skeleton, pose, workspace.posed)
+        place_arm(arm, workspace.posed)
         clear(workspace.data)
         cost = terms.clamp_mm
         if draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
@@ -187,16 +259,18 @@ def descend(
             )
             gather(workspace.data)
         if cost < out.cost[0]:
-            _keep(pose, workspace.data, cost, out)
+            _keep(pose, arm, workspace.data, cost, out)
         if k < iterations:
-            _solve(hand, pose, mean, precision, workspace, delta)
+            _solve(hand, tile, pose, arm, mean, precision, workspace, delta)
             _step(pose, delta, most)
+            _move_arm(arm, delta, workspace.posed, most)
 
 
 @kernel
 def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
     """The union cost D, mm, of a pose (22,)."""
     pose_bones(hand.skeleton, pose, workspace.posed)
+    place_arm(tile.arm, workspace.posed)
     if not draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
         return terms.clamp_mm
     return union_cost(tile, workspace.drawing, terms)
@@ -206,6 +280,7 @@ def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: W
 def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
     """Make the fit of a pose as it is, without a step."""
     pose_bones(hand.skeleton, pose, workspace.posed)
+    place_arm(tile.arm, workspace.posed)
     clear(workspace.data)
     cost = terms.clamp_mm
     if draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
@@ -213,7 +288,7 @@ def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Wo
             tile, workspace.posed, hand.skin, workspace.drawing, terms, 1.0, workspace.buffers, workspace.data
         )
         gather(workspace.data)
-    _keep(pose, workspace.data, cost, out)
+    _keep(pose, tile.arm, workspace.data, cost, out)
 
 
 @kernel
@@ -223,27 +298,28 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
     The middles are means of column, row and depth. False, and nothing moved, if either shows nothing.
     """
     pose_bones(hand.skeleton, pose, workspace.posed)
+    place_arm(tile.arm, workspace.posed)
     if tile.observed == 0 or not draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
         return False
     drawn, target = np.zeros(3), np.zeros(3)
-    count = _add_middle(workspace.drawing.inverse, True, drawn)
+    count = _add_middle(workspace.drawing.inverse, tile.image, True, drawn)
     if count == 0:
         return False
     _place_middle(drawn, count, tile.projection)
-    _place_middle(target, _add_middle(tile.image, False, target), tile.projection)
+    _place_middle(target, _add_middle(tile.image, tile.image, False, target), tile.projection)
     for i in range(3):
         pose[i] += target[i] - drawn[i]
     return True
 
 
 @kernel
-def _add_middle(image: FloatArray, inverted: bool, total: FloatArray) -> int:
-    """Add up column, row and depth of the pixels above 0, and count them."""
+def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: FloatArray) -> int:
+    """Add up column, row and depth of the pixels above 0 where what is seen is not ignored, and count them."""
     count = 0
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
             value = image[j, i]
-            if value > 0.0:
+            if value > 0.0 and seen[j, i] != IGNORED:
                 count += 1
                 total[0] += i + 0.5
                 total[1] += j + 0.5

@@ -12,7 +12,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.hand.fitting.skeleton import PALM
+from posetrack_cli.hand.anatomy import ARM_BONE
+from posetrack_cli.hand.fitting.skeleton import ARM, PALM
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 NEAR_MM = 50.0
@@ -27,7 +28,7 @@ class Skin(NamedTuple):
         bones: (V, k) bones of a vertex, heaviest first.
         weights: (V, k).
         triangles: (T, 3).
-        fingers: (V,) finger that moves the vertex most, or PALM.
+        fingers: (V,) finger that moves the vertex most, or PALM, or ARM.
         reaches: (V, 3) skinning weight of its bones from joint 3, 2, 1 outwards.
         triangle_fingers: (T,) the same of a triangle.
         triangle_reaches: (T, 3).
@@ -73,13 +74,15 @@ class Drawing(NamedTuple):
 
 
 def skin_of(mesh: SkinnedMesh) -> Skin:
-    """Return a mesh bound to the hand's 16 bones as the kernels read it."""
+    """Return a mesh bound to the hand's 16 bones, or 17 with a forearm's, as the kernels read it."""
     most = int((mesh.weights > 0).sum(axis=1).max())
     order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :most]
-    by_finger = mesh.weights[:, 1:].reshape(-1, 5, 3)
+    by_finger = mesh.weights[:, 1:ARM_BONE].reshape(-1, 5, 3)
     outwards = np.cumsum(by_finger[:, :, ::-1], axis=2)[:, :, ::-1]
     fingers, reaches = _strongest(outwards)
     triangle_fingers, triangle_reaches = _strongest(outwards[mesh.triangles].mean(axis=1))
+    of_arm = mesh.weights[:, ARM_BONE:].any(axis=1)
+    fingers[of_arm], triangle_fingers[of_arm[mesh.triangles[:, 0]]] = ARM, ARM
     return Skin(
         np.ascontiguousarray(mesh.vertices),
         np.ascontiguousarray(order),
@@ -174,7 +177,7 @@ def _write_normal(out: Drawing, t: int, a: int, b: int, c: int) -> None:
 
 @kernel
 def draw(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
-    """Draw the mesh posed by bones (16, 3, 4); False, and nothing drawn, if it is too near the camera."""
+    """Draw the mesh posed by bones (B, 3, 4); False, and nothing drawn, if it is too near the camera."""
     out.inverse[:] = 0.0
     out.triangle[:] = NOTHING
     out.facing[:] = False

@@ -12,10 +12,11 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 
 HALF = 0.5  # joint 1 bends half as far as joint 2
 PALM = -1  # the finger of a point that no finger moves
+ARM = 5  # that of a point of the forearm
 
 
 class Skeleton(NamedTuple):
@@ -40,9 +41,10 @@ class Posed(NamedTuple):
     """One pose's bones; written by ``pose_bones``.
 
     Attributes:
-        bones: (16, 3, 4) camera_T_rest, mm.
-        axes: (5, 3, 3) hinge axes in camera coordinates: of a finger flexion and abduction (the third is not
-            used), of the thumb CMC flexion, MCP flexion, MCP abduction.
+        bones: (17, 3, 4) camera_T_rest, mm; the last is the forearm's (``place_arm``).
+        axes: (6, 3, 3) hinge axes in camera coordinates: of a finger flexion and abduction (the third is not
+            used), of the thumb CMC flexion, MCP flexion, MCP abduction, of the forearm the two that it swings
+            about and its direction towards the elbow, 0 where there is none.
         centres: (5, 3, 3) joints 3, 2, 1 in camera coordinates, mm.
         tips: (5, 3) mm.
     """
@@ -66,7 +68,8 @@ def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
 
 def empty_posed() -> Posed:
     """Return the bones of one pose, to be filled in."""
-    return Posed(np.zeros((BONE_COUNT, 3, 4)), np.zeros((5, 3, 3)), np.zeros((5, 3, 3)), np.zeros((5, 3)))
+    bones, axes = np.zeros((BONE_COUNT + 1, 3, 4)), np.zeros((6, 3, 3))
+    return Posed(bones, axes, np.zeros((5, 3, 3)), np.zeros((5, 3)))
 
 
 @kernel
@@ -132,6 +135,43 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
 
 
 @kernel
+def place_arm(arm: FloatArray, posed: Posed) -> None:
+    """Write the forearm's bone and axes behind the wrist of a hand that is posed.
+
+    Its rest coordinates have the wrist at the origin and y towards the elbow; x stays as near to the palm's as
+    can be. Without a forearm all of it is drawn together into the wrist, where nothing of it is seen.
+
+    Args:
+        arm: (4,) direction from wrist to elbow, unit or 0, and the logarithm of the girth's factor.
+        posed: of ``pose_bones``.
+    """
+    bone, axes = posed.bones[ARM_BONE], posed.axes[ARM]
+    for i in range(3):
+        bone[i, 3] = posed.bones[0, i, 3]
+        for j in range(3):
+            bone[i, j] = axes[i, j] = 0.0
+    if arm[0] == 0.0 and arm[1] == 0.0 and arm[2] == 0.0:
+        return
+    palm, girth = posed.bones[0], np.exp(arm[3])
+    along = palm[0, 0] * arm[0] + palm[1, 0] * arm[1] + palm[2, 0] * arm[2]
+    column = 0 if abs(along) < 0.9 else 2  # an arm along the palm's own x turns with its normal
+    if column == 2:
+        along = palm[0, 2] * arm[0] + palm[1, 2] * arm[1] + palm[2, 2] * arm[2]
+    square = 0.0
+    for i in range(3):
+        axes[0, i] = palm[i, column] - along * arm[i]
+        square += axes[0, i] * axes[0, i]
+    for i in range(3):
+        axes[0, i] /= np.sqrt(square)
+        axes[2, i] = arm[i]
+    axes[1, 0] = axes[0, 1] * arm[2] - axes[0, 2] * arm[1]
+    axes[1, 1] = axes[0, 2] * arm[0] - axes[0, 0] * arm[2]
+    axes[1, 2] = axes[0, 0] * arm[1] - axes[0, 1] * arm[0]
+    for i in range(3):
+        bone[i, 0], bone[i, 1], bone[i, 2] = girth * axes[0, i], arm[i], girth * axes[1, i]
+
+
+@kernel
 def _place_bone(skeleton: Skeleton, f: int, k: int, turned: FloatArray, at: FloatArray, posed: Posed) -> None:
     """Write bone k of a finger, ``turned`` camera_R_bone, and move ``at`` from its joint to the next one."""
     base, rest, bone = skeleton.base_rotations[f], skeleton.rest_origins[f, k], posed.bones[1 + 3 * f + k]
@@ -163,17 +203,31 @@ def point_row(
 
     Args:
         posed: the pose's bones.
-        finger: that moves the point, or PALM.
+        finger: that moves the point, or PALM, or ARM.
         reaches: (M, 3), row n: skinning weight of the finger's bones from joint 3, 2, 1 outwards.
         n: which row.
         px, py, pz: the point, camera coordinates, mm.
         dx, dy, dz: unit direction.
-        row: (10,) translation, body rotation, the finger's three angles (0 for the palm); the last is left.
+        row: (10,) translation, body rotation, the finger's three angles (0 for the palm), or for the forearm
+            its two swings and the logarithm of its girth; the last is left.
     """
     palm = posed.bones
     lx, ly, lz = px - palm[0, 0, 3], py - palm[0, 1, 3], pz - palm[0, 2, 3]
     tx, ty, tz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
     row[0], row[1], row[2] = dx, dy, dz
+    if finger == ARM:
+        axes = posed.axes
+        for k in range(3):
+            row[3 + k] = 0.0
+            row[6 + k] = axes[ARM, k, 0] * tx + axes[ARM, k, 1] * ty + axes[ARM, k, 2] * tz
+        out = lx * axes[ARM, 2, 0] + ly * axes[ARM, 2, 1] + lz * axes[ARM, 2, 2]
+        lx, ly, lz = (
+            lx - out * axes[ARM, 2, 0],
+            ly - out * axes[ARM, 2, 1],
+            lz - out * axes[ARM, 2, 2],
+        )
+        row[8] = lx * dx + ly * dy + lz * dz
+        return
     for k in range(3):
         row[3 + k] = palm[0, 0, k] * tx + palm[0, 1, k] * ty + palm[0, 2, k] * tz
         row[6 + k] = 0.0

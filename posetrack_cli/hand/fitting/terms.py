@@ -27,16 +27,18 @@ class Tile(NamedTuple):
     """What was observed, as the kernels read it.
 
     Attributes:
-        image: (h, w) depth of the hand's pixels, mm; negative: other readings; 0: none, or not to count.
+        image: (h, w) depth of the pixels of hand and forearm, mm; negative: other readings; 0: none.
         nearest: (2, h, w) column and row of the nearest hand pixel.
-        observed: number of the hand's pixels.
+        observed: number of the target pixels.
         projection: how points fall on it.
+        arm: (4,) the forearm as expected (``skeleton.place_arm``), direction 0 where none is seen.
     """
 
     image: FloatArray
     nearest: FloatArray
     observed: int
     projection: View
+    arm: FloatArray
 
 
 class Terms(NamedTuple):

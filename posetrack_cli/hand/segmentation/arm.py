@@ -8,6 +8,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.config import SegmentationSettings
+from posetrack_cli.hand.forearm import SEEN_MM
 from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette
 from posetrack_cli.hand.segmentation.surfaces import View
 
@@ -199,6 +200,12 @@ def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[B
     in_length = (along > scale * first) & (along < scale * last)
     chosen = in_length & _beside_axis(offset, direction, scale)
     return chosen, float(np.ptp(along[chosen])) if chosen.any() else 0.0
+
+
+def is_forearm(offset: FloatArray, towards_elbow: FloatArray, scale: float) -> BoolArray:
+    """Which points (P, 3) from the wrist of a limb a forearm explains: near its axis, not far behind the wrist."""
+    seen: BoolArray = offset @ towards_elbow < scale * SEEN_MM
+    return seen & _beside_axis(offset, towards_elbow, scale)
 
 
 def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> BoolArray:

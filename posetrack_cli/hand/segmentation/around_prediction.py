@@ -10,8 +10,8 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import SegmentationSettings
-from posetrack_cli.hand.observation import Observation, PixelSampler
-from posetrack_cli.hand.segmentation.arm import Arm, arm_of
+from posetrack_cli.hand.observation import IGNORED, Observation, PixelSampler
+from posetrack_cli.hand.segmentation.arm import Arm, arm_of, is_forearm
 from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette, silhouette_of
 from posetrack_cli.hand.segmentation.surfaces import (
     View,
@@ -25,12 +25,16 @@ from posetrack_cli.rendering.window import Window
 
 
 class Label(IntEnum):
-    """What a pixel shows: no reading, the hand, its forearm beyond the wrist, or another surface."""
+    """What a pixel shows.
+
+    No reading, the hand, its forearm beyond the wrist, another surface, or more of the limb than is looked at.
+    """
 
     UNREAD = 0
     HAND = 1
     FOREARM = 2
     OTHER = 3
+    BEYOND = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +62,20 @@ class Segmentation:
 
     @property
     def observation(self) -> Observation:
-        """The window as the likelihood reads it: the hand's depths, minus the others', 0 for the rest."""
+        """The window as a likelihood reads it that knows hands alone: their depths, minus the others'."""
         hand = self.is_labelled(Label.HAND)
         image = np.where(hand, self.depth, -self.depth)
-        image[self.labels == Label.FOREARM] = 0.0
+        image[self.is_labelled(Label.FOREARM) | self.is_labelled(Label.BEYOND)] = 0.0
         return Observation(self.window, image, int(np.count_nonzero(hand)))
+
+    def observation_with_arm(self, log_girth: float) -> Observation:
+        """The window as a likelihood reads it that knows a forearm, too, of such a girth."""
+        if self.arm is None:
+            return self.observation
+        target = self.is_labelled(Label.HAND) | self.is_labelled(Label.FOREARM)
+        image = np.where(target, self.depth, -self.depth)
+        image[self.is_labelled(Label.BEYOND)] = IGNORED
+        return Observation(self.window, image, int(np.count_nonzero(target)), np.append(-self.arm, log_girth))
 
 
 def segment(
@@ -116,8 +129,10 @@ def _labels(view: View, predicted: PredictedHand, settings: SegmentationSettings
     arm = arm_of(view, limb, hand, silhouette, predicted, settings)
     labels[hand] = Label.HAND
     if arm.direction is not None:
-        beyond = along(view.points, arm.wrist, arm.cut) > settings.forearm_mm * predicted.scale
-        labels[limb & beyond] = Label.FOREARM
+        beyond = limb & (along(view.points, arm.wrist, arm.cut) > settings.forearm_mm * predicted.scale)
+        offset = view.points[beyond].astype(np.float64) - predicted.wrist
+        near = is_forearm(offset, -arm.direction, predicted.scale)
+        labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
     return labels, arm
 
 

@@ -1,0 +1,99 @@
+"""A forearm behind a hand: its skin, and where it lies **[ours]**.
+
+Its surface explains the pixels beyond the wrist, so that no cut has to be made through a limb whose end is what is
+asked for: a hand that slid along its arm would leave its fingertips unexplained, and gain nothing.
+
+The forearm is a tapered tube of elliptic rings about an axis through the wrist joint. Three numbers a frame are
+estimated beside the hand's 22: its direction (two), and its girth as a factor on both half axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.rendering.mesh import SkinnedMesh
+
+SEEN_MM = 80.0
+"""How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
+_LENGTH_MM = 160.0
+"""Of the tube: a wrist that is found farther out still has an arm up to where one is looked at."""
+_WIDTH_PER_MM, _DEPTH_PER_MM = 0.0020, 0.0045
+"""By how much of the wrist's a forearm's width and thickness grow per mm towards its belly: from 57 x 40 mm at the
+wrist to a girth 1.55 times as large, and round, 180 mm behind it (NASA-STD-3000, figure 3.3.1.3-1)."""
+_END_MM = 10.0
+"""The hand's skin this near to where it ends tells the wrist's ellipse."""
+_INSIDE = 0.92
+"""Half axes of the first ring, inside the hand, as a share of the wrist's."""
+
+
+def with_forearm(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:
+    """Return a hand's skin with a forearm's behind it, which is bound to a bone of its own, ``ARM_BONE``.
+
+    Args:
+        hand: bound to the 16 bones.
+        anatomy: of the hand.
+        sides, rings: how many points a ring has, and how many rings there are.
+    """
+    vertices, triangles = _tube(hand, anatomy, sides, rings)
+    count = len(hand.vertices)
+    weights = np.zeros((count + len(vertices), BONE_COUNT + 1))
+    weights[:count, :BONE_COUNT], weights[count:, BONE_COUNT] = hand.weights, 1.0
+    return SkinnedMesh(
+        np.concatenate([hand.vertices, vertices]), weights, np.concatenate([hand.triangles, triangles + count])
+    )
+
+
+def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> tuple[FloatArray, FloatArray]:
+    """Vertices (rings sides + 1, 3) and triangles of a tube that begins at the origin and runs along y."""
+    low, high = _wrist(hand, anatomy.scale)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    end = float(hand.vertices[:, 1].max())
+    along = np.concatenate([[0.0], np.linspace(end, end + _LENGTH_MM * anatomy.scale, rings - 1)])
+    beyond = np.maximum(along - end, 0.0) / anatomy.scale
+    size = np.stack([1.0 + _WIDTH_PER_MM * beyond, 1.0 + _DEPTH_PER_MM * beyond], axis=1) * half
+    size[0] *= _INSIDE
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    x = middle[0] + size[:, :1] * np.cos(angle)
+    z = middle[1] + size[:, 1:] * np.sin(angle)
+    points = np.stack([x, np.broadcast_to(along[:, None], x.shape), z], axis=2).reshape(-1, 3)
+    last = np.array([[middle[0], along[-1], middle[1]]])
+    faces = []
+    for ring in range(rings - 1):
+        for k in range(sides):
+            a, b = ring * sides + k, ring * sides + (k + 1) % sides
+            faces += [(a, a + sides, b), (b, a + sides, b + sides)]
+    first = (rings - 1) * sides
+    faces += [(first + k, rings * sides, first + (k + 1) % sides) for k in range(sides)]
+    return np.concatenate([points, last]), np.array(faces, dtype=np.int64)
+
+
+def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:
+    """The least and the greatest x and z (2,) of a hand's skin where it ends, mm."""
+    y = hand.vertices[:, 1]
+    ends = hand.vertices[y > y.max() - _END_MM * scale][:, [0, 2]]
+    return ends.min(axis=0), ends.max(axis=0)
+
+
+def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:
+    """camera_T_rest (N, 1, 3, 4) of a forearm behind hands in poses (N, 22); see ``fitting.skeleton.place_arm``.
+
+    Args:
+        poses: (N, 22).
+        arm: (4,) of ``Observation``.
+    """
+    out = np.zeros((len(poses), 1, 3, 4), dtype=np.float32)
+    out[:, 0, :, 3] = poses[:, :3]
+    direction, girth = arm[:3], np.exp(arm[3])
+    if not direction.any():
+        return out
+    palm = rotations.matrices_from_quaternions(poses[:, 3:7])
+    x, z = palm[:, :, 0], palm[:, :, 2]
+    across = np.where((np.abs(x @ direction) < 0.9)[:, None], x, z)
+    across = across - (across @ direction)[:, None] * direction
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    out[:, 0, :, 0], out[:, 0, :, 1] = girth * across, direction
+    out[:, 0, :, 2] = girth * np.cross(across, direction)
+    return out
