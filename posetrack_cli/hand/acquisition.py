@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Protocol
 
@@ -103,6 +103,32 @@ _APART_RAD, _APART_BEND = np.deg2rad(25.0), 0.15
 _SCATTER_SEED = 0  # a search depends on nothing but the image
 
 
+_USUAL_FINGERS_MM2, _FINGERS_PER_MM2, _FINGERS_MM = 800.0, 3.0 / 500.0, (-3.0, 4.5)
+_USUAL_SCORE, _PER_SCORE_MM = 0.94, 20.0
+
+
+def fingers_bonus(fingers_mm2: float) -> float:
+    """What fingers are worth that a place shows or does not show, mm of cost **[ours]**.
+
+    A foreign hand's cost and an elbow's are alike, 5 to 12 mm. Of 14 people (600-617 of the synthetic strangers,
+    motions alike) half of the hands show 1340 mm^2 of what is thin as fingers are, a quarter below 830; of 152
+    elbows and upper arms half show 400, one in twenty 960. With this bonus, and with what a detection's score
+    lacks, the right place is the cheapest in 79 of 83 single frames, without in 53.
+    """
+    low, high = _FINGERS_MM
+    return float(np.clip((fingers_mm2 - _USUAL_FINGERS_MM2) * _FINGERS_PER_MM2, low, high))
+
+
+def _doubt_of(detection: Detection) -> float:
+    """What speaks against a hand at a place before anything is fitted there, mm of cost."""
+    lacking = _PER_SCORE_MM * max(0.0, _USUAL_SCORE - detection.score)
+    return lacking - fingers_bonus(detection.fingers_mm2)
+
+
+_HOPELESS_MM = 8.0
+"""Costs of what is fitted differ by less."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A hand that was found.
@@ -110,10 +136,12 @@ class Candidate:
     Attributes:
         pose: (22,).
         cost: union cost D of the smooth skin, mm.
+        doubt: the cost and what else speaks against a hand at this place, mm.
     """
 
     pose: FloatArray
     cost: float
+    doubt: float = np.inf
 
 
 class Costs(Protocol):
@@ -166,15 +194,31 @@ class Acquisition:
         self._scorer = scorer or DrawnCosts(self.local_fitter.fitter)
 
     def search(self, depth: ImageArray) -> Candidate | None:
-        """Return the nearest hand in a whole image that fits well enough.
+        """Return what is most like a hand in a whole image, if it fits well enough.
 
         Args:
             depth: (height, width) mm.
         """
-        detections = detect(depth, self._camera, self._config.detection, self.observer.sampler)
-        found = (self._fitted(depth, detection) for detection in detections)  # the nearest first
-        worst = self._settings.accept_mm
-        return next((one for one in found if one is not None and one.cost <= worst), None)
+        fitting = [one for one in self._likely(depth) if one.cost <= self._settings.accept_mm]
+        return min(fitting, key=lambda one: one.doubt, default=None)
+
+    def best_cost(self, depth: ImageArray) -> float:
+        """Return what the place most like a hand costs, mm; where there is none, what an image without one does."""
+        best = min(self._likely(depth), key=lambda one: one.doubt, default=None)
+        worst = self._config.observation.clamp_mm
+        return worst if best is None else min(best.cost, worst)
+
+    def detect(self, depth: ImageArray) -> list[Detection]:
+        """Return the places in a whole image that may be hands."""
+        return detect(depth, self._camera, self._config.detection, self.observer.sampler)
+
+    def _likely(self, depth: ImageArray) -> list[Candidate]:
+        """What is fitted to the places that may be hands; not to those that no cost could make the likeliest."""
+        places = [(_doubt_of(detection), detection) for detection in self.detect(depth)]
+        least = min((doubt for doubt, _ in places), default=0.0)
+        near = [(doubt, place) for doubt, place in places if doubt < least + _HOPELESS_MM]
+        found = ((doubt, self._fitted(depth, place)) for doubt, place in near)
+        return [replace(one, doubt=one.cost + doubt) for doubt, one in found if one is not None]
 
     def reconsider(self, observation: Observation, pose: FloatArray) -> Candidate | None:
         """Return the best fit to an observation among hands that look much like a pose (22,)."""

@@ -236,7 +236,8 @@ class StatusSettings(Settings):
     ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and
     replaced by another one in the image if that costs less than ``better`` times as much, or ``better_mm``
     less. Confidence 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
-    hand is then searched for in the whole image.
+    hand is then searched for in the whole image. A track is left for a hand at another place once
+    ``leave_after_frames`` searches in a row found that better.
     """
 
     doubt_factor: Positive = 1.5
@@ -246,6 +247,7 @@ class StatusSettings(Settings):
     better_mm: Positive = 2.0
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5
+    leave_after_frames: Annotated[int, Field(ge=1)] = 5
 
 
 class SmoothingSettings(Settings):

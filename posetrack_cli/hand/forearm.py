@@ -42,7 +42,9 @@ def with_forearm(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int
     weights = np.zeros((count + len(vertices), BONE_COUNT + 1))
     weights[:count, :BONE_COUNT], weights[count:, BONE_COUNT] = hand.weights, 1.0
     return SkinnedMesh(
-        np.concatenate([hand.vertices, vertices]), weights, np.concatenate([hand.triangles, triangles + count])
+        np.concatenate([hand.vertices, vertices]),
+        weights,
+        np.concatenate([hand.triangles, triangles + count]),
     )
 
 

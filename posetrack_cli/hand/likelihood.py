@@ -47,7 +47,12 @@ def union_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
     Returns:
         (N,) costs in 0..c_max.
     """
-    disagree = sums.rendered_only - sums.occluded + settings.unread_weight * sums.unread + (sums.observed - sums.both)
+    disagree = (
+        sums.rendered_only
+        - sums.occluded
+        + settings.unread_weight * sums.unread
+        + (sums.observed - sums.both)
+    )
     union = sums.both + disagree
     total = sums.error + settings.clamp_mm * disagree
     return np.divide(total, union, out=np.full_like(total, settings.clamp_mm), where=union > 0)

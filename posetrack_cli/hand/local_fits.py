@@ -295,4 +295,6 @@ class HandFits:
         image = np.asarray(frame["image"])
         left, top, step = (int(value) for value in frame["place"])
         window = Window(left, top, step, self._size, self._size)
-        return self._local.read(Observation(window, image, int(np.count_nonzero(image > 0)), np.asarray(frame["arm"])))
+        return self._local.read(
+            Observation(window, image, int(np.count_nonzero(image > 0)), np.asarray(frame["arm"]))
+        )

@@ -9,6 +9,7 @@ from posetrack_cli.hand.config import StatusSettings
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
 _ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 16  # frames
+_FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class TrackMonitor:
         usual_mm: running mean of the fits' costs, 0 before the first.
         wait: frames to skip before the next costly search.
         next_wait: frames to skip after the next search that fails.
+        elsewhere: searches in a row that found a better hand at another place.
+        fingers_mm: what the fingers seen at this place are worth (``acquisition.fingers_bonus``), slowly forgotten.
     """
 
     lost: bool = False
@@ -30,6 +33,8 @@ class TrackMonitor:
     usual_mm: float = 0.0
     wait: int = 0
     next_wait: int = 1
+    elsewhere: int = 0
+    fingers_mm: float = 0.0
 
     @property
     def is_believed(self) -> bool:
@@ -58,10 +63,23 @@ class TrackMonitor:
         """
         return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
 
+    def after_fingers(self, bonus_mm: float) -> TrackMonitor:
+        """Return the record after a frame that shows fingers worth so much at the hand's place."""
+        return replace(self, fingers_mm=max(bonus_mm, self.fingers_mm - _FORGOTTEN_MM))
+
+    def leaves_for(self, cost_mm: float, doubt_mm: float, settings: StatusSettings) -> TrackMonitor:
+        """Return the record after a hand was found elsewhere that leaves so much doubt.
+
+        A track is left for one that has been better for ``leave_after_frames`` searches in a row, no sooner:
+        what is better in a single frame is mostly the other end of the same arm.
+        """
+        better = doubt_mm < cost_mm - self.fingers_mm - settings.better_mm
+        return replace(self, elsewhere=self.elsewhere + 1 if better else 0)
+
     def postpones_search(self, cost_mm: float, settings: StatusSettings) -> bool:
         """Whether a search is postponed; a long wait is cut short when fits get worse."""
         most = _MOST_WAIT if self.is_worse(cost_mm, settings) else _MOST_WAIT_AS_USUAL
-        return 0 < self.wait <= most
+        return self.elsewhere == 0 and 0 < self.wait <= most
 
     def after_wait(self) -> TrackMonitor:
         """Return the record after a frame without a search."""
@@ -81,7 +99,7 @@ class TrackMonitor:
     def after_restart(self, cost_mm: float) -> TrackMonitor:
         """Return the record after the hand was found, or found elsewhere; the usual cost is kept."""
         usual = cost_mm if self.usual_mm == 0.0 else min(self.usual_mm, cost_mm)
-        return replace(self, lost=False, found=True, misses=0, usual_mm=usual)
+        return replace(self, lost=False, found=True, misses=0, usual_mm=usual, elsewhere=0, fingers_mm=0.0)
 
     def after_fit(self, cost_mm: float, confidence: float, settings: StatusSettings) -> TrackMonitor:
         """Return the record after a frame in which the hand was fitted."""

@@ -14,7 +14,7 @@ from posetrack_cli.filtering.model import Dynamics, FilterModel, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
-from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of
+from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
@@ -33,6 +33,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
+_GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -46,6 +47,7 @@ class HandState:
         pose: (22,) last estimate.
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         monitor: how well frames were fitted.
+        log_girth: of the forearm, as in ``Observation``: a running mean.
         unseen_ns: time since the last frame in which there was something to compare with.
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
@@ -58,6 +60,7 @@ class HandState:
     pose: FloatArray
     velocity: FloatArray
     monitor: TrackMonitor = field(default_factory=TrackMonitor)
+    log_girth: float = 0.0
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
@@ -160,7 +163,15 @@ class HandTracker:
         unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
         new_state = HandState(
-            particles, frame.stamp_ns, pose, velocity, monitor, unseen_ns, max(seen.dt, 0.0), seen.restarted
+            particles,
+            frame.stamp_ns,
+            pose,
+            velocity,
+            monitor,
+            _girth_after(seen),
+            unseen_ns,
+            max(seen.dt, 0.0),
+            seen.restarted,
         )
         modes = None if seen.fits is None else seen.fits.modes
         new_state = replace(new_state, modes=modes, observation=seen.observation)
@@ -177,13 +188,15 @@ class HandTracker:
         if self._finder is not None and state.monitor.lost:
             return self._search(self._finder, state, frame, rng)
         predicted = self.predict(state, dt)
-        observation = self._observer.observe(frame.depth, predicted)
+        observation = self._observer.observe(frame.depth, predicted, state.log_girth)
         if observation.target_pixels == 0:
             return FrameObservation(
                 state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None
             )
         if self._finder is None or dt <= 0.0:
             return FrameObservation(state, dt, observation)
+        fingers = fingers_bonus(self._observer.fingers_mm2(observation))
+        state = replace(state, monitor=state.monitor.after_fingers(fingers))
         enough = state.monitor.sufficient_mm
         fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough)
         seen = FrameObservation(state, dt, replace(observation, arm=fits.arm), fits)
@@ -204,7 +217,7 @@ class HandTracker:
     def _reconsidered(
         self, finder: Acquisition, seen: FrameObservation, frame: Frame, rng: np.random.Generator
     ) -> FrameObservation:
-        """Where the fit is bad, search for a hand that looks alike and fits far better."""
+        """Where the fit is bad, search for a hand that looks alike and fits far better, or is elsewhere."""
         state, settings = seen.state, self.config.status
         if (
             seen.fits is None
@@ -214,15 +227,21 @@ class HandTracker:
             return seen
         if state.monitor.postpones_search(seen.fits.cost, settings):
             return seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
-        found = finder.reconsider(seen.observation, seen.fits.modes.poses[0])
-        if found is None or state.monitor.is_doubtful(found.cost, settings):
-            found = better_of(found, finder.search(frame.depth))  # the window may be misled, too
-        if found is not None and state.monitor.prefers(seen.fits.cost, found.cost, settings):
-            if self._is_near(found.pose, seen.fits.modes.poses[0]):
-                return self._refined(finder, found, seen, frame, rng)
-            return self._restarted(finder, found, state.monitor, frame, rng)
-        refused = state.monitor.after_failed_search(seen.fits.cost, settings)
-        return seen._replace(state=replace(state, monitor=refused))
+        here, monitor = seen.fits.modes.poses[0], state.monitor
+        found = finder.reconsider(seen.observation, here)
+        if found is None or monitor.is_doubtful(found.cost, settings):
+            there = finder.search(frame.depth)  # the window may be misled, too
+            if there is None or self._is_near(there.pose, here):
+                found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
+            else:
+                monitor = monitor.leaves_for(seen.fits.cost, there.doubt, settings)
+                if monitor.elsewhere >= settings.leave_after_frames:
+                    return self._restarted(finder, there, monitor, frame, rng)
+        seen = seen._replace(state=replace(state, monitor=monitor))
+        if found is not None and monitor.prefers(seen.fits.cost, found.cost, settings):
+            return self._refined(finder, found, seen, frame, rng)
+        refused = monitor.after_failed_search(seen.fits.cost, settings)
+        return seen._replace(state=replace(seen.state, monitor=refused))
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
         """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
@@ -337,6 +356,14 @@ def _evaluations(seen: FrameObservation, drawn: int) -> int:
     return drawn + 1 + (0 if seen.fits is None else seen.fits.renders)
 
 
+def _girth_after(seen: FrameObservation) -> float:
+    """The forearm's girth after a frame, the logarithm of its factor."""
+    before = seen.state.log_girth
+    if seen.fits is None or not seen.fits.arm[:3].any():
+        return before
+    return before + _GIRTH_MEMORY * (float(seen.fits.arm[3]) - before)
+
+
 def dynamics(config: HandConfig) -> Dynamics:
     """The motion model of eq. (44) with the configuration's noise densities."""
     settings = config.motion
@@ -362,6 +389,8 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         usual_mm=real(floats(least=0.0)),
         wait=whole(),
         next_wait=whole(),
+        elsewhere=whole(),
+        fingers_mm=real(floats()),
     )
     return Fields(
         HandState,
@@ -370,6 +399,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         pose=Value(pose_layout()),
         velocity=Value(floats(TANGENT_SIZE)),
         monitor=monitor,
+        log_girth=real(floats()),
         unseen_ns=whole((0, STAMPS_NS[1])),
     )
 

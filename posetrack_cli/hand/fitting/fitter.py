@@ -29,7 +29,7 @@ from posetrack_cli.hand.fitting.gauss_newton import (
 )
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.raster import View, skin_of
-from posetrack_cli.hand.fitting.skeleton import place_arm, pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.skeleton import pose_bones, skeleton_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation

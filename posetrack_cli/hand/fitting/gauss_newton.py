@@ -21,8 +21,8 @@ from posetrack_cli.hand.fitting.normal_equations import (
 )
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View, draw, empty_drawing
 from posetrack_cli.hand.fitting.skeleton import ARM, Posed, Skeleton, empty_posed, place_arm, pose_bones
-from posetrack_cli.hand.observation import IGNORED
 from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
+from posetrack_cli.hand.observation import IGNORED
 
 WIDENING = 1.3  # factor on the robust scales per iteration left
 SWING_SD, GIRTH_SD = 0.25, 0.1

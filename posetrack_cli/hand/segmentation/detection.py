@@ -12,7 +12,7 @@ from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.hand.segmentation.arm import BIN_MM, extents, slice_areas
 from posetrack_cli.hand.segmentation.palms import Surfaces, palm_pixels, surfaces_of
-from posetrack_cli.hand.segmentation.region import Region, arm_exit, likeness, region_around
+from posetrack_cli.hand.segmentation.region import Region, arm_exit, likeness, region_around, thin_mm2
 from posetrack_cli.rendering.window import Window
 
 _APART_MM, _MOST_ACROSS = 3.5, 240
@@ -45,6 +45,7 @@ class Detection:
         arm: (3,) unit vector from the elbow to the wrist, camera axes; None where no forearm is seen.
         extent_mm: how far the hand reaches from the palm.
         score: 0 to 1: how much it is like a hand at the end of an arm.
+        fingers_mm2: how much of the mask is as thin as fingers are; an elbow's rim alone.
     """
 
     window: Window
@@ -55,6 +56,7 @@ class Detection:
     arm: FloatArray | None
     extent_mm: float
     score: float
+    fingers_mm2: float
 
     @property
     def arm_in_image(self) -> FloatArray | None:
@@ -185,8 +187,17 @@ def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:
     mask = np.zeros(surfaces.depth.shape, dtype=np.bool_)
     mask[region.rows, region.columns] = hand
     extent = float(np.linalg.norm(region.points[hand] - region.palm, axis=1).max(initial=0.0))
+    apart = float(np.median(surfaces.pixel_mm[region.rows, region.columns][hand])) if hand.any() else 0.0
     return Detection(
-        surfaces.window, mask, region.palm, region.radius_mm, wrist, candidate.arm, extent, candidate.score
+        surfaces.window,
+        mask,
+        region.palm,
+        region.radius_mm,
+        wrist,
+        candidate.arm,
+        extent,
+        candidate.score,
+        thin_mm2(hand, apart),
     )
 
 

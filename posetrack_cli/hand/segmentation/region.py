@@ -153,6 +153,23 @@ def _width_mm(points: FloatArray, pixel_mm: float) -> float:
     return float(np.ptp(offset @ axes[:, -1])) + pixel_mm
 
 
+_THICK_MM = 16.0
+"""No finger takes in a disc of this radius, all arms do."""
+
+
+def thin_mm2(mask: BoolArray, pixel_mm: float) -> float:
+    """How much of a mask (h, w) no disc of ``_THICK_MM`` inside it covers, mm^2: fingers, and the rim."""
+    if pixel_mm <= 0.0:
+        return 0.0
+    radius = _THICK_MM / pixel_mm
+    reach = int(np.ceil(radius))
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (rows**2 + columns**2 <= radius**2 + 0.5).astype(np.uint8)
+    whole = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    thick = cv2.morphologyEx(whole, cv2.MORPH_OPEN, disc)
+    return float(np.count_nonzero(whole > thick)) * pixel_mm**2
+
+
 _FINGER_MM, _OF_DISC = 36.0, 0.8
 """What is narrower than two fingers side by side, where it leads out of a hand's reach, is no arm, unless it
 is about as wide as the disc: a thin arm goes on as wide as it is, a finger is narrower than its palm."""
