@@ -110,10 +110,10 @@ _USUAL_SCORE, _PER_SCORE_MM = 0.94, 20.0
 def fingers_bonus(fingers_mm2: float) -> float:
     """What fingers are worth that a place shows or does not show, mm of cost **[ours]**.
 
-    A foreign hand's cost and an elbow's are alike, 5 to 12 mm. Of 14 people (600-617 of the synthetic strangers,
-    motions alike) half of the hands show 1340 mm^2 of what is thin as fingers are, a quarter below 830; of 152
-    elbows and upper arms half show 400, one in twenty 960. With this bonus, and with what a detection's score
-    lacks, the right place is the cheapest in 79 of 83 single frames, without in 53.
+    A foreign hand's cost and an elbow's are alike, 5 to 12 mm. Of 14 people (600-617 of the synthetic
+    strangers, motions alike) half of the hands show 1340 mm^2 of what is thin as fingers are, a quarter below
+    830; of 152 elbows and upper arms half show 400, one in twenty 960. With this bonus, and with what a
+    detection's score lacks, the right place is the cheapest in 79 of 83 single frames, without in 53.
     """
     low, high = _FINGERS_MM
     return float(np.clip((fingers_mm2 - _USUAL_FINGERS_MM2) * _FINGERS_PER_MM2, low, high))
@@ -203,7 +203,7 @@ class Acquisition:
         return min(fitting, key=lambda one: one.doubt, default=None)
 
     def best_cost(self, depth: ImageArray) -> float:
-        """Return what the place most like a hand costs, mm; where there is none, what an image without one does."""
+        """Return what the place most like a hand costs, mm; the most there is where no place is like one."""
         best = min(self._likely(depth), key=lambda one: one.doubt, default=None)
         worst = self._config.observation.clamp_mm
         return worst if best is None else min(best.cost, worst)
@@ -213,7 +213,7 @@ class Acquisition:
         return detect(depth, self._camera, self._config.detection, self.observer.sampler)
 
     def _likely(self, depth: ImageArray) -> list[Candidate]:
-        """What is fitted to the places that may be hands; not to those that no cost could make the likeliest."""
+        """What is fitted to places that may be hands, but those that no cost could make the likeliest."""
         places = [(_doubt_of(detection), detection) for detection in self.detect(depth)]
         least = min((doubt for doubt, _ in places), default=0.0)
         near = [(doubt, place) for doubt, place in places if doubt < least + _HOPELESS_MM]

@@ -1,10 +1,10 @@
 """A forearm behind a hand: its skin, and where it lies **[ours]**.
 
-Its surface explains the pixels beyond the wrist, so that no cut has to be made through a limb whose end is what is
-asked for: a hand that slid along its arm would leave its fingertips unexplained, and gain nothing.
+Its surface explains the pixels beyond the wrist, so that no cut has to be made through a limb whose end is
+what is asked for: a hand that slid along its arm would leave its fingertips unexplained, and gain nothing.
 
-The forearm is a tapered tube of elliptic rings about an axis through the wrist joint. Three numbers a frame are
-estimated beside the hand's 22: its direction (two), and its girth as a factor on both half axes.
+The forearm is a tapered tube of elliptic rings about an axis through the wrist joint. Three numbers a frame
+are estimated beside the hand's 22: its direction (two), and its girth as a factor on both half axes.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ SEEN_MM = 80.0
 _LENGTH_MM = 160.0
 """Of the tube: a wrist that is found farther out still has an arm up to where one is looked at."""
 _WIDTH_PER_MM, _DEPTH_PER_MM = 0.0020, 0.0045
-"""By how much of the wrist's a forearm's width and thickness grow per mm towards its belly: from 57 x 40 mm at the
-wrist to a girth 1.55 times as large, and round, 180 mm behind it (NASA-STD-3000, figure 3.3.1.3-1)."""
+"""By how much of the wrist's a forearm's width and thickness grow per mm towards its belly: from a flat
+wrist, 57 x 40 mm, to a nearly round forearm, 1.3 times as far around, 100 mm behind it."""
 _END_MM = 10.0
 """The hand's skin this near to where it ends tells the wrist's ellipse."""
 _INSIDE = 0.92
@@ -80,7 +80,7 @@ def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:
 
 
 def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:
-    """camera_T_rest (N, 1, 3, 4) of a forearm behind hands in poses (N, 22); see ``fitting.skeleton.place_arm``.
+    """camera_T_rest (N, 1, 3, 4) of a forearm behind hands in poses (N, 22); see ``skeleton.place_arm``.
 
     Args:
         poses: (N, 22).

@@ -186,7 +186,7 @@ class LocalFitter:
 def _without_arm(fit: Fit, scale: float, own: NormalEquations) -> tuple[FloatArray, FloatArray]:
     """Gradient (21,) and information (21, 21) of the pose alone: the forearm is integrated out.
 
-    With H and g of pose p and arm a, the arm's prior included: H_pp - H_pa H_aa^-1 H_ap, g_p - H_pa H_aa^-1 g_a.
+    With H and g of pose p and arm a, its prior included: H_pp - H_pa H_aa^-1 H_ap, g_p - H_pa H_aa^-1 g_a.
     """
     matrix, vector = scale * fit.data.matrix + own.matrix, scale * fit.data.vector + own.vector
     p, a = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)

@@ -24,7 +24,8 @@ class TrackMonitor:
         wait: frames to skip before the next costly search.
         next_wait: frames to skip after the next search that fails.
         elsewhere: searches in a row that found a better hand at another place.
-        fingers_mm: what the fingers seen at this place are worth (``acquisition.fingers_bonus``), slowly forgotten.
+        fingers_mm: what fingers seen at this place are worth (``acquisition.fingers_bonus``), slowly
+            forgotten.
     """
 
     lost: bool = False

@@ -30,7 +30,7 @@ class Observation:
 
     Attributes:
         window: which pixels.
-        image: (tile, tile) float32: depth of target pixels, mm: the hand's, and its forearm's as far as that is
+        image: (tile, tile) float32: depth of target pixels, mm: the hand's, and its forearm's where one is
             explained; negative: reading of something else, ``IGNORED`` where nothing counts; 0: no reading.
         target_pixels: how many there are.
         arm: (4,) the forearm as it is expected to go on behind the wrist: unit direction towards the elbow,

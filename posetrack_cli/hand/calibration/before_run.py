@@ -35,8 +35,8 @@ ASKED_EVERY = 12
 _COST_PER_LOG_ODDS, _MOST_A_FRAME = 0.9, 3.0
 """What the other side costs more, mm, for one unit of log odds, and what a frame tells at most **[ours]**.
 
-Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the cheaper one
-in four of five; 0.7 mm would be likeliest if frames erred independently."""
+Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the
+cheaper one in four of five; 0.7 mm would be likeliest if frames erred independently."""
 _CLEAR_LOG_ODDS, _MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
 

@@ -314,7 +314,7 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
 
 @kernel
 def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: FloatArray) -> int:
-    """Add up column, row and depth of the pixels above 0 where what is seen is not ignored, and count them."""
+    """Add up column, row and depth of the pixels above 0, but where what is seen is ignored; count them."""
     count = 0
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):

@@ -1,8 +1,8 @@
 """Weighted normal equations of a pose's tangent vector; compiled.
 
 A skin point moves with the palm's six numbers and with the three of one finger, or of the forearm, so
-residuals are summed in seven blocks of nine unknowns, one per finger, one for the forearm and one for the palm
-alone, and put together once.
+residuals are summed in seven blocks of nine unknowns, one per finger, one for the forearm and one for the
+palm alone, and put together once.
 """
 
 from __future__ import annotations

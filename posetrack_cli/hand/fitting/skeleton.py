@@ -138,8 +138,8 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
 def place_arm(arm: FloatArray, posed: Posed) -> None:
     """Write the forearm's bone and axes behind the wrist of a hand that is posed.
 
-    Its rest coordinates have the wrist at the origin and y towards the elbow; x stays as near to the palm's as
-    can be. Without a forearm all of it is drawn together into the wrist, where nothing of it is seen.
+    Its rest coordinates have the wrist at the origin and y towards the elbow; x stays as near to the palm's
+    as can be. Without a forearm all of it is drawn together into the wrist, where nothing of it is seen.
 
     Args:
         arm: (4,) direction from wrist to elbow, unit or 0, and the logarithm of the girth's factor.
@@ -184,6 +184,21 @@ def _place_bone(skeleton: Skeleton, f: int, k: int, turned: FloatArray, at: Floa
 
 
 @inlined
+def _arm_row(
+    posed: Posed, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float, row: FloatArray
+) -> None:
+    """Of a point of the forearm, l from the wrist: it swings about the two axes and widens from the third."""
+    tx, ty, tz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
+    first, second, along = posed.axes[ARM, 0], posed.axes[ARM, 1], posed.axes[ARM, 2]
+    for k in range(3):
+        row[3 + k] = 0.0
+    row[6] = first[0] * tx + first[1] * ty + first[2] * tz
+    row[7] = second[0] * tx + second[1] * ty + second[2] * tz
+    out = lx * along[0] + ly * along[1] + lz * along[2]
+    row[8] = lx * dx + ly * dy + lz * dz - out * (along[0] * dx + along[1] * dy + along[2] * dz)
+
+
+@inlined
 def point_row(
     posed: Posed,
     finger: int,
@@ -216,17 +231,7 @@ def point_row(
     tx, ty, tz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
     row[0], row[1], row[2] = dx, dy, dz
     if finger == ARM:
-        axes = posed.axes
-        for k in range(3):
-            row[3 + k] = 0.0
-            row[6 + k] = axes[ARM, k, 0] * tx + axes[ARM, k, 1] * ty + axes[ARM, k, 2] * tz
-        out = lx * axes[ARM, 2, 0] + ly * axes[ARM, 2, 1] + lz * axes[ARM, 2, 2]
-        lx, ly, lz = (
-            lx - out * axes[ARM, 2, 0],
-            ly - out * axes[ARM, 2, 1],
-            lz - out * axes[ARM, 2, 2],
-        )
-        row[8] = lx * dx + ly * dy + lz * dz
+        _arm_row(posed, lx, ly, lz, dx, dy, dz, row)
         return
     for k in range(3):
         row[3 + k] = palm[0, 0, k] * tx + palm[0, 1, k] * ty + palm[0, 2, k] * tz

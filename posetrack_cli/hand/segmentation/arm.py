@@ -203,7 +203,7 @@ def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[B
 
 
 def is_forearm(offset: FloatArray, towards_elbow: FloatArray, scale: float) -> BoolArray:
-    """Which points (P, 3) from the wrist of a limb a forearm explains: near its axis, not far behind the wrist."""
+    """Which points (P, 3) of a limb, from the wrist, a forearm explains: near its axis and the wrist."""
     seen: BoolArray = offset @ towards_elbow < scale * SEEN_MM
     return seen & _beside_axis(offset, towards_elbow, scale)
 

@@ -27,7 +27,7 @@ from posetrack_cli.rendering.window import Window
 class Label(IntEnum):
     """What a pixel shows.
 
-    No reading, the hand, its forearm beyond the wrist, another surface, or more of the limb than is looked at.
+    No reading, the hand, its forearm beyond the wrist, another surface, or limb that is not looked at.
     """
 
     UNREAD = 0
