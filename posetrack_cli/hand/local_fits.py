@@ -158,7 +158,7 @@ class LocalFitter:
     def modes(self, fits: Sequence[Fit], scales: FloatArray, log_heights: FloatArray) -> LikelihoodModes:
         """Return the likelihood about fits, its sharpness (K,) times theirs, with the anatomy's factor."""
         parts = [
-            _without_arm(fit, scale, self.fitter.anatomy(fit.pose))
+            without_arm(fit, scale, self.fitter.anatomy(fit.pose))
             for scale, fit in zip(scales, fits, strict=True)
         ]
         return LikelihoodModes(
@@ -183,7 +183,7 @@ class LocalFitter:
         return chosen[: self._settings.most_modes]
 
 
-def _without_arm(fit: Fit, scale: float, own: NormalEquations) -> tuple[FloatArray, FloatArray]:
+def without_arm(fit: Fit, scale: float, own: NormalEquations) -> tuple[FloatArray, FloatArray]:
     """Gradient (21,) and information (21, 21) of the pose alone: the forearm is integrated out.
 
     With H and g of pose p and arm a, its prior included: H_pp - H_pa H_aa^-1 H_ap, g_p - H_pa H_aa^-1 g_a.

@@ -218,29 +218,25 @@ class HandTracker:
         self, finder: Acquisition, seen: FrameObservation, frame: Frame, rng: np.random.Generator
     ) -> FrameObservation:
         """Where the fit is bad, search for a hand that looks alike and fits far better, or is elsewhere."""
-        state, settings = seen.state, self.config.status
-        if (
-            seen.fits is None
-            or seen.observation is None
-            or not state.monitor.is_doubtful(seen.fits.cost, settings)
-        ):
+        state, settings, fits = seen.state, self.config.status, seen.fits
+        if fits is None or seen.observation is None or not state.monitor.is_doubtful(fits.cost, settings):
             return seen
-        if state.monitor.postpones_search(seen.fits.cost, settings):
+        if state.monitor.postpones_search(fits.cost, settings):
             return seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
-        here, monitor = seen.fits.modes.poses[0], state.monitor
+        here, monitor = fits.modes.poses[0], state.monitor
         found = finder.reconsider(seen.observation, here)
         if found is None or monitor.is_doubtful(found.cost, settings):
             there = finder.search(frame.depth)  # the window may be misled, too
             if there is None or self._is_near(there.pose, here):
                 found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
             else:
-                monitor = monitor.leaves_for(seen.fits.cost, there.doubt, settings)
+                monitor = monitor.leaves_for(fits.cost, there.doubt, settings)
                 if monitor.elsewhere >= settings.leave_after_frames:
                     return self._restarted(finder, there, monitor, frame, rng)
         seen = seen._replace(state=replace(state, monitor=monitor))
-        if found is not None and monitor.prefers(seen.fits.cost, found.cost, settings):
+        if found is not None and monitor.prefers(fits.cost, found.cost, settings):
             return self._refined(finder, found, seen, frame, rng)
-        refused = monitor.after_failed_search(seen.fits.cost, settings)
+        refused = monitor.after_failed_search(fits.cost, settings)
         return seen._replace(state=replace(seen.state, monitor=refused))
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:

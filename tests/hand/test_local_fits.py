@@ -141,8 +141,9 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
     for k, pose in enumerate(modes.poses):
         data, own = fitter.assessed(fitter.tile(observation), pose).data, fitter.anatomy(pose)
         assert own.matrix.any()
-        np.testing.assert_allclose(modes.information[k], scale * data.matrix + own.matrix)
-        np.testing.assert_allclose(modes.gradients[k], scale * data.vector + own.vector)
+        matrix, vector = scale * data.matrix + own.matrix, scale * data.vector + own.vector
+        np.testing.assert_allclose(modes.information[k], matrix[:21, :21])  # no forearm is seen
+        np.testing.assert_allclose(modes.gradients[k], vector[:21])
 
 
 def test_every_pose_that_is_drawn_is_counted(stage: Stage) -> None:

@@ -128,7 +128,7 @@ def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
 
 
 @kernel
-def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
+def add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
     """Pull the forearm to what is expected of it, and the wrist back from where it cannot bend to."""
     H, g, axes = equations.matrix, equations.vector, posed.axes
     swing, girth = 1.0 / (SWING_SD * SWING_SD), 1.0 / (GIRTH_SD * GIRTH_SD)
@@ -198,7 +198,7 @@ def _solve(
         whole.matrix[i, i] += precision[i]
         whole.vector[i] += precision[i] * delta[i]
     add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
-    _add_arm_prior(tile.arm, arm, workspace.posed, whole)
+    add_arm_prior(tile.arm, arm, workspace.posed, whole)
     step = np.linalg.solve(whole.matrix, whole.vector)
     for i in range(UNKNOWNS):
         delta[i] = step[i]

@@ -81,7 +81,7 @@ def skin_of(mesh: SkinnedMesh) -> Skin:
     outwards = np.cumsum(by_finger[:, :, ::-1], axis=2)[:, :, ::-1]
     fingers, reaches = _strongest(outwards)
     triangle_fingers, triangle_reaches = _strongest(outwards[mesh.triangles].mean(axis=1))
-    of_arm = mesh.weights[:, ARM_BONE:].any(axis=1)
+    of_arm: BoolArray = mesh.weights[:, ARM_BONE:].sum(axis=1) > 0.0
     fingers[of_arm], triangle_fingers[of_arm[mesh.triangles[:, 0]]] = ARM, ARM
     return Skin(
         np.ascontiguousarray(mesh.vertices),

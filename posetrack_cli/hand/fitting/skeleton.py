@@ -115,11 +115,15 @@ def _finger_axes(pose: FloatArray, f: int, sign: float, frame: FloatArray, axes:
 
 @kernel
 def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
-    """Write the bones, hinge axes and joint centres of one pose (22,)."""
+    """Write the bones, hinge axes and joint centres of one pose (22,).
+
+    A forearm is drawn together into the wrist, where nothing of it is seen.
+    """
+    posed.bones[ARM_BONE, :, :3], posed.axes[ARM] = 0.0, 0.0
     palm, frame, turned, turns = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3, 3))
     rotation_matrix(pose[3:7], palm)
     for i in range(3):
-        posed.bones[0, i, 3] = pose[i]
+        posed.bones[0, i, 3] = posed.bones[ARM_BONE, i, 3] = pose[i]
         for j in range(3):
             posed.bones[0, i, j] = palm[i, j]
     for f in range(5):
@@ -139,17 +143,13 @@ def place_arm(arm: FloatArray, posed: Posed) -> None:
     """Write the forearm's bone and axes behind the wrist of a hand that is posed.
 
     Its rest coordinates have the wrist at the origin and y towards the elbow; x stays as near to the palm's
-    as can be. Without a forearm all of it is drawn together into the wrist, where nothing of it is seen.
+    as can be. Without a forearm all of it stays where ``pose_bones`` puts it.
 
     Args:
         arm: (4,) direction from wrist to elbow, unit or 0, and the logarithm of the girth's factor.
         posed: of ``pose_bones``.
     """
     bone, axes = posed.bones[ARM_BONE], posed.axes[ARM]
-    for i in range(3):
-        bone[i, 3] = posed.bones[0, i, 3]
-        for j in range(3):
-            bone[i, j] = axes[i, j] = 0.0
     if arm[0] == 0.0 and arm[1] == 0.0 and arm[2] == 0.0:
         return
     palm, girth = posed.bones[0], np.exp(arm[3])

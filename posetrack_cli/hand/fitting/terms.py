@@ -21,6 +21,7 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations, add_row
 from posetrack_cli.hand.fitting.raster import Drawing, Skin, View
 from posetrack_cli.hand.fitting.skeleton import Posed, point_row
+from posetrack_cli.hand.observation import NO_ARM
 
 
 class Tile(NamedTuple):
@@ -38,7 +39,7 @@ class Tile(NamedTuple):
     nearest: FloatArray
     observed: int
     projection: View
-    arm: FloatArray
+    arm: FloatArray = NO_ARM
 
 
 class Terms(NamedTuple):

@@ -39,7 +39,8 @@ def potential(
     posed, equations = empty_posed(), empty_equations()
     pose_bones(skeleton_of(HANDS[name].anatomy), pose, posed)
     value = add_anatomy(about, pose, posed, np.zeros((5, 5, 3)), equations)
-    return float(value), equations
+    assert not equations.matrix[21:].any() and not equations.vector[21:].any()  # of the forearm
+    return float(value), equations._replace(matrix=equations.matrix[:21, :21], vector=equations.vector[:21])
 
 
 def relaxed() -> FloatArray:
@@ -57,7 +58,7 @@ def test_a_relaxed_hand_costs_nothing_but_bent_fingers_abduction() -> None:
     value, equations = potential(relaxed(), ABOUT._replace(taut=0.0))
     assert value == 0.0
     assert not equations.vector.any()
-    np.testing.assert_allclose(np.diag(equations.matrix)[6:], ABOUT.rest)
+    np.testing.assert_allclose(np.diag(equations.matrix)[6:21], ABOUT.rest)
 
 
 def test_inside_the_limits_a_hand_is_pulled_to_the_relaxed_one_alone() -> None:
@@ -192,4 +193,4 @@ def test_potentials_of_many_poses_are_those_of_each() -> None:
     np.testing.assert_array_equal(fitter.potentials(poses), found)  # whatever was asked before
     for pose in poses[:3]:
         for ours, expected in zip(fitter.anatomy(pose), potential(pose)[1], strict=True):
-            np.testing.assert_array_equal(ours, expected)
+            np.testing.assert_array_equal(ours[tuple(map(slice, expected.shape))], expected)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
+from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy, make_anatomy
 from posetrack_cli.hand.fitting.normal_equations import ROW
 from posetrack_cli.hand.fitting.skeleton import PALM, Posed, empty_posed, point_row, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import joint_jacobian, joint_positions, skinning_transforms
@@ -36,7 +36,9 @@ def posed(anatomy: HandAnatomy, pose: FloatArray) -> Posed:
 def test_bones_are_those_of_the_kinematics(name: str, pose: FloatArray) -> None:
     anatomy = ANATOMIES[name]
     found, joints = posed(anatomy, pose), joint_positions(anatomy, pose[None])[0]
-    np.testing.assert_allclose(found.bones, skinning_transforms(anatomy, pose[None])[0], atol=FLOAT32)
+    np.testing.assert_allclose(
+        found.bones[:BONE_COUNT], skinning_transforms(anatomy, pose[None])[0], atol=FLOAT32
+    )
     np.testing.assert_allclose(
         found.centres.reshape(15, 3), joints[1:].reshape(5, 4, 3)[:, :3].reshape(15, 3)
     )
@@ -46,7 +48,7 @@ def test_bones_are_those_of_the_kinematics(name: str, pose: FloatArray) -> None:
 @each_hand
 def test_axes_are_unit_vectors_across_their_joints(name: str) -> None:
     for pose in random_poses(20, seed=2):
-        axes = posed(ANATOMIES[name], pose).axes
+        axes = posed(ANATOMIES[name], pose).axes[:5]
         lengths = np.linalg.norm(axes, axis=2)
         np.testing.assert_allclose(lengths[0], 1.0)
         np.testing.assert_allclose(lengths[1:, :2], 1.0)

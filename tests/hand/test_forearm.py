@@ -1,0 +1,206 @@
+"""The forearm: its skin, its derivatives, and that a hand before it is where its fingers say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.anatomy import ARM_BONE
+from posetrack_cli.hand.config import ObservationSettings
+from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
+from posetrack_cli.hand.fitting.gauss_newton import FREE_BEND, GIRTH_SD, SWING_SD, add_arm_prior
+from posetrack_cli.hand.fitting.normal_equations import UNKNOWNS, add_row, empty_equations, gather
+from posetrack_cli.hand.fitting.raster import View, draw, empty_drawing, skin_of
+from posetrack_cli.hand.fitting.skeleton import ARM, Posed, empty_posed, place_arm, point_row, pose_bones
+from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
+from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.local_fits import without_arm
+from posetrack_cli.hand.observation import IGNORED, NO_ARM, Observation, window_around
+from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.rendering.mesh import is_closed
+from support.fitting import HANDS, RIGHT, TILE_PX, WALL_MM
+from support.hand import KINECT, bent, random_poses
+
+FLOAT32 = 2e-3
+"""mm: of transforms that go to a renderer, at coordinates below 2 m."""
+FREE = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
+"""(21,) a prior that holds next to nothing."""
+DOWN = np.array([0.0, 1.0, 0.0])
+each_hand = pytest.mark.parametrize("name", list(HANDS))
+
+
+def arm_towards(direction: FloatArray, log_girth: float = 0.0) -> FloatArray:
+    return np.append(direction / np.linalg.norm(direction), log_girth)
+
+
+def posed(pose: FloatArray, arm: FloatArray, name: str = "right") -> Posed:
+    fitter_hand, out = HANDS[name], empty_posed()
+    pose_bones(HandFitter(fitter_hand, KINECT, TILE_PX).hand.skeleton, pose, out)
+    place_arm(arm, out)
+    return out
+
+
+def seen(fitter: HandFitter, pose: FloatArray, arm: FloatArray, elbow_mm: float) -> Observation:
+    """What a perfect sensor sees of hand and arm before a wall; none counts ``elbow_mm`` behind the wrist."""
+    window = window_around(joint_positions(RIGHT.anatomy, pose[None])[0], KINECT, ObservationSettings())
+    view, out = View(*window.tile_projection(KINECT)), posed(pose, arm)
+    drawing = empty_drawing(fitter.hand.skin, TILE_PX, TILE_PX)
+    assert draw(fitter.hand.skin, out.bones, view, drawing)
+    z = np.divide(1.0, drawing.inverse, out=np.full((TILE_PX, TILE_PX), np.inf), where=drawing.inverse > 0)
+    image = np.where(np.isfinite(z), z, -WALL_MM)
+    rows, columns = np.mgrid[:TILE_PX, :TILE_PX] + 0.5
+    points = np.stack([(columns - view.b) / view.a * z, (rows - view.d) / view.c * z, z], axis=2)
+    with np.errstate(invalid="ignore"):
+        beyond = (points - pose[:3]) @ arm[:3] > elbow_mm
+    image[np.isfinite(z) & beyond] = IGNORED
+    return Observation(window, image.astype(np.float32), int(np.count_nonzero(image > 0)), arm)
+
+
+@each_hand
+def test_a_tube_goes_on_where_the_hand_ends_and_faces_outwards(name: str) -> None:
+    hand = HANDS[name]
+    for mesh, bare in ((hand.lean_with_arm, hand.lean), (hand.smooth_with_arm, hand.smooth)):
+        first = len(bare.vertices)
+        np.testing.assert_array_equal(mesh.vertices[:first], bare.vertices)
+        np.testing.assert_array_equal(mesh.weights[first:, ARM_BONE], 1.0)
+        tube = mesh.vertices[first:]
+        assert tube[:, 1].max() > SEEN_MM + 60.0
+        # the wall of the tube encloses a volume that is positive if it faces outwards; its near end is open
+        faces = mesh.triangles[mesh.triangles[:, 0] >= first] - first
+        a, b, c = (tube[faces[:, k]] - [0.0, tube[:, 1].min(), 0.0] for k in range(3))
+        volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+        assert 0.5 < volume / (np.pi * 25.0 * 35.0 * np.ptp(tube[:, 1])) < 1.5
+        assert is_closed(bare.triangles)
+
+
+@each_hand
+def test_kernels_and_renderers_put_it_at_the_same_place(name: str) -> None:
+    rng = np.random.default_rng(3)
+    for pose in random_poses(20, 7):
+        arm = arm_towards(rng.standard_normal(3), 0.2 * rng.standard_normal())
+        found = forearm_transforms(pose[None], arm)[0, 0]
+        np.testing.assert_allclose(posed(pose, arm, name).bones[ARM_BONE], found, atol=FLOAT32)
+        turn = found[:, :3].astype(np.float64)
+        np.testing.assert_allclose(np.linalg.norm(turn, axis=0), np.exp([arm[3], 0.0, arm[3]]), rtol=1e-5)
+        assert np.linalg.det(turn) > 0.0
+        np.testing.assert_allclose(turn[:, 1], arm[:3], atol=1e-6)
+
+
+def test_without_one_nothing_of_it_is_drawn() -> None:
+    pose = random_poses(1, 1)[0]
+    np.testing.assert_array_equal(forearm_transforms(pose[None], NO_ARM)[0, 0, :, :3], 0.0)
+    bones = np.concatenate(
+        [skinning_transforms(RIGHT.anatomy, pose[None]), forearm_transforms(pose[None], NO_ARM)], 1
+    )
+    tube = RIGHT.smooth_with_arm.posed(bones.astype(np.float64))[0, len(RIGHT.smooth.vertices) :]
+    np.testing.assert_allclose(tube, np.broadcast_to(pose[:3], tube.shape), atol=FLOAT32)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rows_of_its_points_are_central_differences(seed: int) -> None:
+    """By the hand's position, which carries it, by both swings and by the girth."""
+    rng, step = np.random.default_rng(seed), 1e-6
+    pose = random_poses(1, seed)[0]
+    arm = arm_towards(rng.standard_normal(3), 0.1)
+    out, rest = posed(pose, arm), 40.0 * rng.standard_normal(3)
+    way = rng.standard_normal(3)
+    axes = out.axes[ARM].copy()
+
+    def at(delta: FloatArray) -> FloatArray:
+        there = pose.copy()
+        there[:3] += delta[:3]
+        bone = posed(there, arm).bones[ARM_BONE].copy()
+        turn = rotations.matrices_from_quaternions(
+            rotations.exponential(delta[3] * axes[0] + delta[4] * axes[1])[None]
+        )[0]
+        bone[:, :3] = turn @ bone[:, :3]
+        bone[:, [0, 2]] *= np.exp(delta[5])
+        return bone[:, :3] @ rest + bone[:, 3]
+
+    expected = [way @ (at(d) - at(-d)) / (2.0 * step) for d in step * np.eye(6)]
+    row, point = np.zeros(10), at(np.zeros(6))
+    point_row(out, ARM, np.zeros((1, 3)), 0, *point, *way, row)
+    np.testing.assert_allclose(row[[0, 1, 2, 6, 7, 8]], expected, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(row[3:6], 0.0)  # it keeps its direction where the palm turns
+
+
+def test_a_hand_that_slid_along_its_arm_comes_back_to_its_fingers() -> None:
+    """25 mm towards the elbow, seen from the back: what a cut at the wrist would take for the truth."""
+    fitter = HandFitter(RIGHT, KINECT, TILE_PX)
+    truth = bent(index_mcp_flexion=0.3, middle_mcp_flexion=0.2, thumb_mcp_flexion=0.3)
+    truth[:3], truth[3:7] = [0.0, 40.0, 650.0], [0.0, 1.0, 0.0, 0.0]
+    arm = arm_towards(np.array([0.2, 1.0, 0.1]))
+    tile = fitter.tile(seen(fitter, truth, arm, SEEN_MM))
+    slid = truth.copy()
+    slid[:3] += 25.0 * arm[:3]
+    expected = arm_towards(np.array([0.1, 1.0, 0.0]), 0.1)  # neither direction nor girth are known exactly
+    found = fitter.descend(tile._replace(arm=expected), slid[None], [PosePrior(slid, FREE)], 20)[0]
+    joints = joint_positions(RIGHT.anatomy, np.stack([truth, found.pose]))
+    assert np.linalg.norm(joints[0] - joints[1], axis=1).mean() < 2.0
+    assert np.degrees(np.arccos(found.arm[:3] @ arm[:3])) < 2.0
+    assert abs(found.arm[3]) < 0.05
+    assert found.cost[0] < 1.0
+
+
+@pytest.mark.parametrize("bend_deg", [0.0, 55.0, 80.0, 120.0])
+def test_a_wrist_is_turned_back_from_where_it_cannot_bend_to(bend_deg: float) -> None:
+    """Nothing pulls up to 60 degrees; beyond, hand and forearm are turned back by the excess."""
+    pose, bend = bent(), np.deg2rad(bend_deg)
+    arm = arm_towards(np.array([0.0, np.cos(bend), np.sin(bend)]))
+    equations = empty_equations()
+    add_arm_prior(arm, arm, posed(pose, arm), equations)
+    step = np.zeros(UNKNOWNS)
+    step[[3, 4, 5, 21, 22]] = np.linalg.pinv(equations.matrix[:, [3, 4, 5, 21, 22]]) @ equations.vector
+    turned = HandSpace().retract(pose[None], step[None, :21])[0]
+    axes = posed(pose, arm).axes[ARM]
+    swung = rotations.matrices_from_quaternions(
+        rotations.exponential(step[21] * axes[0] + step[22] * axes[1])[None]
+    )[0]
+    palm = rotations.matrices_from_quaternions(turned[None, 3:7])[0, :, 1]
+    left = np.arccos(np.clip(palm @ swung @ arm[:3], -1.0, 1.0))
+    expected = min(bend, FREE_BEND)
+    assert left == pytest.approx(expected, abs=1e-6)
+    assert equations.vector.any() == (bend > FREE_BEND)
+
+
+def test_the_arm_is_integrated_out_of_what_a_fit_tells() -> None:
+    """Marginal gradient and information equal those of the joint Gaussian, made with dense inverses."""
+    rng, fit = np.random.default_rng(2), HandFitter(RIGHT, KINECT, TILE_PX).assessed
+    equations = empty_equations()
+    for _ in range(200):
+        add_row(equations, int(rng.integers(-1, 6)), rng.standard_normal(10), 1.0)
+    gather(equations)
+    pose = random_poses(1, 4)[0]
+    fitter = HandFitter(RIGHT, KINECT, TILE_PX)
+    tile = fitter.tile(seen(fitter, bent() + np.eye(22)[2] * 650.0, NO_ARM, np.inf))
+    one = fit(tile, bent() + np.eye(22)[2] * 650.0)._replace(data=equations, pose=pose)
+    gradient, information = without_arm(one, 0.7, empty_equations())
+    H, g = 0.7 * equations.matrix, 0.7 * equations.vector
+    H[[21, 22, 23], [21, 22, 23]] += 1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD])
+    joint = H + np.diag([1e-3] * 21 + [0.0] * 3)  # a weak prior of the pose makes it a distribution
+    marginal = np.linalg.inv(np.linalg.inv(joint)[:21, :21]) - 1e-3 * np.eye(21)
+    np.testing.assert_allclose(information, marginal, rtol=1e-6, atol=1e-6 * np.abs(marginal).max())
+    mean = np.linalg.solve(joint, g)[:21]
+    np.testing.assert_allclose(
+        (information + 1e-3 * np.eye(21)) @ mean, gradient, atol=1e-6 * np.abs(gradient).max()
+    )
+
+
+def test_fits_of_a_hand_alone_do_not_depend_on_the_tube() -> None:
+    """A skin that has a forearm, with none in the image, gives the costs of one that has none."""
+    fitter = HandFitter(RIGHT, KINECT, TILE_PX)
+    pose = bent(index_mcp_flexion=0.4)
+    pose[:3] = [0.0, 40.0, 650.0]
+    observation = seen(fitter, pose, NO_ARM, np.inf)
+    tile = fitter.tile(observation)
+    bare = empty_drawing(skin_of(RIGHT.smooth), TILE_PX, TILE_PX)
+    assert draw(skin_of(RIGHT.smooth), posed(pose, NO_ARM).bones, tile.projection, bare)
+    alone = np.divide(1.0, bare.inverse, out=np.full_like(bare.inverse, -WALL_MM), where=bare.inverse > 0)
+    np.testing.assert_allclose(observation.image, alone, rtol=1e-6)
+    sd = 0.1 * np.random.default_rng(1).standard_normal((8, 21))
+    others = HandSpace().retract(np.tile(pose, (8, 1)), sd)
+    for fit in fitter.descend(tile, others, [PosePrior(other, FREE) for other in others], 3):
+        np.testing.assert_array_equal(fit.arm, NO_ARM)
+        assert not fit.data.matrix[21:].any()
