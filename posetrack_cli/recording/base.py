@@ -14,6 +14,8 @@ RUN_RECORD = "posetrack.run"
 """Name of the metadata that says how a result was made."""
 RECORDING_KEY = "input.sha256"
 """What it calls the identity of the recording."""
+CAMERA_FILE_NAME = "camera.toml"
+CAMERA_EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
 
 
 @dataclass(frozen=True)
@@ -53,3 +55,26 @@ class TruthMessage:
     log_time_ns: int
     data: bytes
     channel_metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+class NotCalibratedError(RecordingError):
+    """Nothing tells a camera's intrinsics."""
+
+
+def not_calibrated(where: object) -> NotCalibratedError:
+    """Return the error for images without any camera file, with what to do."""
+    return NotCalibratedError(
+        "cameras are not calibrated",
+        where=where,
+        expected=f"a {CAMERA_FILE_NAME} beside the images, or --camera",
+        hint="posetrack calibrate stereo measures cameras and writes it; for one fx, fy, cx, cy will do",
+    )
+
+
+def no_intrinsics(where: object) -> NotCalibratedError:
+    """Return the error for a recording without any camera, with what to write."""
+    return NotCalibratedError(
+        "no intrinsics",
+        where=where,
+        hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {CAMERA_EXAMPLE}",
+    )

@@ -18,14 +18,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
 from posetrack_cli.mcap.stream import McapItem, read_messages
-from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.recording.camera_file import (
-    DepthCamera,
-    NotCalibratedError,
-    Rig,
-    load_depth_camera,
-    load_rig,
-)
+from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, TruthMessage
+from posetrack_cli.recording.camera_file import DepthCamera, Rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import file_identity
