@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.mcap.stream import McapItem
 
 TRUTH_PREFIX = "/truth/"
 """Topics of ground truth begin so, in recordings and in results."""
@@ -55,6 +56,21 @@ class TruthMessage:
     log_time_ns: int
     data: bytes
     channel_metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+def truth_message(item: McapItem) -> TruthMessage:
+    """Return a message of truth as a file holds it."""
+    schema, channel, message = item
+    return TruthMessage(
+        topic=channel.topic,
+        schema_name=schema.name if schema else "",
+        schema_encoding=schema.encoding if schema else "",
+        schema_data=schema.data if schema else b"",
+        message_encoding=channel.message_encoding,
+        log_time_ns=message.log_time,
+        data=message.data,
+        channel_metadata=dict(channel.metadata),
+    )
 
 
 class NotCalibratedError(RecordingError):
