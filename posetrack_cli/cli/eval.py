@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.parameter_types import FiniteRange, only_once
+from posetrack_cli.cli.options import BOTH, TRACKS, FiniteRange, chosen_tracks, only_once
 from posetrack_cli.cli.standard_output import print_data, print_line, print_note, reader_may_leave
-from posetrack_cli.cli.track_option import BOTH, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
 if TYPE_CHECKING:
@@ -206,8 +205,7 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
     """Write what was asked for, also when a gate failed."""
     from posetrack_cli.evaluation.assessment import stated_options
-    from posetrack_cli.evaluation.reports.csv_report import csv_report, curve_report
-    from posetrack_cli.evaluation.reports.json_report import json_report
+    from posetrack_cli.evaluation.reports.report_files import csv_report, curve_report, json_report
 
     stated = stated_options(request.options)
     if options["json_path"] is not None:

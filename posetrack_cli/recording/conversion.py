@@ -17,13 +17,12 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_output, whole_or_nothing
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.recording.stored import StoredFrame, StoredImage, UnreadableImageError
 
 IMAGE_TOPIC = "/camera/depth/image"
 CALIBRATION_TOPIC = "/camera/depth/calibration"

@@ -10,7 +10,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import CAMERA_FILE_NAME, no_intrinsics
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, no_intrinsics, no_png
 from posetrack_cli.recording.camera_file import DepthCamera, Rig, found_rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
@@ -40,7 +40,6 @@ from posetrack_cli.recording.recording import (
     tolerance_ns,
 )
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
-from posetrack_cli.recording.stored import StoredImage, no_png
 
 
 def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:

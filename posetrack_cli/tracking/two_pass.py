@@ -17,10 +17,8 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.layouts import COUNTS, check_numbers
 from posetrack_cli.results.writer import ResultWriter
-from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
-from posetrack_cli.tracking.loop import RunState
+from posetrack_cli.tracking.loop import RunState, Tracker, checkpoint_of, run_state_at
 from posetrack_cli.tracking.options import RunOptions, RunOutcome
-from posetrack_cli.tracking.protocol import Tracker
 from posetrack_cli.tracking.run import Report, Run, Stopped
 
 State = TypeVar("State")

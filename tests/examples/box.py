@@ -43,8 +43,7 @@ from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.results.messages import JointStates
 from posetrack_cli.synthesis.recording import TruthChannels, write_file, write_message
-from posetrack_cli.tracking.options import RunOptions
-from posetrack_cli.tracking.record import common_record
+from posetrack_cli.tracking.options import RunOptions, common_record
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, stamp
 

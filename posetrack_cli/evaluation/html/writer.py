@@ -12,8 +12,8 @@ from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.html.components import text
 from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
-from posetrack_cli.evaluation.html.markup import text
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
 from posetrack_cli.evaluation.html.provenance import about, component_remark, plot_remark, provenance

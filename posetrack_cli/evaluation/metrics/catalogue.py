@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 
 from posetrack_cli.errors import UsageError, nearest_name
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES
 from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Metric, error, number
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
 from posetrack_cli.evaluation.subjects import KINDS, SubjectKind
 
 _NEES = (

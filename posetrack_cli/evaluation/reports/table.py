@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.evaluation.evaluation import Evaluation, Value
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Statistics, Value
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, metric_of, place_of
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
 from posetrack_cli.losses import loss_line
 
 ABSENT = "-"

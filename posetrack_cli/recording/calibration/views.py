@@ -9,11 +9,11 @@ from pathlib import Path
 from posetrack_cli.arrays import BoolArray
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.losses import LossLog
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.image_files import read_image
 from posetrack_cli.recording.image_folders import find_folders, instants
-from posetrack_cli.recording.stored import UnreadableImageError
 
 
 @dataclass(frozen=True, eq=False)
