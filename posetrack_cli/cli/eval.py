@@ -229,11 +229,11 @@ def _write(path: Path, text: str) -> None:
 
 
 def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
-    from posetrack_cli.evaluation.html.writer import write_html
+    from posetrack_cli.evaluation.html.writer import ReportPage, write_html
 
     pictures = {one.name: _pictures(one, recording) for one in found.on_page}
     title = ", ".join(one.name for one in found.evaluations)
-    write_html(path, found.on_page, found.page_comparison, pictures, title)
+    write_html(path, ReportPage(found.on_page, found.page_comparison, pictures, title))
 
 
 def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:
