@@ -19,7 +19,7 @@ from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, units

@@ -17,7 +17,7 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.templates import TemplateSet
-from posetrack_cli.head.initialisation.detected_face import DetectedFace
+from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.tracker.codecs import POSE, people_codec, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState

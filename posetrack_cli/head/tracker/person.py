@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView, choose_views
-from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.shape_model import ShapeModel
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -50,59 +48,50 @@ class KnownPerson:
         before = score if np.isnan(self.usual_score) else self.usual_score
         return replace(self, usual_score=before + USUAL_RATE * (score - before))
 
-    def after(
-        self, view: PointView, score: float, model: FaceModel, camera: Camera, settings: AdjustmentSettings
-    ) -> KnownPerson:
+    def after(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
         """Return what is known after a frame; ``views`` then ends with that frame, adjusted.
 
         Args:
             view: the frame, its pose and deformation as the filter has them.
             score: mean correlation of its points.
-            model: of faces.
-            camera: that sees them.
-            settings: of the adjustment.
+            adjuster: of views of that camera.
         """
+        settings = adjuster.settings
         views = choose_views(self.views, view, settings.views)
         start = PersonParameters(self.history.mean, self.person.offsets)
-        adjusted = adjust(
-            views, start, model, camera, settings, iterations=settings.iterations, deviations=False
-        )
+        adjusted = adjuster.adjust(views, start, iterations=settings.iterations, deviations=False)
         return replace(
             self,
             person=adjusted.person,
             history=self.history.with_identity(adjusted.person.identity),
             views=adjusted.views,
             album=self.album.with_view(adjusted.views[-1], score),
-            shape=person_shape(model, adjusted.person),
+            shape=person_shape(adjuster.model, adjusted.person),
             adjusted_frames=self.adjusted_frames + 1,
             rms_px=rms(adjusted.residuals),
         )
 
-    def over_album(self, model: FaceModel, camera: Camera, settings: AdjustmentSettings) -> KnownPerson:
+    def over_album(self, adjuster: Adjuster) -> KnownPerson:
         """Return the person adjusted from the whole album, for a second pass **[ours]**."""
-        views = self.album.views
+        views, settings = self.album.views, adjuster.settings
         if settings.when != "always" or len(views) < 2:
             return self
-        adjusted = adjust(
-            views, self.person, model, camera, settings, iterations=settings.start_iterations, wide=True
-        )
+        adjusted = adjuster.adjust(views, self.person, iterations=settings.start_iterations, wide=True)
         return replace(
             self,
             person=adjusted.person,
             history=IdentityHistory.starting_with(adjusted.person.identity, settings.average),
             views=(),
             album=Album(),
-            shape=person_shape(model, adjusted.person),
+            shape=person_shape(adjuster.model, adjusted.person),
             rms_px=rms(adjusted.residuals),
         )
 
 
-def new_person(
-    person: PersonParameters, reference: TemplateSet, model: FaceModel, settings: AdjustmentSettings
-) -> KnownPerson:
+def new_person(person: PersonParameters, reference: TemplateSet, adjuster: Adjuster) -> KnownPerson:
     """Return what is known of a person who was just found, or whom another tracker has learned."""
-    history = IdentityHistory.starting_with(person.identity, settings.average)
-    return KnownPerson(person, history, (), Album(), person_shape(model, person), (reference,))
+    history = IdentityHistory.starting_with(person.identity, adjuster.settings.average)
+    return KnownPerson(person, history, (), Album(), person_shape(adjuster.model, person), (reference,))
 
 
 def person_shape(model: FaceModel, person: PersonParameters) -> ShapeModel:

@@ -7,21 +7,24 @@ from dataclasses import replace
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import normalised_from_pixels
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PointView
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction
-from posetrack_cli.head.initialisation.detected_face import DetectedFace
-from posetrack_cli.head.initialisation.mono import MonoInitialisation
+from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialisation
 from posetrack_cli.head.initialisation.single_view import pose_of
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.particles.motion import velocity_between
+from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
-from posetrack_cli.head.tracker.frame_tracker import FrameFit, FrameTracker, TrackState, initial_fit
-from posetrack_cli.head.tracker.person import KnownPerson
-from posetrack_cli.recording.base import Frame
+from posetrack_cli.head.tracker.frame_tracker import (
+    FrameFit,
+    FrameTracker,
+    SeededFrame,
+    TrackState,
+    initial_fit,
+)
+from posetrack_cli.head.tracker.person import KnownPerson, person_shape
 
 
 class PersonFitter:
@@ -29,57 +32,46 @@ class PersonFitter:
 
     Args:
         config: parameters.
-        camera: that sees the person.
-        model: of faces.
+        adjuster: of a person to views of the camera that sees the person.
     """
 
-    def __init__(self, config: HeadMonoConfig, camera: Camera, model: FaceModel) -> None:
-        self._config, self._camera, self._model = config, camera, model
-        self._frame_tracker = FrameTracker(config, (camera,))
+    def __init__(self, config: HeadMonoConfig, adjuster: Adjuster) -> None:
+        self._config, self._adjuster = config, adjuster
+        self._camera, self._model = adjuster.camera, adjuster.model
+        self._frame_tracker = FrameTracker(config, (adjuster.camera,))
 
-    def fit(self, person: KnownPerson, track: TrackState, frame: Frame, rng: np.random.Generator) -> FrameFit:
+    def fit(self, person: KnownPerson, track: TrackState, frame: SeededFrame) -> FrameFit:
         """Return what a frame says of a person who was tracked before."""
         now = replace(track.particles, model=person.shape)  # a means the same, whoever s says it is
         before = replace(track, particles=now)
-        return self._frame_tracker.step(before, frame, person.templates, person.shape, rng)
+        return self._frame_tracker.step(before, frame, person.templates, person.shape)
 
     def fit_detection(
-        self,
-        person: KnownPerson,
-        found: DetectedFace,
-        last_seen_ns: int,
-        frame: Frame,
-        rng: np.random.Generator,
+        self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:
         """Return what a frame says of a detected face if it is a person's; it is at rest."""
         mean = person.shape.mean
         pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
-        track = self._frame_tracker.start(last_seen_ns, pose, mean, person.shape, rng)
-        fit = self.fit(person, track, frame, rng)
+        track = self._frame_tracker.start(frame, pose, mean, person.shape)
+        fit = self.fit(person, replace(track, stamp_ns=last_seen_ns), frame)
         return replace(fit, track=fit.track.at_rest(), coefficient_rate=np.zeros_like(fit.coefficient_rate))
 
     def initial_fit(
-        self,
-        frame: Frame,
-        found: DetectedFace,
-        start: MonoInitialisation,
-        seen: TemplateSet,
-        rng: np.random.Generator,
+        self, frame: SeededFrame, found: DetectedFace, start: MonoInitialisation, seen: TemplateSet
     ) -> FrameFit:
         """Return what a frame says in which a face was detected that is not tracked yet."""
-        view, shape = start.views[-1], self._model.of_person(start.person.identity, start.person.offsets)
+        view, shape = start.views[-1], person_shape(self._model, start.person)
         own = self._on_rays(view.pose, shape.mean, found.pixels)
-        track = self._frame_tracker.start(frame.stamp_ns, view.pose, own, shape, rng, seen)
+        track = self._frame_tracker.start(frame, view.pose, own, shape, seen)
         return initial_fit(track, found.score, found.pixels[None])
 
     def update_person(
-        self, person: KnownPerson, before: TrackState | None, frame: Frame, fit: FrameFit
+        self, person: KnownPerson, before: TrackState | None, frame: SeededFrame, fit: FrameFit
     ) -> tuple[KnownPerson, FrameFit]:
         """Adjust the person by a frame in which it was found; return it and what the frame then says."""
         person = person.with_score(fit.score)
         if self._shows_person(person, fit):
-            view, settings = self._view(frame, fit), self._config.adjustment
-            person = person.after(view, fit.score, self._model, self._camera, settings)
+            person = person.after(self._view(frame, fit), fit.score, self._adjuster)
             fit = self._adjusted(before, person, fit)
         if fit.track.templates is not None and self._is_keyframe(person, fit):
             keyframe = self._keyframe(fit.track.templates, fit.correlations)
@@ -92,7 +84,7 @@ class PersonFitter:
         clear = off_axis_deg(fit.track.pose) < settings.facing_deg and fit.score > settings.score
         return settings.when == "always" and clear and _deformed_mm(person, fit) < settings.neutral_mm
 
-    def _view(self, frame: Frame, fit: FrameFit) -> PointView:
+    def _view(self, frame: SeededFrame, fit: FrameFit) -> PointView:
         a = fit.coefficients + self._model.deformation_mean
         weights = np.where(np.isfinite(fit.pixels[0, :, 0]), fit.weights, 0.0)
         return PointView(frame.stamp_ns, fit.pixels[0], weights, fit.track.pose, a)

@@ -25,11 +25,12 @@ from posetrack_cli.head.refinement.refine import point_values, refine_initial_de
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.estimates import Description, padded
-from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, face_of_statistics, new_face
+from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
     FrameTracker,
     HeadState,
+    SeededFrame,
     TrackState,
     initial_fit,
 )
@@ -113,41 +114,35 @@ class StereoFace:
         """Whether the face is known."""
         return state.face is not None
 
-    def detect(self, state: StereoState, frame: Frame) -> StereoInitialisation | InitFailure:
+    def detect(self, state: StereoState, frame: SeededFrame) -> StereoInitialisation | InitFailure:
         """Look for a face in a frame."""
-        return self._initialiser.find(frame, is_first=frame.stamp_ns == state.first_ns)
+        return self._initialiser.find(frame.frame, is_first=frame.stamp_ns == state.first_ns)
 
-    def begin(
-        self, state: StereoState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[StereoState, FrameFit | InitFailure]:
+    def begin(self, state: StereoState, frame: SeededFrame) -> tuple[StereoState, FrameFit | InitFailure]:
         """Look for anybody's face, and begin to learn it."""
         found = self.detect(state, frame)
         if isinstance(found, InitFailure):
             return state, found
-        shape = refine_initial_depth(
-            frame.images, self._cameras, found.pose, found.shape, self._config.refinement
-        )
+        images = self._frame_tracker.images(frame)
+        shape = refine_initial_depth(images, found.pose, found.shape, self._config.refinement)
         face = new_face(shape, self._config.model)
-        reference = take_templates(frame.images, self._cameras, found.pose, shape)
-        track = self._frame_tracker.start(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
+        reference = take_templates(images, found.pose, shape)
+        track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
         state = replace(state, face=face, templates=(reference,), track=track, lost=0)
         return state, initial_fit(track, found.score, found.pixels)
 
-    def fit(
-        self, state: StereoState, track: TrackState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[StereoState, FrameFit]:
+    def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
         """Follow the head into a frame."""
-        model = state.known_face.model
-        return state, self._frame_tracker.step(track, frame, state.templates, model, rng)
+        return state, self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
 
     def recognise(
-        self, state: StereoState, found: StereoInitialisation, frame: Frame, rng: np.random.Generator
+        self, state: StereoState, found: StereoInitialisation, frame: SeededFrame
     ) -> Iterator[tuple[StereoState, FrameFit]]:
         """Lay the known face on the points that were found, and follow it from there."""
         model = state.known_face.model
         pose = self._laid_on(model.mean, found)
-        track = self._frame_tracker.start(state.last_seen_ns(frame), pose, model.mean, model, rng)
-        state, fit = self.fit(state, track, frame, rng)
+        track = self._frame_tracker.start(frame, pose, model.mean, model)
+        state, fit = self.fit(state, replace(track, stamp_ns=state.last_seen_ns(frame)), frame)
         yield state, replace(fit, track=fit.track.at_rest())
 
     def least_score(self, state: StereoState) -> float:
@@ -158,12 +153,10 @@ class StereoFace:
         """Return that there is no other face to begin with: templates are of one person."""
         return state, False
 
-    def learn(self, state: StereoState, frame: Frame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
+    def learn(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
         """Learn how the face deforms, and what it looks like from new directions."""
         now, templates = fit.track, state.templates
-        face = state.known_face.after(
-            now.shape, self._steadiness, now.pose, fit.correlations, self._config.model
-        )
+        face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations)
         if now.templates is not None and self._is_keyframe(templates, fit):
             templates = (*templates, now.templates)
         return replace(state, face=face, templates=templates), fit
@@ -308,7 +301,7 @@ def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
 def _face_codec(settings: ModelSettings) -> Codec[FaceLearning]:
     def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
         count, learnt, frames = (int(value) for value in counts)
-        return face_of_statistics(Ccipca(mean, components, variance, count, learnt), frames, settings)
+        return FaceLearning(Ccipca(mean, components, variance, count, learnt), frames, settings)
 
     return Fields(
         face,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.head.face.patches import PATCH
 from posetrack_cli.head.particles.kernels import BEHIND, add_scores
-from posetrack_cli.head.particles.score_maps import HALF, Box, boxes_around, score_map
+from posetrack_cli.head.particles.scores import HALF, Box, boxes_around, score_map
 
 WIDTH, HEIGHT = 96, 72
 TOLERANCE = 1e-4

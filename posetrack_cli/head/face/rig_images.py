@@ -1,4 +1,4 @@
-"""Cameras with their images of one instant."""
+"""The images that the cameras of a rig took at one time."""
 
 from __future__ import annotations
 
@@ -38,12 +38,23 @@ class CameraImage:
         return pixels_from_points(self.camera, in_camera_axes(self.camera, points))
 
 
-def camera_images(
-    images: Sequence[ImageArray | None], cameras: Sequence[Camera]
-) -> tuple[CameraImage | None, ...]:
-    """Return each camera with its image, None where it has none."""
-    pairs = zip(cameras, images, strict=True)
-    return tuple(None if image is None else CameraImage(camera, image) for camera, image in pairs)
+@dataclass(frozen=True, eq=False)
+class RigImages:
+    """What the cameras of a rig, one or more, saw at one time.
+
+    Attributes:
+        cameras: C of them.
+        images: (height, width) uint8, one a camera; None where a camera gave none.
+    """
+
+    cameras: Sequence[Camera]
+    images: Sequence[ImageArray | None]
+
+    @property
+    def views(self) -> tuple[CameraImage | None, ...]:
+        """Each camera with its image, None where it has none."""
+        pairs = zip(self.cameras, self.images, strict=True)
+        return tuple(None if image is None else CameraImage(camera, image) for camera, image in pairs)
 
 
 def is_reference(camera: Camera) -> bool:
