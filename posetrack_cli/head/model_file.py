@@ -87,8 +87,12 @@ def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
 
 
 def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
+    from posetrack_cli.results.reader import read_result
+
     try:
-        contents = read_npz(_bytes(path))
+        is_result = is_mcap(path)
+        data = read_result(path).attachment(ATTACHMENT) if is_result else read_input(path, limits.MODEL_BYTES)
+        contents = read_npz(data)
         header = json.loads(str(contents[_HEADER]))
         _check(header)
     except PosetrackError:
@@ -112,12 +116,6 @@ def _check(header: Any) -> None:
         raise ValueError("other feature points")
     if not isinstance(header["tracker"], str) or not isinstance(header["cameras"], list):
         raise ValueError("a header without tracker and cameras")
-
-
-def _bytes(path: Path) -> bytes:
-    from posetrack_cli.results.reader import read_result
-
-    return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else read_input(path, limits.MODEL_BYTES)
 
 
 def unusable(found: object, expected: str) -> ResultError:

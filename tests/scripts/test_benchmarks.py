@@ -259,7 +259,7 @@ def test_a_walker_steps_and_counts_lost_frames() -> None:
 
 @pytest.mark.parametrize("learnt", [0, 2, 5])
 def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
-    numbers = StereoDiagnostics(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
+    numbers = StereoDiagnostics(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).numbers(5)
     assert deformations_of(replace(nothing_seen(), numbers=numbers)) == learnt
     assert deformations_of(None) == 0
 

@@ -78,7 +78,8 @@ class Scene:
     def __post_init__(self) -> None:
         clicked = None if self.clicked is None else ClickedPoints(Path("clicked.csv"), self.clicked[None])
         with patch.object(mono, "FaceDetector", lambda settings: self.told):
-            self.tracker = mono.mono_tracker(self.config, CAMERA, MODEL, clicked=clicked, known=self.known)
+            people = mono.MonoPeople(self.config, CAMERA, MODEL, clicked=clicked, known=self.known)
+            self.tracker = mono.HeadTracker(people)
 
     def frame(self, index: int, blank: bool = False) -> Frame:
         (image,) = self.face.render((CAMERA,), pose_at(index), SHAPE, noise=NOISE, seed=index)

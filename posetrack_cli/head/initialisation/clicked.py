@@ -53,16 +53,17 @@ class ClickedInitialiser(StereoInitialiser):
     Args:
         settings: what is good enough.
         cameras: C >= 2, calibrated.
-        path: table of points, see ``read_clicked``.
+        clicked: the points.
 
     Raises:
-        UsageError: no such table, or a face detector without its model.
-        PosetrackError: points that cannot be used.
+        UsageError: a face detector without its model.
     """
 
-    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], path: Path) -> None:
-        self._clicked = ClickedPoints.read(path, cameras)
+    def __init__(
+        self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], clicked: ClickedPoints
+    ) -> None:
         super().__init__(settings, cameras)
+        self._clicked = clicked
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
         """Return where the face is in a frame, or why none was found.

@@ -13,6 +13,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate, tracked_estimate
@@ -32,6 +33,14 @@ class Faces(Protocol[State, Found]):
     @property
     def codec(self) -> Codec[State]:
         """How states become arrays, for a checkpoint, and back."""
+
+    @property
+    def status(self) -> HeadStatusSettings:
+        """When a head counts as tracked."""
+
+    @property
+    def cameras(self) -> Sequence[Camera]:
+        """The recording's."""
 
     def start(self) -> State:
         """Return the state before a first frame: nothing is known, or what another tracker has learned."""
@@ -78,14 +87,10 @@ class HeadTracker(Generic[State, Found]):
 
     Args:
         faces: of several cameras, or of one.
-        settings: when a head counts as tracked.
-        cameras: names of the recording's.
     """
 
-    def __init__(
-        self, faces: Faces[State, Found], settings: HeadStatusSettings, cameras: Sequence[str]
-    ) -> None:
-        self._faces, self._settings, self._cameras = faces, settings, cameras
+    def __init__(self, faces: Faces[State, Found]) -> None:
+        self._faces = faces
 
     @property
     def codec(self) -> Codec[State]:
@@ -129,7 +134,7 @@ class HeadTracker(Generic[State, Found]):
 
     def _patience(self, state: State) -> int:
         """In how many more frames the head may be missed before it is searched for; below 0 when it was."""
-        return self._settings.lost_after_frames - 1 - state.lost
+        return self._faces.status.lost_after_frames - 1 - state.lost
 
     def _initialise(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Look for a face that is not known."""
@@ -172,13 +177,13 @@ class HeadTracker(Generic[State, Found]):
         """
         if state.track is not None:
             return state
-        search = state.search.failed(failure)
+        search, names = state.search.failed(failure), [camera.name for camera in self._faces.cameras]
         if search.images_exchanged:
             raise NothingFoundError(
                 "the cameras' images seem to be exchanged",
                 found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
-                + ", ".join(self._cameras[c] for c in search.order),
-                expected=", ".join(self._cameras),
+                + ", ".join(names[c] for c in search.order),
+                expected=", ".join(names),
                 hint="exchange the folders or topics, or calibrate again",
             )
         return replace(state, search=search)

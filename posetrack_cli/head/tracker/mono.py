@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -96,6 +96,7 @@ class MonoPeople:
         known: Arrays | None = None,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
+        self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._reductions: dict[float, _Reduction] = {}
         self._people = people_codec(model, config.adjustment)
@@ -188,7 +189,7 @@ class MonoPeople:
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
-            self._diagnostics(state, fit).array(),
+            self._diagnostics(state, fit).numbers(),
         )
 
     def export_model(self, state: MonoState) -> Learned:
@@ -290,19 +291,19 @@ class MonoPeople:
     def _scale_of(self, state: MonoState) -> float | None:
         """The scale for the face that was found in a whole image; None where none was found yet."""
         if state.candidates:
-            return self._scale_for(state.candidates[0].eye_distance)
-        if state.track is None:
+            distance = state.candidates[0].eye_distance
+        elif state.track is not None:
+            distance = eye_distance_px(state.track.pose, self._recorded)
+        else:
             return None
-        return self._scale_for(eye_distance_px(state.track.pose, self._recorded))
+        return scale_for(distance, self._config.start.eye_distance_px)
 
     def _clicked_scale(self) -> float | None:
         """The scale for the face whose points were clicked; None where none were."""
         if self._clicked is None:
             return None
-        return self._scale_for(face_at(self._clicked.pixels[0], 0, self._recorded).eye_distance)
-
-    def _scale_for(self, eye_distance_px: float) -> float:
-        return scale_for(eye_distance_px, self._config.start.eye_distance_px)
+        face = face_at(self._clicked.pixels[0], 0, self._recorded)
+        return scale_for(face.eye_distance, self._config.start.eye_distance_px)
 
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
@@ -336,7 +337,7 @@ def make_mono_tracker(
     """
     model = load_face_model(None if config.model.file is None else Path(config.model.file))
     points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
-    return mono_tracker(config, camera, model, choice=face, clicked=points, known=known)
+    return HeadTracker(MonoPeople(config, camera, model, choice=face, clicked=points, known=known))
 
 
 def _known_scale(known: Arrays, camera: Camera) -> float:
@@ -347,8 +348,3 @@ def _known_scale(known: Arrays, camera: Camera) -> float:
     if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
         raise unusable_people(f"'{FOCAL_PX}' as {focal.dtype} {focal.shape}, or not above 0")
     return min(WHOLE, float(focal) / camera.fx)
-
-
-def mono_tracker(config: HeadMonoConfig, camera: Camera, model: FaceModel, **how: Any) -> MonoTracker:
-    """Return the tracker of the people whom a camera sees; see ``MonoPeople``."""
-    return HeadTracker(MonoPeople(config, camera, model, **how), config.status, [camera.name])

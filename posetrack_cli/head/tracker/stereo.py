@@ -17,7 +17,7 @@ from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
-from posetrack_cli.head.initialisation.clicked import ClickedInitialiser
+from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
 from posetrack_cli.head.model_file import unusable
@@ -91,10 +91,11 @@ class StereoFace:
         initialiser: StereoInitialiser,
         known: Arrays | None = None,
     ) -> None:
-        self._config, self._cameras, self._initialiser = config, tuple(cameras), initialiser
-        self._frame_tracker = FrameTracker(config, self._cameras)
+        self._config, self._initialiser = config, initialiser
+        self.cameras, self.status = tuple(cameras), config.status
+        self._frame_tracker = FrameTracker(config, self.cameras)
         self._steadiness = point_values(config.model.expression_mm) ** -2
-        self._codecs = StereoCodecs(len(self._cameras), config.model)
+        self._codecs = StereoCodecs(len(self.cameras), config.model)
         self._first = StereoState() if known is None else self._codecs.from_model(known)
 
     @property
@@ -168,7 +169,7 @@ class StereoFace:
         return Description(
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
-            _diagnostics(face, fit).array(count),
+            _diagnostics(face, fit).numbers(count),
         )
 
     def export_model(self, state: StereoState) -> Learned:
@@ -214,19 +215,10 @@ def make_stereo_tracker(
     """
     settings = config.start
     if clicked is None:
-        return stereo_tracker(config, cameras, StereoInitialiser(settings, cameras), known)
-    return stereo_tracker(config, cameras, ClickedInitialiser(settings, cameras, clicked), known)
-
-
-def stereo_tracker(
-    config: HeadStereoConfig,
-    cameras: Sequence[Camera],
-    initialiser: StereoInitialiser,
-    known: Arrays | None = None,
-) -> StereoTracker:
-    """Return the tracker that begins as an initialiser finds faces; see ``StereoFace``."""
-    face = StereoFace(config, cameras, initialiser, known)
-    return HeadTracker(face, config.status, [camera.name for camera in cameras])
+        initialiser = StereoInitialiser(settings, cameras)
+    else:
+        initialiser = ClickedInitialiser(settings, cameras, ClickedPoints.read(clicked, cameras))
+    return HeadTracker(StereoFace(config, cameras, initialiser, known))
 
 
 StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]
@@ -255,12 +247,26 @@ class StereoCodecs:
     """
 
     def __init__(self, cameras: int, settings: ModelSettings) -> None:
-        face, templates = _face_codec(settings), template_codec(cameras)
+        def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
+            count, learnt, frames = (int(value) for value in counts)
+            return FaceLearning(Ccipca(mean, components, variance, count, learnt), frames, settings)
+
+        faces: Codec[FaceLearning] = Fields(
+            face,
+            mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
+            components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
+            variance=("statistics.variance", real(floats(least=0.0))),
+            counts=(
+                lambda one: [one.statistics.count, one.statistics.learnt, one.frames],
+                Value(counts(3)),
+            ),
+        )
+        templates = template_codec(cameras)
         needed = Stacked(templates, "sets", least=1)
-        self._known: Codec[StereoState] = Fields(_known_state, face=face, sets=("templates", needed))
+        self._known: Codec[StereoState] = Fields(_state, face=faces, sets=("templates", needed))
         learned: dict[str, Any] = {
             "search": search_codec(cameras),
-            "face": Maybe(face),
+            "face": Maybe(faces),
             "sets": ("templates", Stacked(templates, "sets")),
         }
         self._model: Codec[StereoState] = Fields(_state, **learned)
@@ -285,10 +291,6 @@ class StereoCodecs:
             raise unusable(error, "what --save-model wrote of a stereo run") from error
 
 
-def _known_state(face: FaceLearning, sets: tuple[TemplateSet, ...]) -> StereoState:
-    return StereoState(face=face, templates=sets)
-
-
 def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
     """A head is only tracked once its face is known, and a face is known with its templates."""
     state = StereoState(templates=sets, **parts)
@@ -296,17 +298,3 @@ def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
     if known != (True, True) and (any(known) or state.track is not None):
         raise LayoutError("a head that is tracked, without its face or its templates")
     return state
-
-
-def _face_codec(settings: ModelSettings) -> Codec[FaceLearning]:
-    def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
-        count, learnt, frames = (int(value) for value in counts)
-        return FaceLearning(Ccipca(mean, components, variance, count, learnt), frames, settings)
-
-    return Fields(
-        face,
-        mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
-        components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
-        variance=("statistics.variance", real(floats(least=0.0))),
-        counts=(lambda one: [one.statistics.count, one.statistics.learnt, one.frames], Value(counts(3))),
-    )
