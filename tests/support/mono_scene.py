@@ -13,7 +13,7 @@ from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import mono_subject

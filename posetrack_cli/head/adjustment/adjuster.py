@@ -16,9 +16,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import largest_radius, normalised_from_pixels, pixels_from_normalised
 from posetrack_cli.geometry.rotations import canonical, exponential, matrices_from_quaternions, multiply
-from posetrack_cli.head.adjustment.solver.cost import cost
 from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
-from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns
+from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns, cost
 from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings
 from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT

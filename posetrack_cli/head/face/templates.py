@@ -19,8 +19,7 @@ from posetrack_cli.compiled import kernel
 from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.points import POINT_NORMALS
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.projection import Projection, project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import Projection, RigImages, project
 
 WINDOW = 48
 """Side of what is kept about a point, pixels: a patch at up to twice its size and turned."""

@@ -17,8 +17,7 @@ from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, MIRRORED, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of

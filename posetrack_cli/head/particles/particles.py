@@ -20,8 +20,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.particles.kernels import recentre
 
 FRAME_S = 1.0 / 30.0

@@ -10,9 +10,8 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages
-from posetrack_cli.head.face.shape_model import ShapeModel
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import project_point
 from posetrack_cli.head.refinement.joint import Face, FaceUnknowns, Prior, descend

@@ -13,8 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.patches import GRID
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.projection import Projection, project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import Projection, RigImages, project
 from posetrack_cli.head.face.templates import (
     TemplateSet,
     tangents,

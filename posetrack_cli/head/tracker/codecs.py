@@ -13,8 +13,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable

@@ -10,10 +10,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
-from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
     TemplateSet,
     nearest_templates,

@@ -15,7 +15,7 @@ from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints, unusable_clicks
 from posetrack_cli.head.initialisation.mono import (
     DetectedFace,
@@ -33,8 +33,7 @@ from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
-from posetrack_cli.head.tracker.person import new_person
-from posetrack_cli.head.tracker.person_fitting import PersonFitter
+from posetrack_cli.head.tracker.person import PersonFitter, new_person
 from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays

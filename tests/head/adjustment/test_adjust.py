@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.adjuster import Adjuster, clipped
-from posetrack_cli.head.adjustment.solver.cost import cost
+from posetrack_cli.head.adjustment.solver.problem import cost
 from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split

@@ -7,8 +7,7 @@ import pytest
 
 from posetrack_cli.head.face.patches import PATCH
 from posetrack_cli.head.face.points import POINT_NORMALS
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
     WINDOW,
     take_templates,

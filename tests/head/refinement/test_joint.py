@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
+from posetrack_cli.head.face.pose import ShapeModel, rigid_model
 from posetrack_cli.head.face.rig_images import RigImages
-from posetrack_cli.head.face.shape_model import ShapeModel, rigid_model
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.joint import (

@@ -8,8 +8,7 @@ from scipy.optimize import minimize
 
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
 from posetrack_cli.head.refinement.scene import ComparedFrame

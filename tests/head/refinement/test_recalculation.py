@@ -9,8 +9,7 @@ import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.refine import recalculate, refine_initial_depth
 from posetrack_cli.head.refinement.scene import ComparedFrame

@@ -9,8 +9,7 @@ import pytest
 
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
 from posetrack_cli.head.refinement.refine import recalculate

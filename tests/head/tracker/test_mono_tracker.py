@@ -11,8 +11,7 @@ import pytest
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates, tangents
 from posetrack_cli.head.initialisation.mono import MonoInitialiser
 from posetrack_cli.head.tracker.estimates import UNSEEN

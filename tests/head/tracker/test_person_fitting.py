@@ -10,8 +10,7 @@ import pytest
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame
-from posetrack_cli.head.tracker.person import KnownPerson
-from posetrack_cli.head.tracker.person_fitting import PersonFitter
+from posetrack_cli.head.tracker.person import KnownPerson, PersonFitter
 from support.mono_scene import CAMERA, FEW, MODEL, Scene
 
 FRAMES = 12
