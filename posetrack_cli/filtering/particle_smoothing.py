@@ -12,7 +12,7 @@ from particle i at t with a probability proportional to
     w_i N(z_i; dt v_i, N) exp((lambda v'_i - Omega v'_i^2 / 2) / (1 + Omega P'))
 
 with z_i = x_{t+1} (-) x_i, v'_i = v_i + L (z_i - dt v_i), and N, L, P' of (55)-(57). One frame earlier, with
-A, B, C of `step_noise`, a = 1 - dt B / A, b = B / A and r = 1 / (1 + Omega (C - B^2 / A)),
+A, B, C of `StepNoise`, a = 1 - dt B / A, b = B / A and r = 1 / (1 + Omega (C - B^2 / A)),
 
     Omega <- dt^2 / A + a^2 r Omega            lambda <- dt z / A + a r (lambda - Omega b z)
 
@@ -29,7 +29,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, check_time_step
 from posetrack_cli.filtering.filters import FilterState, MarginalState
-from posetrack_cli.filtering.kalman import VelocityGain, step_noise, velocity_gain
+from posetrack_cli.filtering.kalman import StepNoise, VelocityGain, velocity_gain
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import precisions
 from posetrack_cli.filtering.resampling import resample
@@ -149,10 +149,11 @@ def backward_step(
     """
     check_time_step(dt)
     P = state.velocity_variance
-    gain = velocity_gain(P, dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
+    noise = dynamics.over(dt)
+    gain = velocity_gain(P, noise, dt)
     increments = space.local(state.poses, later.poses[:, None])
     shares = _shares(state, later, increments, dt, gain, space)
-    information, vectors = _velocity_before(later, increments, dt, dynamics, gain)
+    information, vectors = _velocity_before(later, increments, dt, noise, gain)
     weights = shares.mean(axis=0)
     variance = P / (1.0 + P * information)
     means = (state.velocities + P * vectors) / (1.0 + P * information)
@@ -189,10 +190,10 @@ def _shares(
 
 
 def _velocity_before(
-    later: Trajectories, increments: FloatArray, dt: float, dynamics: Dynamics, gain: VelocityGain
+    later: Trajectories, increments: FloatArray, dt: float, noise: StepNoise, gain: VelocityGain
 ) -> tuple[FloatArray, FloatArray]:
     """Return Omega (D,) and, for each pair, lambda (M, N, D) one frame earlier."""
-    A, B, C = step_noise(dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
+    A, B, C = noise
     frozen = gain.increment_variance <= 0.0
     A = np.where(frozen, 1.0, np.maximum(A, SMALLEST_SHARE * gain.increment_variance))
     told = np.where(frozen, 0.0, dt / A)

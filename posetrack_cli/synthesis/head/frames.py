@@ -161,32 +161,28 @@ def synthesise(
 def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHeadFrame]:
     """Yield the frames of a plan; as ``synthesise``."""
     with device_or_default(device) as drawing:
-        yield from _frames(plan, drawing)
-
-
-def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHeadFrame]:
-    sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
-    size = (sensors[0].drawn.width, sensors[0].drawn.height)
-    origin, looks, times = plan.movement.origin, plan.identity.looks, plan.timeline.seconds
-    scene = Scene(device, plan.person, looks, plan.grid, size, origin, plan.scenery)
-    poses, twists = plan.movement.poses(times), plan.movement.twists(times)
-    strengths = plan.script.strengths(times)
-    try:
-        for index, seconds in enumerate(times.tolist()):
-            pose = HeadPose(poses[index, :3], poses[index, 3:])
-            occluder = None if plan.occluder is None else plan.occluder.place(seconds, pose.position)
-            scene.set(pose, strengths[index], occluder)
-            yield SyntheticHeadFrame(
-                index=index,
-                stamp_ns=int(plan.timeline.stamps_ns[index]),
-                images=_images(scene, sensors, plan, index),
-                pose=pose,
-                twist=twists[index],
-                strengths=strengths[index],
-                shape=plan.person.shape(strengths[index]),
-            )
-    finally:
-        scene.release()
+        sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
+        size = (sensors[0].drawn.width, sensors[0].drawn.height)
+        origin, looks, times = plan.movement.origin, plan.identity.looks, plan.timeline.seconds
+        scene = Scene(drawing, plan.person, looks, plan.grid, size, origin, plan.scenery)
+        poses, twists = plan.movement.poses(times), plan.movement.twists(times)
+        strengths = plan.script.strengths(times)
+        try:
+            for index, seconds in enumerate(times.tolist()):
+                pose = HeadPose(poses[index, :3], poses[index, 3:])
+                occluder = None if plan.occluder is None else plan.occluder.place(seconds, pose.position)
+                scene.set(pose, strengths[index], occluder)
+                yield SyntheticHeadFrame(
+                    index=index,
+                    stamp_ns=int(plan.timeline.stamps_ns[index]),
+                    images=_images(scene, sensors, plan, index),
+                    pose=pose,
+                    twist=twists[index],
+                    strengths=strengths[index],
+                    shape=plan.person.shape(strengths[index]),
+                )
+        finally:
+            scene.release()
 
 
 def _images(scene: Scene, sensors: list[Sensor], plan: Plan, index: int) -> tuple[ImageArray | None, ...]:
