@@ -10,8 +10,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import composed, inverse
 from posetrack_cli.geometry.projection import normalised_from_pixels, undistorted_pixels
+from posetrack_cli.geometry.rigid import composed, inverse
 
 CLEARLY_BETTER = 3.0
 """Exchanged images fit clearly better if their epipolar error is so many times smaller."""

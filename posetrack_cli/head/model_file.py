@@ -16,12 +16,11 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.files import read_input, write_output
+from posetrack_cli.files import read_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.npz import read_npz
-from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
@@ -44,16 +43,6 @@ def model_bytes(
     stream = BytesIO()
     np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
-
-
-def save_model(path: Path, data: bytes) -> None:
-    """Write a model file, whole or not at all.
-
-    Raises:
-        ResultError: it cannot be written.
-    """
-    with whole_or_nothing(path) as part:
-        write_output(part, data)
 
 
 def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:

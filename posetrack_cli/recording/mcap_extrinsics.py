@@ -12,7 +12,7 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.extrinsics import composed, inverse
+from posetrack_cli.geometry.rigid import composed, inverse
 from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.poses import in_camera
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import (
     canonical,
     conjugate,

@@ -14,8 +14,8 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distort, distortion_jacobian
-from posetrack_cli.geometry.extrinsics import inverse
 from posetrack_cli.geometry.projection import in_camera_axes, normalised_from_pixels, pixels_from_points
+from posetrack_cli.geometry.rigid import inverse
 
 
 @dataclass(frozen=True, eq=False)

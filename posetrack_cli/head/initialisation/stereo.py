@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
 from posetrack_cli.head.config import StereoInitialisationSettings

@@ -14,7 +14,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.geometry.poses import in_object
+from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, POINT_NAMES
 from posetrack_cli.head.multilinear.build import BuiltModel, build_model, mirrored, possible_ranks
 from posetrack_cli.head.subject import HEAD, WEIGHT

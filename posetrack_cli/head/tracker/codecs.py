@@ -145,8 +145,8 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
     return Numbered(one, counted=PEOPLE, called="person", most=limits.PEOPLE)
 
 
-def known_people(learned: Arrays, model: FaceModel, settings: AdjustmentSettings) -> tuple[KnownPerson, ...]:
-    """Return the people whom another tracker with this face model has learned.
+def known_people(learned: Arrays, people: Codec[tuple[KnownPerson, ...]]) -> tuple[KnownPerson, ...]:
+    """Return the people whom another tracker with the same face model has learned, by their codec.
 
     Raises:
         ResultError: an array is missing, or not as ``people_codec`` states it.
@@ -154,7 +154,7 @@ def known_people(learned: Arrays, model: FaceModel, settings: AdjustmentSettings
     try:
         if PEOPLE not in learned:
             raise LayoutError(f"no array '{PEOPLE}'")
-        return people_codec(model, settings).from_arrays(learned)
+        return people.from_arrays(learned)
     except LayoutError as error:
         raise unusable_people(error) from error
 

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel, rigid_model
 from posetrack_cli.head.face.templates import angle_deg

@@ -99,7 +99,7 @@ class MonoPeople:
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._reductions: dict[float, _Reduction] = {}
         self._people = people_codec(model, config.adjustment)
-        self.codec: Codec[MonoState] = mono_codec(model, config.adjustment)
+        self.codec: Codec[MonoState] = mono_codec(self._people)
         self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
 
     def start(self) -> MonoState:
@@ -307,7 +307,7 @@ class MonoPeople:
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
         scale = _known_scale(known, self._recorded)
-        return MonoState(people=known_people(known, self._model, self._config.adjustment), scale=scale)
+        return MonoState(people=known_people(known, self._people), scale=scale)
 
 
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]

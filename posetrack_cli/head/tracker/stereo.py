@@ -11,7 +11,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import POINT_COUNT

@@ -6,13 +6,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE
-from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
 from posetrack_cli.synthesis.head.form import (
     AXIS_Z,
     MOUTH_X,
     MOUTH_Y,
 )
 from posetrack_cli.synthesis.head.identity import Looks
+from posetrack_cli.synthesis.head.smooth import Displacements, smooth_step
 
 EXPRESSIONS = (
     "jaw_open",

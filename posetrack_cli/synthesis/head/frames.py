@@ -20,8 +20,7 @@ from posetrack_cli.synthesis.head.expression_script import ExpressionScript, mak
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed
 from posetrack_cli.synthesis.head.illumination import Illumination, make_illumination
-from posetrack_cli.synthesis.head.movement import Movement, make_movement
-from posetrack_cli.synthesis.head.occluder import Occluder, make_occluder
+from posetrack_cli.synthesis.head.movement import Movement, Occluder, make_movement, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.person import Person, make_person
 from posetrack_cli.synthesis.head.scene import Scene

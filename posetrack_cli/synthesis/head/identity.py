@@ -8,8 +8,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
-from posetrack_cli.synthesis.head.fields import smooth_step
 from posetrack_cli.synthesis.head.form import LidPlaces, Relief, along_and_above, lower_edge, upper_edge
+from posetrack_cli.synthesis.head.smooth import smooth_step
 
 LIKENESS_MM = 35.0
 """[ours] Distance over which neighbouring points of a face deviate alike."""

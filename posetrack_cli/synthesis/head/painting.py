@@ -10,7 +10,6 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.canvas import Box, Canvas, blob, inside
-from posetrack_cli.synthesis.head.fields import smooth_field
 from posetrack_cli.synthesis.head.form import (
     LENGTH,
     MOUTH_X,
@@ -19,6 +18,7 @@ from posetrack_cli.synthesis.head.form import (
 )
 from posetrack_cli.synthesis.head.identity import Looks, hair_share
 from posetrack_cli.synthesis.head.paint_skin import paint_skin, shade_folds
+from posetrack_cli.synthesis.head.smooth import smooth_field
 
 EYES: tuple[Box, Box] = ((-54.0, -12.0, -14.0, 18.0), (12.0, 54.0, -14.0, 18.0))
 IRIS_MM, PUPIL_MM = 5.9, 2.1

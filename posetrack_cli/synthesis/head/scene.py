@@ -7,16 +7,16 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.poses import in_camera
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
-from posetrack_cli.synthesis.head.fields import layered_field, smooth_field, smooth_step
 from posetrack_cli.synthesis.head.identity import Looks
 from posetrack_cli.synthesis.head.illumination import LAMPS
 from posetrack_cli.synthesis.head.movement import FACING
 from posetrack_cli.synthesis.head.painting import head_texture
 from posetrack_cli.synthesis.head.person import Person
 from posetrack_cli.synthesis.head.skin_grid import SkinGrid, grid_normals, grid_triangles
+from posetrack_cli.synthesis.head.smooth import layered_field, smooth_field, smooth_step
 
 NECK_FROM_Y, NECK_TO_Y = -116.0, -160.0
 """Between these heights the neck passes from the head's motion to the trunk's."""
