@@ -89,7 +89,7 @@ FULL = 0.995
 def response_maps(grey: ImageArray) -> Float32Array:
     """Return (K + 1, height, width) in 0..1: how well each pixel of an upright patch fits each feature.
 
-    The features are the ten points and the nose's base, as in ``features.FITTED``.
+    The features are the ten points and the nose's base, as in ``face.points.FITTED``.
     """
     smooth = _blurred(grey.astype(np.float32), SMOOTHING)
     opening_right, opening_left = _end_stopped(_matched(smooth, wedge(1)), _matched(smooth, wedge(-1)))
@@ -104,9 +104,9 @@ def response_maps(grey: ImageArray) -> Float32Array:
 
 
 @cache
-def wedge(side: int, half_width: int = 7, half_height: int = 5, slope: float = 0.2) -> Float32Array:
+def wedge(side: int) -> Float32Array:
     """Return a dark wedge on white, its tip in the middle, that opens to the right (side 1) or left (-1)."""
-    return _drawn(half_width, half_height, lambda x, y: (side * x > 0) & (abs(y) < slope * side * x + 1.0))
+    return _drawn(7, 5, lambda x, y: (side * x > 0) & (abs(y) < 0.2 * side * x + 1.0))
 
 
 @cache

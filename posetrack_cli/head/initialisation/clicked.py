@@ -46,6 +46,15 @@ class ClickedPoints:
         """Read a table; see ``read_clicked``."""
         return cls(path, read_clicked(path, cameras))
 
+    def unusable(self, failure: InitFailure) -> NothingFoundError:
+        """Return the error that says why these points begin no head."""
+        return NothingFoundError(
+            "clicked points begin no head",
+            where=self.path,
+            found=failure.reason,
+            hint="were they clicked in the first frame that is tracked? right is the subject's right",
+        )
+
 
 class ClickedInitialiser(StereoInitialiser):
     """Finds the face where its points were clicked in the first frame, and by itself in later ones.
@@ -75,18 +84,8 @@ class ClickedInitialiser(StereoInitialiser):
             return super().find(frame, is_first=False)
         found = self._attempt(frame).from_clicked(self._clicked.pixels)
         if isinstance(found, InitFailure):
-            raise unusable_clicks(self._clicked.path, found)
+            raise self._clicked.unusable(found)
         return found
-
-
-def unusable_clicks(path: Path, failure: InitFailure) -> NothingFoundError:
-    """Return the error that says why clicked points begin no head."""
-    return NothingFoundError(
-        "clicked points begin no head",
-        where=path,
-        found=failure.reason,
-        hint="were they clicked in the first frame that is tracked? right is the subject's right",
-    )
 
 
 def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:

@@ -58,8 +58,9 @@ class Box(NamedTuple):
             and self.bottom >= other.bottom
         )
 
-    def grown(self, margin: int, width: int, height: int) -> Box:
-        """Return the box with a margin around it, within an image."""
+    def grown(self, margin: int, size: tuple[int, ...]) -> Box:
+        """Return the box with a margin around it, within an image of this (height, width)."""
+        height, width = size
         return Box(
             max(self.left - margin, 0),
             max(self.top - margin, 0),
@@ -82,20 +83,20 @@ class ScoreMap(NamedTuple):
 
 
 def boxes_around(
-    u: Float32Array, v: Float32Array, width: int, height: int, largest: int = LARGEST_BOX
+    u: Float32Array, v: Float32Array, size: tuple[int, ...], largest: int = LARGEST_BOX
 ) -> list[Box]:
     """Return the places that the particles look at for each point, within the image.
 
     Args:
         u, v: (K, N) pixels of K points.
-        width, height: of the image.
+        size: (height, width) of the image.
         largest: side; what is larger is cut about its middle.
     """
     columns = zip(u.min(axis=1).tolist(), u.max(axis=1).tolist(), strict=True)
     rows = zip(v.min(axis=1).tolist(), v.max(axis=1).tolist(), strict=True)
     boxes = []
     for (left, right), (top, bottom) in zip(columns, rows, strict=True):
-        first, last = _span(left, right, width, largest), _span(top, bottom, height, largest)
+        first, last = _span(left, right, size[1], largest), _span(top, bottom, size[0], largest)
         boxes.append(Box(first[0], last[0], first[1], last[1]))
     return boxes
 
@@ -190,7 +191,7 @@ class ParticleScores:
     def _add(self, c: int, image: ImageArray, total: FloatArray) -> None:
         """Add what each particle's points score on one camera's image."""
         u, v = self._projection.pixels(c)
-        boxes = boxes_around(u, v, image.shape[1], image.shape[0])
+        boxes = boxes_around(u, v, image.shape)
         for k in np.flatnonzero(self._weights[c]).tolist():
             if not boxes[k].is_empty:
                 scores, left, top = self._map(c, k, image, boxes[k])
@@ -203,7 +204,7 @@ class ParticleScores:
             known, scores = self._maps[c, k]
             if known.holds(box):
                 return scores
-        wide = box.grown(MARGIN_PX, image.shape[1], image.shape[0])
+        wide = box.grown(MARGIN_PX, image.shape)
         scores = score_map(image, self._observation.templates[c, k], wide)
         self._maps[c, k] = wide, scores
         return scores

@@ -16,7 +16,7 @@ from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.rig_images import project
-from posetrack_cli.head.initialisation.clicked import ClickedPoints, unusable_clicks
+from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.initialisation.mono import (
     DetectedFace,
     MonoInitialisation,
@@ -237,7 +237,7 @@ class MonoPeople:
         face = face_at(pixels, frame.stamp_ns, at.adjuster.camera)
         start = at.initialiser.initialise((face,))
         if isinstance(start, InitFailure):
-            raise unusable_clicks(clicked.path, start)
+            raise clicked.unusable(start)
         state = state.with_candidate(face, at.initialiser.templates(frame.frame, face, start))
         return self._found(state, start, frame)
 
