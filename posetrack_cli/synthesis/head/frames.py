@@ -188,7 +188,7 @@ def _images(scene: Scene, sensors: list[Sensor], plan: Plan, index: int) -> tupl
     lighting = plan.illumination.at(float(plan.timeline.seconds[index]))
     streams = [np.random.default_rng([plan.noise_seed, number, index]) for number in range(len(sensors))]
     return tuple(
-        None if dropped else sensor.image(scene.seen(sensor.drawn, lighting), rng)
+        None if dropped else sensor.image(scene.renderer.image(sensor.drawn, lighting), rng)
         for sensor, rng, dropped in zip(
             sensors, streams, plan.timeline.dropped[:, index].tolist(), strict=True
         )
