@@ -15,8 +15,7 @@ from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gates
-from posetrack_cli.evaluation.result_names import track_name, unique_names
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import Track, track_name, unique_names
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 
