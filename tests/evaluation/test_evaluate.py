@@ -14,9 +14,8 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, addresses, is_measured, metric_of
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
@@ -181,7 +180,7 @@ def test_images_are_looked_at_when_the_recording_is_given(
         "posetrack_cli.evaluation.metrics.image_consistency.image_consistency", image_consistency
     )
     monkeypatch.setattr(
-        "posetrack_cli.evaluation.evaluate.required_recording", lambda result, given: ("opened", given)
+        "posetrack_cli.evaluation.recording_of.required_recording", lambda result, given: ("opened", given)
     )
     options = EvalOptions(recording=tmp_path / "recording.mcap")
     found, nothing, apart = (evaluate(path, options) for _ in answers)

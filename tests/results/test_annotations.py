@@ -11,8 +11,7 @@ from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results import Estimate, Status, Subject
-from posetrack_cli.results.annotations import AXIS_MM, image_annotations
-from posetrack_cli.results.scene import LOST_ALPHA, line_scene
+from posetrack_cli.results.scene import AXIS_MM, LOST_ALPHA, image_annotations, line_scene
 from support.results import CAMERA, make_estimate
 
 SUBJECT = Subject(
@@ -79,6 +78,13 @@ def test_a_lost_face_is_faint() -> None:
         assert {c.a for c in (*lines.outline_colors, *axes.outline_colors, dots.outline_color)} == {share}
         (entity,) = line_scene(of, SUBJECT).entities
         assert {entity.lines[0].color.a, *(ball.color.a for ball in entity.spheres)} == {share}
+
+
+def test_lines_are_thicker_in_space_than_on_images() -> None:
+    lines, axes, dots = image_annotations(estimate(), SUBJECT, CAMERA).points
+    (entity,) = line_scene(estimate(), SUBJECT).entities
+    assert [lines.thickness, axes.thickness, dots.thickness] == [1.5, 2.5, 5.0]
+    assert entity.lines[0].thickness == 2.0
 
 
 def test_the_scene_holds_the_points_in_metres() -> None:

@@ -9,8 +9,7 @@ import numpy as np
 
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation
-from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, make_anatomy

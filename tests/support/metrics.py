@@ -9,11 +9,10 @@ from hypothesis import settings
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Curve
+from posetrack_cli.evaluation.evaluation import Curve, Statistics
 from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
 from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, make_anatomy

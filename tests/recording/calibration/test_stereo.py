@@ -11,13 +11,13 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import epipolar_errors
+from posetrack_cli.geometry.epipolar import CameraPair
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.recording.calibration.boards import Board, FoundBoard
 from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import fit_camera, place_cameras
 from posetrack_cli.recording.calibration.stereo import StereoCalibration, calibrate_stereo
-from posetrack_cli.recording.calibration.views import CameraViews
+from posetrack_cli.recording.calibration.views import CameraViews, find_views
 from posetrack_cli.recording.camera_file import load_rig
 from support import boards as support
 
@@ -146,7 +146,7 @@ def rendered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="module")
 def measured(rendered: tuple[Path, Board]) -> StereoCalibration:
-    return calibrate_stereo(*rendered)
+    return calibrate_stereo(find_views(*rendered))
 
 
 def test_rendered_boards_give_the_cameras(measured: StereoCalibration) -> None:
@@ -168,7 +168,7 @@ def test_its_errors_are_what_independent_points_show(measured: StereoCalibration
     rig, errors = support.cameras(), []
     for pose in support.poses(6, seed=9):  # boards that it has not seen, true corners
         seen = [support.corner_pixels(measured.board, camera, pose) for camera in rig]
-        errors.append(epipolar_errors(*measured.cameras, *seen))
+        errors.append(CameraPair(*measured.cameras).epipolar_errors(*seen))
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2 * CORNER_PX
 
 
@@ -189,7 +189,7 @@ def test_the_file_holds_the_cameras_and_the_errors(measured: StereoCalibration, 
 
 
 def test_the_reference_is_the_first_that_is_named(rendered: tuple[Path, Board]) -> None:
-    found = calibrate_stereo(*rendered, names=["right", "left"], distortion="five")
+    found = calibrate_stereo(find_views(*rendered, names=["right", "left"]), "five")
     assert [camera.name for camera in found.cameras] == ["right", "left"]
     assert found.cameras[1].camera_T_reference[0][3] > 100.0
     assert len(found.cameras[0].distortion) == 5
@@ -209,7 +209,7 @@ def test_images_not_taken_at_once_are_doubted(tmp_path: Path, rendered: tuple[Pa
             source = folder / side / f"{(index + (side == 'right')) % VIEWS:03d}.png"
             if source.exists():
                 (tmp_path / side / f"{index:03d}.png").write_bytes(source.read_bytes())
-    found = calibrate_stereo(tmp_path, board)
+    found = calibrate_stereo(find_views(tmp_path, board))
     assert any("epipolar error" in doubt and "same instants" in doubt for doubt in found.doubts())
 
 
@@ -219,7 +219,7 @@ def test_too_few_views_are_told_with_what_may_be_wrong(rendered: tuple[Path, Boa
     with pytest.raises(
         RecordingError, match=r"too few images of camera 'left', found 0 of 9.*one more than inner"
     ):
-        calibrate_stereo(folder, other)
+        calibrate_stereo(find_views(folder, other))
 
 
 def test_cameras_that_never_see_the_board_together(tmp_path: Path, rendered: tuple[Path, Board]) -> None:
@@ -232,7 +232,7 @@ def test_cameras_that_never_see_the_board_together(tmp_path: Path, rendered: tup
     with pytest.raises(
         RecordingError, match=r"too few views of the board by camera 'right'.*found 1 together"
     ):
-        calibrate_stereo(tmp_path, board)
+        calibrate_stereo(find_views(tmp_path, board))
 
 
 def test_folders_that_are_not_there_and_images_that_differ_in_size(
@@ -240,9 +240,9 @@ def test_folders_that_are_not_there_and_images_that_differ_in_size(
 ) -> None:
     folder, board = rendered
     with pytest.raises(RecordingError, match="no folder 'rigth'; did you mean 'right'"):
-        calibrate_stereo(folder, board, names=["left", "rigth"])
+        find_views(folder, board, names=["left", "rigth"])
     (tmp_path / "left").mkdir()
     for index, size in enumerate([(40, 30), (50, 30)]):
         cv2.imwrite(str(tmp_path / "left" / f"{index}.png"), np.zeros(size, np.uint8))
     with pytest.raises(RecordingError, match="images differ in size"):
-        calibrate_stereo(tmp_path, board)
+        calibrate_stereo(find_views(tmp_path, board))
