@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.outputs import part_path
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import Status, Subject
-from posetrack_cli.results.fields import FIELD_NAMES
+from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 
@@ -50,6 +50,7 @@ class Track:
         confidence, cost, effective_sample_size, milliseconds, evaluations: (N,); NaN where unknown.
         resampled: (N,).
         frame_index: (N,) positions of the frames in the recording; None for a truth or where unknown.
+        numbers: (N, M) further numbers that the tracker names; NaN where unknown.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Track:
     milliseconds: FloatArray | None = None
     resampled: BoolArray | None = None
     frame_index: IntArray | None = None
+    numbers: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -98,7 +100,8 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
     Raises:
         ResultError: nothing can be read, the stamps do not increase strictly, or there is no such track.
     """
-    columns = result.columns(result.topic_of_track(which), _TRACK_FIELDS)
+    further = (NUMBERS,) if result.subject.number_names else ()
+    columns = result.columns(result.topic_of_track(which), _TRACK_FIELDS + further)
     status = columns["status"]
     return Track(
         **_motion(columns, name, result.subject),
@@ -113,6 +116,7 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
         evaluations=_known(columns["evaluations"]),
         resampled=columns["resampled"],
         frame_index=columns["frame_index"],
+        numbers=columns.get(NUMBERS),
     )
 
 

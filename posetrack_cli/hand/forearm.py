@@ -16,6 +16,9 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
+FOREARM_NUMBERS = ("forearm_x", "forearm_y", "forearm_z", "forearm_girth")
+"""What a result's estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a
+factor on that which the hand's wrist lets expect; not known where none is explained."""
 SEEN_MM = 80.0
 """How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
 _LENGTH_MM = 160.0
@@ -77,6 +80,17 @@ def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:
     y = hand.vertices[:, 1]
     ends = hand.vertices[y > y.max() - _END_MM * scale][:, [0, 2]]
     return ends.min(axis=0), ends.max(axis=0)
+
+
+def forearm_numbers(arm: FloatArray) -> FloatArray:
+    """What ``FOREARM_NUMBERS`` name (4,) of a forearm (4,) of ``Observation``; NaN where there is none."""
+    return np.append(arm[:3], np.exp(arm[3])) if arm[:3].any() else np.full(4, np.nan)
+
+
+def forearm_of(numbers: FloatArray) -> FloatArray:
+    """The forearm (4,) as in ``Observation`` that numbers (4,) of ``forearm_numbers`` tell."""
+    known = bool(np.isfinite(numbers).all()) and numbers[3] > 0.0
+    return np.append(numbers[:3], np.log(numbers[3])) if known else np.zeros(4)
 
 
 def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:

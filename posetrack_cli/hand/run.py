@@ -17,6 +17,7 @@ from posetrack_cli.filtering.smoothing import NOTHING
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.forearm import FOREARM_NUMBERS
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
@@ -87,7 +88,15 @@ class HandRun(Run):
         renderer = str(device.info)
         self.cameras = (self._camera,)
         triangles = None if self._mesh is None else self._mesh.triangles
-        self.subject = Subject("hand", self._camera.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, triangles)
+        self.subject = Subject(
+            "hand",
+            self._camera.name,
+            ANGLE_NAMES,
+            JOINT_NAMES,
+            JOINT_PARENTS,
+            triangles,
+            number_names=FOREARM_NUMBERS,
+        )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
 

@@ -17,11 +17,12 @@ from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
 from posetrack_cli.hand.monitor import TrackMonitor
-from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observation import NO_ARM, Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
@@ -179,7 +180,9 @@ class HandTracker:
         status = Status.TRACKING if shown and monitor.is_believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
-        return new_state, replace(estimate, evaluations=_evaluations(seen, drawn))
+        arm = NO_ARM if seen.observation is None else seen.observation.arm
+        told = {"evaluations": _evaluations(seen, drawn), "numbers": forearm_numbers(arm)}
+        return new_state, replace(estimate, **told)
 
     def _observe(
         self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator

@@ -41,17 +41,19 @@ class Shown:
         quaternion: (4,) x y z w.
         shape: (K,).
         points: (P, 3) mm.
+        numbers: (M,) further numbers of its tracker.
     """
 
     position: FloatArray | None = None
     quaternion: FloatArray | None = None
     shape: FloatArray | None = None
     points: FloatArray | None = None
+    numbers: FloatArray | None = None
 
     @classmethod
     def of_row(cls, track: Track, row: int) -> Shown:
         """One frame of a track."""
-        parts = (track.position, track.quaternion, track.shape, track.points)
+        parts = (track.position, track.quaternion, track.shape, track.points, track.numbers)
         return cls(*(None if part is None else part[row] for part in parts))
 
 

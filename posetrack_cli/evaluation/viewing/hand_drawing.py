@@ -5,13 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.evaluation.metrics.image_consistency import MESH_LEVEL
 from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
 from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown, SkeletonDrawer
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.forearm import FOREARM_NUMBERS, forearm_of, forearm_transforms
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
@@ -41,19 +42,20 @@ class HandDrawer:
     """
 
     def __init__(self, device: RenderingDevice, hand: HandModel) -> None:
-        self._device, self._anatomy = device, hand.anatomy
+        self._device, self._hand = device, hand
         self._mesh = hand.skin(MESH_LEVEL)
         self._renderer: DepthRenderer | None = None
+        self._with_arm: DepthRenderer | None = None
         self._skeleton = SkeletonDrawer(JOINT_PARENTS, axes=False)
 
     def depth(self, camera: Camera, shown: Shown) -> Float32Array | None:
         """Depth (h, w), mm, 0 where the hand is not; None where its pose is not known."""
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
-        pose = np.concatenate([shown.position, shown.quaternion, shown.shape])
+        pose = _pose_of(shown)
         renderer = self._renderer_of((camera.width, camera.height))
         depth: Float32Array = renderer.depth(
-            skinning_transforms(self._anatomy, pose[None]), camera, Window.whole(camera)
+            skinning_transforms(self._hand.anatomy, pose[None]), camera, Window.whole(camera)
         )[0]
         return depth
 
@@ -68,6 +70,7 @@ class HandDrawer:
             mm_per_pixel = float(depth[hand].mean()) / canvas.camera.fx
             canvas.picture[hand] = shaded(np.array(colour), lit(depth, mm_per_pixel))[hand]
             canvas.picture[_rim(hand)] = 255
+        self._outline_arm(canvas, shown, hand)
 
     def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint the hand's contour."""
@@ -76,12 +79,36 @@ class HandDrawer:
             self._skeleton.outline(canvas, shown, colour)
         else:
             canvas.picture[_rim(depth > 0)] = colour
+            self._outline_arm(canvas, shown, depth > 0)
+
+    def _outline_arm(self, canvas: Canvas, shown: Shown, hand: BoolArray) -> None:
+        """Paint the forearm's contour, where one was explained behind a hand that covers (h, w) pixels."""
+        if shown.numbers is None or len(shown.numbers) != len(FOREARM_NUMBERS):
+            return
+        arm = forearm_of(shown.numbers)
+        if not arm[:3].any():
+            return
+        size = (canvas.camera.width, canvas.camera.height)
+        if self._with_arm is None or self._with_arm.tile != size:
+            self._with_arm = self._device.depth_renderer(self._hand.smooth_with_arm, size, 1)
+        pose = _pose_of(shown)
+        bones = [skinning_transforms(self._hand.anatomy, pose[None]), forearm_transforms(pose[None], arm)]
+        depth = self._with_arm.depth(
+            np.concatenate(bones, axis=1), canvas.camera, Window.whole(canvas.camera)
+        )[0]
+        canvas.picture[_rim((depth > 0) & ~hand)] = LABEL_COLOURS[Label.FOREARM]
 
     def _renderer_of(self, size: tuple[int, int]) -> DepthRenderer:
         """A renderer for pictures of this size; those of one view are all alike."""
         if self._renderer is None or self._renderer.tile != size:
             self._renderer = self._device.depth_renderer(self._mesh, size, 1)
         return self._renderer
+
+
+def _pose_of(shown: Shown) -> FloatArray:
+    """The pose (22,) of what is shown, all of which is known."""
+    assert shown.position is not None and shown.quaternion is not None and shown.shape is not None
+    return np.concatenate([shown.position, shown.quaternion, shown.shape])
 
 
 def _rim(mask: BoolArray) -> BoolArray:
@@ -107,7 +134,7 @@ class HandSegments:
         """The labels around an estimate in a depth image, mm; None where its pose is not known."""
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
-        pose = np.concatenate([shown.position, shown.quaternion, shown.shape])
+        pose = _pose_of(shown)
         hand = PredictedHand.of(self._anatomy, pose)
         window = window_around(hand.joints, self._camera, self._config.observation)
         return segment(depth, self._sampler, window, self._camera, hand, self._config.segmentation)
