@@ -41,7 +41,7 @@ def faces(image: ImageArray) -> FloatArray:
     return np.array(cascade.detectMultiScale(image, 1.1, 3, minSize=(100, 100)), dtype=float).reshape(-1, 4)
 
 
-@pytest.mark.parametrize("identity", [1, 2, 3, 4])
+@pytest.mark.parametrize("identity", [1, 4])
 def test_haar_finds_one_face_around_the_eyes(identity: int, device: RenderingDevice) -> None:
     """In photographs eyes lie at (.317, .403) and (.687, .401) of the box, sd .02; here within .06."""
     options = replace(SHORT, identity=identity, cameras=1, frames=1)
