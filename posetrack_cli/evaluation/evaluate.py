@@ -19,7 +19,6 @@ from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, Offse
 from posetrack_cli.evaluation.metrics.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.metrics.without_truth import EMPTY, consistency_metrics, run_metrics, run_series
-from posetrack_cli.evaluation.recording_of import required_recording
 from posetrack_cli.evaluation.result_names import plain_name
 from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.subjects import KINDS
@@ -239,6 +238,8 @@ def _without_truth(
 
 
 def _against_images(measures: Measures, result: Result, options: EvalOptions, rows: IntArray) -> None:
+    from posetrack_cli.evaluation.recording_of import required_recording
+
     recording = required_recording(result, options.recording)
     compare_images = KINDS[result.subject.name].compare_images
     if compare_images is None:

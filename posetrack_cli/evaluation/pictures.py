@@ -15,7 +15,9 @@ from posetrack_cli.results.reader import read_result
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
-    from posetrack_cli.evaluation.viewing.view import OpenDevice, Panels
+    from posetrack_cli.evaluation.viewing.drawing import Drawer
+    from posetrack_cli.evaluation.viewing.layers import Drawing
+    from posetrack_cli.evaluation.viewing.view import OpenDevice
     from posetrack_cli.recording.recording import Recording
 
 
@@ -89,33 +91,30 @@ def _drawn(
     """PNG, frame number and stamp of each row that the recording has a frame of."""
     from posetrack_cli.evaluation.matched_frames import matched_frames
     from posetrack_cli.evaluation.viewing.outputs import png_of
+    from posetrack_cli.evaluation.viewing.view import drawer_of, report_panels
 
-    track, panels = evaluation.track, _panels(evaluation, recording, rows, device)
+    result, track, ordered = read_result(evaluation.path), evaluation.track, np.sort(rows)
+    panels = report_panels(result, recording, _drawing(evaluation, rows, drawer_of(result, device)))
     drawn = {}
-    ordered = np.sort(rows)
     numbers = None if track.frame_index is None else track.frame_index[ordered]
     for position, frame in matched_frames(recording, track.stamp_ns[ordered], numbers, LossLog()):
         row = int(ordered[position])
-        points = None if track.points is None else track.points[row]
-        picture = panels.plain(frame, int(track.stamp_ns[row]), points)
+        picture = panels.plain(panels.drawing.at(frame, int(track.stamp_ns[row])))
         drawn[row] = png_of(picture), frame.index, frame.stamp_ns
     return drawn
 
 
-def _panels(evaluation: Evaluation, recording: Recording, rows: IntArray, device: OpenDevice) -> Panels:
+def _drawing(evaluation: Evaluation, rows: IntArray, drawer: Drawer) -> Drawing:
     from posetrack_cli.evaluation.viewing.colours import TRUTH
     from posetrack_cli.evaluation.viewing.layers import Drawing, DrawnTrack
-    from posetrack_cli.evaluation.viewing.view import drawer_of, report_panels
 
-    result, track, truth = read_result(evaluation.path), evaluation.track, evaluation.truth
-    drawer = drawer_of(result, device)
-    drawing = Drawing(
+    track, truth = evaluation.track, evaluation.truth
+    return Drawing(
         (DrawnTrack(track, drawer),),
         None if truth is None else DrawnTrack(truth, drawer, TRUTH),
         around=None if track.points is None else track.points[rows],
         still=False,
     )
-    return report_panels(result, recording, drawing)
 
 
 def caption_of(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:

@@ -13,7 +13,8 @@ from typing import Any
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.evaluation.recording_identity import check_bytes, check_identity, check_kind, check_size
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
+from posetrack_cli.recording.base import CAMERA_FILE_NAME
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.pixels import PixelKind
@@ -140,6 +141,8 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)
+        if run.get("input.kind") == "video":
+            options.pop("cameras", None)  # its one camera is called what the file calls it
     with _camera_file(path, result, given) as camera:
         try:
             recording = open_recording(path, pixels_of(result), **(options | camera | given))
@@ -153,8 +156,6 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
     """How the run opened its input, as far as it says."""
     stated = {key: run.get(f"input.{key}", "") for key in _STATED}
-    if run.get("input.kind") == "video":
-        stated["cameras"] = ""  # it has one, which nothing chooses
     try:
         options = {key: _STATED[key](text) for key, text in stated.items() if text}
     except ValueError as error:

@@ -20,8 +20,7 @@ from posetrack_cli.hand.anatomy import POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import InitSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
-from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import is_mcap, read_messages
+from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.toml_text import parse_toml
 
@@ -127,7 +126,7 @@ def _parse(path: Path) -> dict[str, Any]:
 def _first_pose(path: Path) -> FloatArray:
     """The first estimate in a result, or the first true pose in a recording."""
     for topic in ESTIMATE_TOPICS:
-        for _, _, message in read_messages(path, LossLog(), [topic]):
+        for _, _, message in McapFile(path).messages([topic]):
             first = estimate_from_json(message.data)
             if first.shape.size == POSE_SIZE - 7:
                 return np.concatenate([first.position, first.quaternion, first.shape])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from heapq import heappop, heappush
 from pathlib import Path
@@ -59,67 +59,175 @@ def is_mcap(path: Path) -> bool:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
 
 
-def read_messages(
-    path: Path, losses: LossLog, topics: Topics = None, *, in_file_order: bool = False
-) -> Iterator[McapItem]:
-    """Yield schema, channel and message of all messages, or of those on some topics.
-
-    With a usable index they come in order of log time, or if asked for as they lie in the file; without one
-    always so. At most the chunks that overlap in time are in memory. A damaged chunk is left out, and one
-    beyond ``limits``. Where the file is cut the messages end with the last whole one; where it is damaged
-    between chunks they end, too, if there is no index. ``losses`` gets each of these.
+class McapFile:
+    """A file to be read, as far as it can be.
 
     Args:
         path: the file.
-        losses: gets what cannot be read.
-        topics: names, or what tells of a name whether it is wanted; that may change as messages are taken.
-        in_file_order: whether an index is not to change the order.
-
-    Raises:
-        RecordingError: chunks decompress to more than any recording's, or too much of them overlaps in time.
+        losses: gets what cannot be read; by default nobody is told.
     """
-    summary, wanted = read_summary(path), _Wanted(path, topics, losses)
-    if summary is None:
-        yield from _without_index(path, losses, wanted)
-    elif in_file_order:
-        yield from _indexed_in_file_order(path, losses, summary, wanted)
-    else:
-        yield from _in_log_time_order(path, losses, summary, wanted)
 
+    def __init__(self, path: Path, losses: LossLog | None = None) -> None:
+        self.path, self.losses = path, LossLog() if losses is None else losses
 
-def read_channels(path: Path, losses: LossLog) -> list[tuple[Schema | None, Channel]]:
-    """Return every channel with its schema: from the index, or by reading all of a file that has none."""
-    summary, found = read_summary(path), _Wanted(path, (), losses)
-    if summary is not None:
-        found.learn_all(summary)
-    else:
-        for _ in _without_index(path, losses, found):
-            pass  # no topic is wanted
-    return found.channels()
+    def messages(self, topics: Topics = None, *, in_file_order: bool = False) -> Iterator[McapItem]:
+        """Yield schema, channel and message of all messages, or of those on some topics.
 
+        With a usable index they come in order of log time, or if asked for as they lie in the file; without
+        one always so. At most the chunks that overlap in time are in memory. A damaged chunk is left out, and
+        one beyond ``limits``. Where the file is cut the messages end with the last whole one; where it is
+        damaged between chunks they end, too, if there is no index. ``losses`` gets each of these.
 
-def read_extras(path: Path, losses: LossLog | None = None) -> Iterator[Metadata | Attachment]:
-    """Yield the metadata and attachments of a file: by its index, or else up to where it is cut or damaged.
+        Args:
+            topics: names, or what tells of a name whether it is wanted, which may change meanwhile.
+            in_file_order: whether an index is not to change the order.
 
-    ``losses`` gets what cannot be read.
-    """
-    losses = LossLog() if losses is None else losses
-    indexed = extra_spans(read_summary(path))
-    with open_input(path) as stream:
-        for span in _spans(stream, path, losses) if indexed is None else indexed:
-            if span.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
-                record = _parsed(stream, span, path, losses)
-                if isinstance(record, Metadata | Attachment):
-                    yield record
+        Raises:
+            RecordingError: chunks decompress to more than any recording's, or too much of them overlaps in
+                time.
+        """
+        summary, wanted = read_summary(self.path), _Wanted(self, topics)
+        if summary is None:
+            yield from self._without_index(wanted)
+        else:
+            wanted.learn_all(summary)
+            in_order = self._in_file_order if in_file_order else self._in_log_time_order
+            yield from in_order(summary.chunk_indexes, wanted)
+
+    def channels(self) -> list[tuple[Schema | None, Channel]]:
+        """Return every channel with its schema: from the index, or by reading all of a file that has none."""
+        summary, found = read_summary(self.path), _Wanted(self, ())
+        if summary is not None:
+            found.learn_all(summary)
+        else:
+            for _ in self._without_index(found):
+                pass  # no topic is wanted
+        return found.channels()
+
+    def extras(self) -> Iterator[Metadata | Attachment]:
+        """Yield the metadata and attachments: by the index, or else up to a cut or damage."""
+        indexed = extra_spans(read_summary(self.path))
+        with open_input(self.path) as stream:
+            for span in self._spans(stream) if indexed is None else indexed:
+                if span.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+                    record = self._record(stream, span)
+                    if isinstance(record, Metadata | Attachment):
+                        yield record
+
+    def _size(self) -> int:
+        """Of the file, bytes; one that is being written grows."""
+        return self.path.stat().st_size
+
+    def _in_log_time_order(self, indexes: Sequence[ChunkIndex], wanted: _Wanted) -> Iterator[McapItem]:
+        """Yield messages by log time, those of equal times as they lie in the file, chunk by chunk."""
+        pending: list[tuple[int, int, int, McapItem]] = []
+        waiting = 0  # bytes
+        with open_input(self.path) as stream:
+            ordered = sorted(indexes, key=lambda i: (i.message_start_time, i.chunk_start_offset))
+            for index in filter(wanted.is_in, ordered):
+                while pending and pending[0][0] < index.message_start_time:
+                    item = heappop(pending)[-1]
+                    waiting -= len(item[2].data)
+                    yield item
+                for number, item in enumerate(self._chunk(stream, chunk_span(index), wanted)):
+                    heappush(pending, (item[2].log_time, index.chunk_start_offset, number, item))
+                    waiting += len(item[2].data)
+                if waiting > limits.PENDING_BYTES:
+                    raise RecordingError(
+                        "chunks overlap in time",
+                        where=self.path,
+                        found=f"{waiting} bytes of messages that wait for their turn",
+                        expected=f"at most {limits.PENDING_BYTES}",
+                        hint="write it anew in order of time, for example with: mcap sort",
+                    )
+        while pending:
+            yield heappop(pending)[-1]
+
+    def _in_file_order(self, indexes: Sequence[ChunkIndex], wanted: _Wanted) -> Iterator[McapItem]:
+        with open_input(self.path) as stream:
+            ordered = sorted(indexes, key=lambda i: i.chunk_start_offset)
+            for index in filter(wanted.is_in, ordered):
+                yield from self._chunk(stream, chunk_span(index), wanted)
+
+    def _without_index(self, wanted: _Wanted) -> Iterator[McapItem]:
+        end = len(MAGIC)
+        with open_input(self.path) as stream:
+            for span in self._spans(stream):
+                end = span.end
+                if span.opcode == Opcode.CHUNK:
+                    yield from self._chunk(stream, span, wanted)
+                elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                    record = self._record(stream, span)
+                    if isinstance(record, Schema | Channel | Message):
+                        yield from wanted.items([record])
+                elif span.opcode == Opcode.DATA_END:
+                    self._check_data(stream, span)
+            with self._chunk_damage(self._size()):
+                yield from wanted.items(cut_chunk_records(stream, end))
+
+    def _chunk(self, stream: IO[bytes], span: RecordSpan, wanted: _Wanted) -> list[McapItem]:
+        """Return the wanted messages of a chunk."""
+        with self._chunk_damage(span.end):
+            return wanted.of_chunk(read_record(stream, span))
+        return []
+
+    def _spans(self, stream: IO[bytes]) -> Iterator[RecordSpan]:
+        """Yield the whole records of the file; that they end before its footer is a loss."""
+        opcode, end = 0, len(MAGIC)
+        for span in record_spans(stream):
+            opcode, end = span.opcode, span.end
+            yield span
+        stream.seek(end)
+        rest, size = stream.read(HEAD.size), self._size()
+        if opcode == Opcode.FOOTER and rest == MAGIC:
+            return
+        if len(rest) < HEAD.size or _is_cut(rest, size):
+            self.losses.add(TRUNCATED, f"byte {size} of {size}")
+        else:
+            self.losses.add(DAMAGED, f"byte {end} of {size}")
+
+    def _record(self, stream: IO[bytes], span: RecordSpan) -> Record | None:
+        """Return a record, or None if it cannot be read, which is a loss and no error."""
+        try:
+            return read_record(stream, span)
+        except Exception:  # the library raises whatever the damaged bytes lead to
+            self.losses.add(DAMAGED_RECORD, f"the one before byte {span.end} of {self._size()}")
+            return None
+
+    @contextmanager
+    def _chunk_damage(self, end: int) -> Iterator[None]:
+        """A chunk that cannot be read is a loss and no error; that all of them are too large is one."""
+        try:
+            yield
+        except RecordingError:
+            raise
+        except ChunkLimitError as error:
+            self.losses.add(LARGE_CHUNK, f"{error}, the one before byte {end} of {self._size()}")
+        except Exception:  # the library raises whatever the damaged bytes lead to
+            self.losses.add(DAMAGED_CHUNK, f"the one before byte {end} of {self._size()}")
+
+    def _check_data(self, stream: IO[bytes], span: RecordSpan) -> None:
+        """Check the checksum of all data, if any; a difference that nothing else showed is a loss."""
+        record = self._record(stream, span)
+        if not isinstance(record, DataEnd) or record.data_section_crc == 0 or self.losses.losses:
+            return
+        stream.seek(0)
+        crc, left = 0, span.start - HEAD.size
+        while left > 0:
+            block = stream.read(min(left, BLOCK_BYTES))
+            crc, left = zlib.crc32(block, crc), left - len(block)
+        if crc != record.data_section_crc:
+            self.losses.add(DAMAGED_DATA, f"within {span.start} bytes")
 
 
 class _Wanted:
     """Puts messages together with their channels and schemas, and picks those on some topics."""
 
-    def __init__(self, path: Path, topics: Topics, losses: LossLog) -> None:
+    def __init__(self, file: McapFile, topics: Topics) -> None:
         names = topics if topics is None or callable(topics) else frozenset(topics)
         self._wants = names if callable(names) else (lambda topic: names is None or topic in names)
-        self._losses, self._budget = losses, ExpansionBudget(path, path.stat().st_size)
+        self._losses = file.losses
+        self._budget = ExpansionBudget(file.path, file.path.stat().st_size)
         self._definitions = Definitions()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -168,134 +276,10 @@ class _Wanted:
                 yield self._schemas.get(channel.schema_id), channel, record
 
 
-def _in_log_time_order(path: Path, losses: LossLog, summary: Summary, wanted: _Wanted) -> Iterator[McapItem]:
-    """Yield messages by log time, those of equal times as they lie in the file; chunk after chunk is read."""
-    wanted.learn_all(summary)
-    pending: list[tuple[int, int, int, McapItem]] = []
-    waiting = 0  # bytes
-    with open_input(path) as stream:
-        for index in sorted(
-            summary.chunk_indexes, key=lambda i: (i.message_start_time, i.chunk_start_offset)
-        ):
-            if not wanted.is_in(index):
-                continue
-            while pending and pending[0][0] < index.message_start_time:
-                item = heappop(pending)[-1]
-                waiting -= len(item[2].data)
-                yield item
-            for number, item in enumerate(_chunk_at(stream, chunk_span(index), path, losses, wanted)):
-                heappush(pending, (item[2].log_time, index.chunk_start_offset, number, item))
-                waiting += len(item[2].data)
-            if waiting > limits.PENDING_BYTES:
-                raise _too_much_overlap(path, waiting)
-    while pending:
-        yield heappop(pending)[-1]
+def _is_cut(head: bytes, size: int) -> bool:
+    """Whether a record that reaches beyond the end may well be as long as its head says.
 
-
-def _too_much_overlap(path: Path, waiting: int) -> RecordingError:
-    return RecordingError(
-        "chunks overlap in time",
-        where=path,
-        found=f"{waiting} bytes of messages that wait for their turn",
-        expected=f"at most {limits.PENDING_BYTES}",
-        hint="write it anew in order of time, for example with: mcap sort",
-    )
-
-
-def _indexed_in_file_order(
-    path: Path, losses: LossLog, summary: Summary, wanted: _Wanted
-) -> Iterator[McapItem]:
-    wanted.learn_all(summary)
-    with open_input(path) as stream:
-        for index in sorted(summary.chunk_indexes, key=lambda i: i.chunk_start_offset):
-            if wanted.is_in(index):
-                yield from _chunk_at(stream, chunk_span(index), path, losses, wanted)
-
-
-def _without_index(path: Path, losses: LossLog, wanted: _Wanted) -> Iterator[McapItem]:
-    end = len(MAGIC)
-    with open_input(path) as stream:
-        for span in _spans(stream, path, losses):
-            end = span.end
-            if span.opcode == Opcode.CHUNK:
-                yield from _chunk_at(stream, span, path, losses, wanted)
-            elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                record = _parsed(stream, span, path, losses)
-                if isinstance(record, Schema | Channel | Message):
-                    yield from wanted.items([record])
-            elif span.opcode == Opcode.DATA_END:
-                _check_data(stream, span, path, losses)
-        with _chunk_damage(path.stat().st_size, path, losses):
-            yield from wanted.items(cut_chunk_records(stream, end))
-
-
-def _chunk_at(
-    stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog, wanted: _Wanted
-) -> list[McapItem]:
-    """Return the wanted messages of a chunk."""
-    with _chunk_damage(span.end, path, losses):
-        return wanted.of_chunk(read_record(stream, span))
-    return []
-
-
-def _spans(stream: IO[bytes], path: Path, losses: LossLog) -> Iterator[RecordSpan]:
-    """Yield the whole records of a file; that they end before its footer is a loss."""
-    opcode, end = 0, len(MAGIC)
-    for span in record_spans(stream):
-        opcode, end = span.opcode, span.end
-        yield span
-    stream.seek(end)
-    rest, size = stream.read(HEAD.size), path.stat().st_size
-    if opcode == Opcode.FOOTER and rest == MAGIC:
-        return
-    if len(rest) < HEAD.size or _is_cut(rest, path):
-        losses.add(TRUNCATED, f"byte {size} of {size}")
-    else:
-        losses.add(DAMAGED, f"byte {end} of {size}")
-
-
-def _is_cut(head: bytes, path: Path) -> bool:
-    """Whether a record that reaches beyond the end may well be as long as its head says."""
+    Lengths above the limit are damage; one below that reaches beyond the end is a record cut short.
+    """
     opcode, length = HEAD.unpack(head)
-    return bool(opcode != 0 and length <= _limit(path))
-
-
-def _parsed(stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog) -> Record | None:
-    """Return a record, or None if it cannot be read, which is a loss and no error."""
-    try:
-        return read_record(stream, span)
-    except Exception:  # the library raises whatever the damaged bytes lead to
-        losses.add(DAMAGED_RECORD, f"the one before byte {span.end} of {path.stat().st_size}")
-        return None
-
-
-@contextmanager
-def _chunk_damage(end: int, path: Path, losses: LossLog) -> Iterator[None]:
-    """A chunk that cannot be read is a loss and no error; that all of them together are too large is one."""
-    try:
-        yield
-    except RecordingError:
-        raise
-    except ChunkLimitError as error:
-        losses.add(LARGE_CHUNK, f"{error}, the one before byte {end} of {path.stat().st_size}")
-    except Exception:  # the library raises whatever the damaged bytes lead to
-        losses.add(DAMAGED_CHUNK, f"the one before byte {end} of {path.stat().st_size}")
-
-
-def _check_data(stream: IO[bytes], span: RecordSpan, path: Path, losses: LossLog) -> None:
-    """Check the checksum of all data, if there is one; a difference that nothing else showed is a loss."""
-    record = _parsed(stream, span, path, losses)
-    if not isinstance(record, DataEnd) or record.data_section_crc == 0 or losses.losses:
-        return
-    stream.seek(0)
-    crc, left = 0, span.start - HEAD.size
-    while left > 0:
-        block = stream.read(min(left, BLOCK_BYTES))
-        crc, left = zlib.crc32(block, crc), left - len(block)
-    if crc != record.data_section_crc:
-        losses.add(DAMAGED_DATA, f"within {span.start} bytes")
-
-
-def _limit(path: Path) -> int:
-    """Lengths above are damage; one below that reaches beyond the end is a record cut short."""
-    return max(SMALLEST_LIMIT, path.stat().st_size)
+    return bool(opcode != 0 and length <= max(SMALLEST_LIMIT, size))

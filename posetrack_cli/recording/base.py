@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.mcap.stream import McapItem
 
 TRUTH_PREFIX = "/truth/"
 """Topics of ground truth begin so, in recordings and in results."""
@@ -14,6 +15,8 @@ RUN_RECORD = "posetrack.run"
 """Name of the metadata that says how a result was made."""
 RECORDING_KEY = "input.sha256"
 """What it calls the identity of the recording."""
+CAMERA_FILE_NAME = "camera.toml"
+CAMERA_EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
 
 
 @dataclass(frozen=True)
@@ -53,3 +56,41 @@ class TruthMessage:
     log_time_ns: int
     data: bytes
     channel_metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+def truth_message(item: McapItem) -> TruthMessage:
+    """Return a message of truth as a file holds it."""
+    schema, channel, message = item
+    return TruthMessage(
+        topic=channel.topic,
+        schema_name=schema.name if schema else "",
+        schema_encoding=schema.encoding if schema else "",
+        schema_data=schema.data if schema else b"",
+        message_encoding=channel.message_encoding,
+        log_time_ns=message.log_time,
+        data=message.data,
+        channel_metadata=dict(channel.metadata),
+    )
+
+
+class NotCalibratedError(RecordingError):
+    """Nothing tells a camera's intrinsics."""
+
+
+def not_calibrated(where: object) -> NotCalibratedError:
+    """Return the error for images without any camera file, with what to do."""
+    return NotCalibratedError(
+        "cameras are not calibrated",
+        where=where,
+        expected=f"a {CAMERA_FILE_NAME} beside the images, or --camera",
+        hint="posetrack calibrate stereo measures cameras and writes it; for one fx, fy, cx, cy will do",
+    )
+
+
+def no_intrinsics(where: object) -> NotCalibratedError:
+    """Return the error for a recording without any camera, with what to write."""
+    return NotCalibratedError(
+        "no intrinsics",
+        where=where,
+        hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {CAMERA_EXAMPLE}",
+    )

@@ -18,13 +18,14 @@ from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import inverse, placed, relative_to, rotation_from_rows
+from posetrack_cli.recording.base import CAMERA_EXAMPLE, CAMERA_FILE_NAME, not_calibrated
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.text import one_line, printable_json
 from posetrack_cli.toml_text import parse_toml
 
-CAMERA_FILE_NAME = "camera.toml"
-EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
+LONE_NAME = "camera"
+"""What frames and run records call the one camera to which no file gives a name."""
 TABLE = "cameras"
 RIG_KEYS = (TABLE, "reference", "mirror")
 NEAREST_MM = 1.0
@@ -153,11 +154,13 @@ class Rig:
         return any(isinstance(camera, Guess) for camera in self.cameras.values())
 
     def chosen(self, names: Sequence[str]) -> Rig:
-        """Return the rig of some of its cameras, in its own order.
+        """Return the rig of some of its cameras, in its own order; one without a name goes by ``LONE_NAME``.
 
         Raises:
             RecordingError: if it has no camera of such a name.
         """
+        if "" in self.cameras and list(names) == [LONE_NAME]:
+            return self
         for name in names:
             if name not in self.cameras:
                 lone = "it is of one camera, which has no name: leave --cameras out"
@@ -190,7 +193,7 @@ class Rig:
     def _stored_camera(self, name: str, size: tuple[int, int]) -> Camera:
         settings = self.cameras[name]
         try:
-            camera = settings.stored_camera(*size, name or "camera")
+            camera = settings.stored_camera(*size, name or LONE_NAME)
         except RecordingError as error:
             where = f"{self.path}, camera '{name}'" if name else str(self.path)
             raise RecordingError(str(error).removeprefix(f"{CAMERA_FILE_NAME}: "), where=where) from error
@@ -206,10 +209,6 @@ class Rig:
         except PosetrackError as error:
             raise RecordingError(str(error)) from error
         return placed(camera, np.column_stack([rotation, settings.translation_mm]))
-
-
-class NotCalibratedError(RecordingError):
-    """Nothing tells a camera's intrinsics."""
 
 
 def load_depth_camera(path: Path) -> DepthCamera:
@@ -262,23 +261,6 @@ def found_rig(path: Path, file: Path | None, names: Iterable[str], guess: Guess 
     if guess is None:
         raise not_calibrated(path)
     return Rig(path, dict.fromkeys(names, guess))
-
-
-def not_calibrated(where: object) -> NotCalibratedError:
-    """Return the error for images without any camera file, with what to do."""
-    return NotCalibratedError(
-        "cameras are not calibrated",
-        where=where,
-        expected=f"a {CAMERA_FILE_NAME} beside the images, or --camera",
-        hint="posetrack calibrate stereo measures cameras and writes it; for one fx, fy, cx, cy will do",
-    )
-
-
-def no_intrinsics(where: object) -> NotCalibratedError:
-    """Return the error for a recording without any camera, with what to write."""
-    return NotCalibratedError(
-        "no intrinsics", where=where, hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {EXAMPLE}"
-    )
 
 
 def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) -> str:
@@ -399,7 +381,7 @@ def _first_problem(error: ValidationError, kind: type[Intrinsics], where: object
     if first["type"] == "extra_forbidden":
         return RecordingError(f"unknown key '{key}'", where=where, hint=nearest_name(key, kind.model_fields))
     if first["type"] == "missing":
-        return RecordingError(f"key '{key}' is missing", where=where, hint=f"for example {EXAMPLE}")
+        return RecordingError(f"key '{key}' is missing", where=where, hint=f"for example {CAMERA_EXAMPLE}")
     return RecordingError(
         f"key '{key}' cannot be used", where=where, found=first["input"], expected=expected_words(first)
     )

@@ -10,15 +10,8 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.camera_file import (
-    CAMERA_FILE_NAME,
-    DepthCamera,
-    Rig,
-    found_rig,
-    load_depth_camera,
-    load_rig,
-    no_intrinsics,
-)
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, no_intrinsics
+from posetrack_cli.recording.camera_file import DepthCamera, Rig, found_rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.guess import check_one_camera

@@ -7,7 +7,7 @@ from typing import Any
 
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.camera_file import NotCalibratedError, no_intrinsics
+from posetrack_cli.recording.base import NotCalibratedError, no_intrinsics
 
 MODEL_NAMES = {
     "kannala_brandt": "equidistant",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -18,7 +18,7 @@ from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
 from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
-from posetrack_cli.recording.mcap_topics import Topic, calibration_frames, frame_id_of_topic
+from posetrack_cli.recording.mcap_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Pixels
 from posetrack_cli.recording.stored import UnreadableImageError
 
@@ -53,42 +53,41 @@ class CameraTopic(Generic[P]):
 GreyTopic = CameraTopic[Grey]
 
 
-def find_sources(path: Path, topics: Mapping[str, Topic], wanted: Sequence[str] | None) -> list[GreyTopic]:
+def find_sources(topics: FileTopics, wanted: Sequence[str] | None = None) -> list[GreyTopic]:
     """Return the topics to use: those asked for, in that order, else all that are images of cameras.
 
     Images of 8 bits come before those of 16, which may be depth; of a topic that is there raw and compressed
     the raw one counts. Left comes before right.
 
     Args:
-        path: the file, for errors.
         topics: of the file.
         wanted: names of topics, or of cameras.
 
     Raises:
         RecordingError: listing the candidates, if there is none or none of a name.
     """
-    images = [topic for topic in topics.values() if topic.image is not None and topic.count]
+    images = [topic for topic in topics.by_name.values() if topic.image is not None and topic.count]
     images = [topic for topic in images if not topic.name.startswith(TRUTH_PREFIX)]
     grey = [topic for topic in images if holds_grey(topic.first, topic.kind)]
     if wanted is not None:
-        return [_asked_for(path, name, grey) for name in wanted]
+        return [_asked_for(topics.path, name, grey) for name in wanted]
     sources = [_source(topic) for topic in sorted(grey, key=_order)]
     eight = [source for source in sources if source.pixels.bits == 8] or sources
     names = {source.topic.name for source in eight}
     kept = [s for s in eight if s.topic.name.removesuffix(COMPRESSED) not in names - {s.topic.name}]
     if not kept:
         found = ", ".join(topic.label for topic in images) or "no image topics"
-        raise RecordingError("no topic holds grey or colour images", where=path, found=found)
+        raise RecordingError("no topic holds grey or colour images", where=topics.path, found=found)
     return distinct_names(kept)
 
 
-def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[GreyTopic]:
+def sources_of_rig(topics: FileTopics, rig: Rig) -> list[GreyTopic]:
     """Return the topic of each camera of a camera file, by topic, frame id or a part of the topic's name.
 
     Raises:
         RecordingError: if not exactly one fits a camera.
     """
-    every = find_sources(path, topics, None)
+    every = find_sources(topics)
     if len(rig.cameras) == 1 and len(every) == 1:
         return [replace(every[0], name=next(iter(rig.cameras)))]
     found = []
@@ -97,7 +96,7 @@ def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[Gr
         if len(fitting) != 1:
             raise RecordingError(
                 f"{'several topics fit' if fitting else 'no topic of'} camera '{name}' of {rig.path.name}",
-                where=path,
+                where=topics.path,
                 found=", ".join(source.topic.label for source in fitting or every),
                 hint="name cameras in it by topic, frame id or a part of the topic's name",
             )
@@ -105,44 +104,43 @@ def sources_of_rig(path: Path, topics: Mapping[str, Topic], rig: Rig) -> list[Gr
     return found
 
 
-def cameras_of_messages(
-    path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic]
-) -> list[Camera]:
+def cameras_of_messages(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[Camera]:
     """Return the cameras of stored images from the file's calibrations and transforms, relative to the first.
 
     Raises:
         RecordingError: if one is not calibrated, sizes differ, or nothing tells where the cameras are.
     """
-    calibrations = _calibrations(path, topics, sources)
-    cameras = [_camera(path, topics, s, name) for s, name in zip(sources, calibrations, strict=True)]
+    calibrations = _calibrations(topics, sources)
+    cameras = [_camera(topics, s, name) for s, name in zip(sources, calibrations, strict=True)]
     if len(cameras) == 1:
         return cameras
-    places = [_rectified(topics[name], source) for source, name in zip(sources, calibrations, strict=True)]
+    places = [
+        _rectified(topics.by_name[name], source) for source, name in zip(sources, calibrations, strict=True)
+    ]
     known: Sequence[FloatArray | None] = [place[1] if place is not None else None for place in places]
     if not is_placed(known):
-        frames = [frame_id_of_topic(source.topic) for source in sources]
-        known = camera_places(path, topics, frames)
+        known = camera_places(topics, [source.topic.frame_id for source in sources])
     if not is_placed(known):
         raise RecordingError(
             f"places of cameras {', '.join(camera.name for camera in cameras)} are not known",
-            where=path,
+            where=topics.path,
             found="no baseline in P of their calibrations and no transforms between their frames",
             hint="pass --camera; posetrack calibrate stereo writes such a file",
         )
-    rebased = relative_to(*_placed(cameras, known, path))
-    check_apart(rebased, path)
+    rebased = relative_to(*_placed(cameras, known, topics.path))
+    check_apart(rebased, topics.path)
     return list(rebased)
 
 
 def distinct_names(sources: Sequence[GreyTopic]) -> list[GreyTopic]:
     """Return the sources named by frame id, or else by the part of the topic in which they differ."""
-    names = [frame_id_of_topic(source.topic) for source in sources]
+    names = [source.topic.frame_id for source in sources]
     if "" in names or len(set(names)) < len(names):
         parts = [source.topic.name.strip("/").split("/") for source in sources]
         columns = list(zip(*parts, strict=False))
         distinct = [column for column in columns if len(set(column)) == len(column)]
         names = list(distinct[0]) if distinct else [source.topic.name for source in sources]
-    if len(sources) == 1 and not frame_id_of_topic(sources[0].topic):
+    if len(sources) == 1 and not sources[0].topic.frame_id:
         names = ["camera"]
     return [replace(source, name=name) for source, name in zip(sources, names, strict=True)]
 
@@ -161,35 +159,33 @@ def _placed(
     return moved[0], moved
 
 
-def _calibrations(path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic]) -> list[str]:
+def _calibrations(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[str]:
     """Return the topic of each camera's calibration; no two cameras share one."""
-    known = calibration_frames(topics)
-    chosen = [choose_calibration(s.topic.name, frame_id_of_topic(s.topic), known) for s in sources]
+    known = topics.calibration_frames
+    chosen = [choose_calibration(s.topic.name, s.topic.frame_id, known) for s in sources]
     for name in set(chosen):
         sharing = [s.topic.name for s, c in zip(sources, chosen, strict=True) if c == name]
         if len(sharing) > 1:
             raise RecordingError(
                 f"{', '.join(sharing)} have one calibration",
-                where=path,
+                where=topics.path,
                 found=name,
                 hint="choose the cameras with --cameras TOPIC,TOPIC, or pass --camera",
             )
     return chosen
 
 
-def calibrated_camera(
-    path: Path, topics: Mapping[str, Topic], source: CameraTopic[Pixels], calibration: str, hint: str
-) -> Camera:
+def calibrated_camera(topics: FileTopics, source: CameraTopic[Pixels], calibration: str, hint: str) -> Camera:
     """Return the camera that a topic's calibration tells of.
 
     Raises:
         RecordingError: it is of another image size.
     """
-    camera = camera_from_message(topics[calibration].first, source.name, calibration)
+    camera = camera_from_message(topics.by_name[calibration].first, source.name, calibration)
     if (camera.width, camera.height) != source.size:
         raise RecordingError(
             "calibration and images differ in size",
-            where=f"{path}, {calibration}",
+            where=f"{topics.path}, {calibration}",
             found=f"{camera.width}x{camera.height}",
             expected=f"{source.size[0]}x{source.size[1]} as on {source.topic.name}",
             hint=hint,
@@ -197,9 +193,9 @@ def calibrated_camera(
     return camera
 
 
-def _camera(path: Path, topics: Mapping[str, Topic], source: GreyTopic, calibration: str) -> Camera:
-    camera = calibrated_camera(path, topics, source, calibration, "pass --camera")
-    matrix = _rectified(topics[calibration], source)
+def _camera(topics: FileTopics, source: GreyTopic, calibration: str) -> Camera:
+    camera = calibrated_camera(topics, source, calibration, "pass --camera")
+    matrix = _rectified(topics.by_name[calibration], source)
     if matrix is None or not _is_rectified(source.topic):
         return camera
     k = matrix[0]
@@ -219,7 +215,7 @@ def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> GreyTopic:
     exact = [topic for topic in grey if topic.name == name]
     fitting = exact or [topic for topic in grey if _is_called(topic, name)]
     if len(fitting) == 1:
-        return replace(_source(fitting[0]), name=frame_id_of_topic(fitting[0]) if exact else name)
+        return replace(_source(fitting[0]), name=fitting[0].frame_id if exact else name)
     raise RecordingError(
         f"{'several topics' if fitting else 'no topic'} of camera '{name}'",
         where=path,
@@ -229,7 +225,7 @@ def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> GreyTopic:
 
 
 def _is_called(topic: Topic, name: str) -> bool:
-    return name in (topic.name, frame_id_of_topic(topic), *topic.name.split("/"))
+    return name in (topic.name, topic.frame_id, *topic.name.split("/"))
 
 
 def _source(topic: Topic) -> GreyTopic:
@@ -237,10 +233,10 @@ def _source(topic: Topic) -> GreyTopic:
         pixels = grey_like_message(topic.first, str(topic.kind), topic.name)
     except UnreadableImageError as error:
         raise RecordingError(f"first image cannot be used, {error}", where=topic.name) from error
-    return CameraTopic(topic, frame_id_of_topic(topic), pixels)
+    return CameraTopic(topic, topic.frame_id, pixels)
 
 
 def _order(topic: Topic) -> tuple[int, str]:
     """Left, right, then by name."""
-    sides = [SIDES[side] for side in SIDES if side in topic.name or side in frame_id_of_topic(topic)]
+    sides = [SIDES[side] for side in SIDES if side in topic.name or side in topic.frame_id]
     return (sides[0] if len(sides) == 1 else len(SIDES), topic.name)

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from mcap.records import Attachment, Metadata
+from mcap.summary import Summary
 
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.losses import LossLog
+from posetrack_cli.losses import Loss
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -17,7 +18,7 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     stamp_of,
 )
-from posetrack_cli.mcap.stream import McapItem, read_extras, read_messages
+from posetrack_cli.mcap.stream import McapFile, McapItem
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.recording.description import described_cameras, described_losses, opened
@@ -38,12 +39,12 @@ class McapSurvey:
     """
 
     def __init__(self, path: Path) -> None:
-        self.losses = LossLog()
+        self._file = McapFile(path)
         self._scan = TopicScan()
         self._decoder = MessageDecoder()
         self._timelines: dict[str, Timeline] = {}
-        self._add_indexed(path)
-        for item in read_messages(path, self.losses):
+        self._add_indexed(read_summary(path))
+        for item in self._file.messages():
             self._add(item)
 
     def topics(self) -> list[dict[str, Any]]:
@@ -60,9 +61,17 @@ class McapSurvey:
         images = [topic for topic in self._scan.topics.values() if topic.image is not None]
         return sum(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images) > 1
 
-    def _add_indexed(self, path: Path) -> None:
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """What cannot be read."""
+        return self._file.losses.losses
+
+    def extras(self) -> list[tuple[str, dict[str, Any]]]:
+        """Describe metadata and attachments, each with the word for what it is."""
+        return [_extra(record) for record in McapFile(self._file.path).extras()]
+
+    def _add_indexed(self, summary: Summary | None) -> None:
         """Take topics from the index, which lists those without any message, too."""
-        summary = read_summary(path)
         if summary is None:
             return
         for channel in summary.channels.values():
@@ -75,7 +84,7 @@ class McapSurvey:
             try:
                 stamp = stamp_of(self._decoder.decode(*item), item[2])
             except UndecodableMessageError as error:
-                self.losses.add(str(error), f"at {stamp} ns")
+                self._file.losses.add(str(error), f"at {stamp} ns")
         if topic.name not in self._timelines:
             self._timelines[topic.name] = Timeline()
         self._timelines[topic.name].add(stamp)
@@ -99,21 +108,21 @@ class McapSurvey:
 def describe_mcap(path: Path) -> dict[str, Any]:
     """Describe an MCAP file; what is cut off or damaged is in ``losses``."""
     survey = McapSurvey(path)
-    extras = list(_extras(path))
+    extras = survey.extras()
     several = survey.has_several_cameras() and not any(values["name"] == RUN_RECORD for _, values in extras)
     rig, no_rig = opened(lambda: open_grey_mcap(path, {})) if several else (None, None)
     return {
         "name": shown_name(path.resolve()),
         "kind": "mcap",
         "bytes": path.stat().st_size,
-        "complete": not survey.losses.losses,
+        "complete": not survey.losses,
         "topics": survey.topics(),
         "cameras": survey.cameras(),
         "rig": described_cameras(rig),
         "no_rig": no_rig,
         "metadata": [values for kind, values in extras if kind == "metadata"],
         "attachments": [values for kind, values in extras if kind == "attachment"],
-        "losses": described_losses(survey.losses.losses),
+        "losses": described_losses(survey.losses),
     }
 
 
@@ -125,19 +134,11 @@ def _camera(topic: Topic) -> dict[str, Any]:
     return {"topic": topic.name, **camera.values()}
 
 
-def _extras(path: Path) -> Any:
-    for record in read_extras(path):
-        if isinstance(record, Metadata):
-            yield "metadata", _metadata(record)
-        elif isinstance(record, Attachment):
-            yield (
-                "attachment",
-                {
-                    "name": record.name,
-                    "media_type": record.media_type,
-                    "bytes": len(record.data),
-                },
-            )
+def _extra(record: Metadata | Attachment) -> tuple[str, dict[str, Any]]:
+    if isinstance(record, Metadata):
+        return "metadata", _metadata(record)
+    described = {"name": record.name, "media_type": record.media_type, "bytes": len(record.data)}
+    return "attachment", described
 
 
 def _metadata(record: Metadata) -> dict[str, Any]:

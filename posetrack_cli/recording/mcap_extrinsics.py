@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,10 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.extrinsics import composed, inverse
 from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
-from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.depth import MM_PER_M
-from posetrack_cli.recording.mcap_topics import Topic
+from posetrack_cli.recording.mcap_topics import FileTopics
 
 MESSAGES = 1000
 """How many messages of transforms are looked at; static ones come first or again and again."""
@@ -57,9 +55,7 @@ def is_placed(places: Sequence[FloatArray | None]) -> bool:
     return len(known) == len(places) and any(not np.allclose(p[:, 3], known[0][:, 3]) for p in known)
 
 
-def camera_places(
-    path: Path, topics: Mapping[str, Topic], frames: Sequence[str]
-) -> Sequence[FloatArray | None]:
+def camera_places(topics: FileTopics, frames: Sequence[str]) -> Sequence[FloatArray | None]:
     """Return camera_T_first (3, 4), mm, of each camera's frame from the file's transforms.
 
     The first transform between two frames counts: cameras do not move against each other.
@@ -67,16 +63,16 @@ def camera_places(
     Returns:
         None for a frame that no transforms connect with the first.
     """
-    names = [name for name, topic in topics.items() if topic.type_name in TRANSFORM_TYPES]
-    reached = _reached(_edges(path, names) if names else {}, frames[0])
+    names = [name for name, topic in topics.by_name.items() if topic.type_name in TRANSFORM_TYPES]
+    reached = _reached(_edges(topics.file.messages(names)) if names else {}, frames[0])
     return [reached.get(frame.lstrip("/")) for frame in frames]
 
 
-def _edges(path: Path, names: Sequence[str]) -> Edges:
-    """Return the transforms of the file's first messages on some topics, both ways."""
+def _edges(messages: Iterator[McapItem]) -> Edges:
+    """Return the transforms of the first messages, both ways."""
     edges: Edges = {}
     decoder, left, left_bytes = MessageDecoder(), limits.TRANSFORMS, limits.TRANSFORM_BYTES
-    for item in islice(read_messages(path, LossLog(), names), MESSAGES):
+    for item in islice(messages, MESSAGES):
         left_bytes -= len(item[2].data)
         if left_bytes < 0:
             break

@@ -7,7 +7,7 @@ goes, which ends the frames with a loss, not an error.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,9 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
-from posetrack_cli.mcap.stream import McapItem, read_messages
-from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.recording.camera_file import (
-    DepthCamera,
-    NotCalibratedError,
-    Rig,
-    load_depth_camera,
-    load_rig,
-)
+from posetrack_cli.mcap.stream import McapFile, McapItem
+from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, TruthMessage, truth_message
+from posetrack_cli.recording.camera_file import DepthCamera, Rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import file_identity
@@ -40,13 +34,7 @@ from posetrack_cli.recording.mcap_cameras import (
     find_sources,
     sources_of_rig,
 )
-from posetrack_cli.recording.mcap_topics import (
-    Topic,
-    calibration_frames,
-    choose_depth_topic,
-    frame_id_of_topic,
-    scan_topics,
-)
+from posetrack_cli.recording.mcap_topics import FileTopics, Topic, scan_topics
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
 from posetrack_cli.recording.stored import StoredImage, no_png
@@ -65,14 +53,16 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
             together with a camera file.
     """
     topics = scan_topics(path)
-    source = _depth_topic(choose_depth_topic(path, topics, options.get("topic")))
+    source = _depth_topic(topics.depth_topic(options.get("topic")))
     settings = _camera_file(options)
-    calibration = "" if settings else _calibration_topic(source, topics, options.get("camera_topic"))
+    name, frame_id = source.topic.name, source.topic.frame_id
+    wanted = options.get("camera_topic")
+    calibration = "" if settings else choose_calibration(name, frame_id, topics.calibration_frames, wanted)
     stored = (
         settings.stored_camera(*source.size, source.name)
         if settings
         else calibrated_camera(
-            path, topics, source, calibration, "choose another with --camera-topic, or pass --camera"
+            topics, source, calibration, "choose another with --camera-topic, or pass --camera"
         )
     )
     window = _window(settings.crop if settings else None, settings, options)
@@ -88,10 +78,10 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
 
     return Recording(
         path,
-        [_stream(path, source, window, stored)],
+        [_TopicImages(path, source, window).stream(stored)],
         identity=identity,
         frame_count=source.topic.count,
-        truth=_truth(path, topics, mirror=window.mirror),
+        truth=_truth(topics, mirror=window.mirror),
     )
 
 
@@ -106,10 +96,10 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
             image of another size raises it while it is read.
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
-    rig, sources, cameras, calibration = _grey_cameras(path, topics, options)
+    rig, sources, cameras, calibration = _grey_cameras(topics, options)
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
     streams = [
-        _stream(path, source, window, camera)
+        _TopicImages(path, source, window).stream(camera)
         for source, window, camera in zip(sources, windows, cameras, strict=True)
     ]
     counts = {source.topic.count for source in sources}
@@ -132,7 +122,7 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
         streams,
         identity=identity,
         frame_count=count,
-        truth=_truth(path, topics, mirror=windows[0].mirror),
+        truth=_truth(topics, mirror=windows[0].mirror),
         tolerance_ns=tolerance,
         is_guessed=calibration == GUESSED,
     )
@@ -144,7 +134,7 @@ def _depth_topic(topic: Topic) -> CameraTopic[Depth]:
     if image is None or image.depth is None:
         raise TypeError(f"{topic.name} holds no depth")
     pixels = Depth(image.width, image.height, image.depth, stored=image.encoding)
-    return CameraTopic(topic, frame_id_of_topic(topic) or "camera", pixels)
+    return CameraTopic(topic, topic.frame_id or "camera", pixels)
 
 
 def _camera_file(options: ReadingOptions) -> DepthCamera | None:
@@ -163,36 +153,31 @@ def _camera_file(options: ReadingOptions) -> DepthCamera | None:
     return settings
 
 
-def _calibration_topic(source: CameraTopic[Depth], topics: Mapping[str, Topic], wanted: str | None) -> str:
-    frame_id = frame_id_of_topic(source.topic)
-    return choose_calibration(source.topic.name, frame_id, calibration_frames(topics), wanted)
-
-
 def _grey_cameras(
-    path: Path, topics: Mapping[str, Topic], options: ReadingOptions
+    topics: FileTopics, options: ReadingOptions
 ) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str]:
     """Return the camera file if there is one, topics and stored images' cameras, and where these are from."""
     file, wanted, guess = options.get("camera_file"), options.get("cameras"), options.get("guess")
     if file is None:
-        sources = distinct_names(find_sources(path, topics, wanted))
-        return None, sources, *_cameras(path, topics, sources, guess)
+        sources = distinct_names(find_sources(topics, wanted))
+        return None, sources, *_cameras(topics, sources, guess)
     rig = load_rig(file)
     rig = rig if wanted is None else rig.chosen(wanted)
-    sources = [_with_bits(source, rig) for source in sources_of_rig(path, topics, rig)]
+    sources = [_with_bits(source, rig) for source in sources_of_rig(topics, rig)]
     cameras = rig.stored_cameras({source.name: source.size for source in sources})
     if guess is not None:
-        check_one_camera(path, rig.cameras)
+        check_one_camera(topics.path, rig.cameras)
     return rig, sources, cameras, FROM_FILE
 
 
 def _cameras(
-    path: Path, topics: Mapping[str, Topic], sources: Sequence[GreyTopic], guess: Guess | None
+    topics: FileTopics, sources: Sequence[GreyTopic], guess: Guess | None
 ) -> tuple[list[Camera], str]:
     """Return the cameras of stored images, and where they are from."""
     if guess is not None:
-        check_one_camera(path, [source.name for source in sources])
+        check_one_camera(topics.path, [source.name for source in sources])
     try:
-        return cameras_of_messages(path, topics, sources), FROM_MESSAGES
+        return cameras_of_messages(topics, sources), FROM_MESSAGES
     except NotCalibratedError:
         if guess is None:
             raise
@@ -213,55 +198,53 @@ def _window(
     return Window(crop, bool(file and file.mirror) if mirror is None else mirror)
 
 
-def _stream(path: Path, source: CameraTopic[Pixels], window: Window, stored: Camera) -> CameraStream:
-    """Return the images of one topic, given the camera of the images as they are stored."""
+@dataclass(frozen=True, eq=False)
+class _TopicImages:
+    """The images of one topic.
 
-    def images(losses: LossLog) -> Iterator[StoredImage | None]:
-        decoder, is_alone = MessageDecoder(), source.pixels.is_numbered_as_stored
-        damage = losses if is_alone else LossLog()
+    Attributes:
+        path: the file.
+        source: the topic.
+        window: the part of the images that is used.
+    """
+
+    path: Path
+    source: CameraTopic[Pixels]
+    window: Window
+
+    def stream(self, stored: Camera) -> CameraStream:
+        """Return the stream, given the camera of the images as they are stored."""
+        return CameraStream(self.window.camera(stored), self.source.pixels, self._images)
+
+    def _images(self, losses: LossLog) -> Iterator[StoredImage | None]:
+        decoder, is_alone = MessageDecoder(), self.source.pixels.is_numbered_as_stored
+        file = McapFile(self.path, losses if is_alone else None)
         try:
-            for number, item in enumerate(read_messages(path, damage, [source.topic.name])):
+            for number, item in enumerate(file.messages([self.source.topic.name])):
                 try:
-                    yield _image(path, source, window, decoder.decode(*item), item)
+                    yield self._image(decoder.decode(*item), item)
                 except UndecodableMessageError as error:
                     at = f"at {item[2].log_time} ns"
                     losses.add(f"message skipped, {error}", f"frame {number} {at}" if is_alone else at)
                     yield None
         finally:
             if not is_alone:
-                losses.include(damage.losses)  # every camera's pass meets the same damage
+                losses.include(file.losses.losses)  # every camera's pass meets the same damage
 
-    return CameraStream(window.camera(stored), source.pixels, images)
+    def _image(self, decoded: Any, item: McapItem) -> StoredImage:
+        pixels, stamp, kind = self.source.pixels, stamp_of(decoded, item[2]), str(self.source.topic.kind)
+        where = f"{self.source.topic.name} at {stamp} ns"
 
+        def decode() -> ImageArray:
+            return self.window.apply(pixels.from_message(decoded, kind, f"{self.path}, {where}"))
 
-def _image(
-    path: Path, source: CameraTopic[Pixels], window: Window, decoded: Any, item: McapItem
-) -> StoredImage:
-    stamp, kind = stamp_of(decoded, item[2]), str(source.topic.kind)
-    where = f"{source.topic.name} at {stamp} ns"
-
-    def decode() -> ImageArray:
-        return window.apply(source.pixels.from_message(decoded, kind, f"{path}, {where}"))
-
-    png = partial(source.pixels.png_of_message, decoded, kind) if window.keeps_pixels else no_png
-    return StoredImage(stamp, where, decode, png)
+        png = partial(pixels.png_of_message, decoded, kind) if self.window.keeps_pixels else no_png
+        return StoredImage(stamp, where, decode, png)
 
 
-def _truth(path: Path, topics: Mapping[str, Topic], *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:
+def _truth(topics: FileTopics, *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:
     """Return what yields the truth: nothing if images are mirrored, as it is not about the mirrored scene."""
-    names = [name for name in topics if name.startswith(TRUTH_PREFIX)]
-    return no_truth if mirror or not names else partial(_truth_messages, path, names)
-
-
-def _truth_messages(path: Path, names: Sequence[str]) -> Iterator[TruthMessage]:
-    for schema, channel, message in read_messages(path, LossLog(), names):
-        yield TruthMessage(
-            topic=channel.topic,
-            schema_name=schema.name if schema else "",
-            schema_encoding=schema.encoding if schema else "",
-            schema_data=schema.data if schema else b"",
-            message_encoding=channel.message_encoding,
-            log_time_ns=message.log_time,
-            data=message.data,
-            channel_metadata=dict(channel.metadata),
-        )
+    names = [name for name in topics.by_name if name.startswith(TRUTH_PREFIX)]
+    if mirror or not names:
+        return no_truth
+    return lambda: (truth_message(item) for item in topics.file.messages(names))

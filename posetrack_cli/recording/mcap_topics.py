@@ -10,7 +10,6 @@ from typing import Any
 from mcap.records import Channel, Schema
 
 from posetrack_cli.errors import RecordingError, nearest_name
-from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -18,7 +17,7 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     kind_of,
 )
-from posetrack_cli.mcap.stream import McapItem, read_messages
+from posetrack_cli.mcap.stream import McapFile, McapItem
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.depth import ImageDescription, describe_image
 
@@ -61,6 +60,11 @@ class Topic:
         return self.kind is None or self.first is not None or self.tries >= TRIES
 
     @property
+    def frame_id(self) -> str:
+        """The coordinate frame of its first message, empty if there is none."""
+        return frame_id_of(self.first) if self.first is not None else ""
+
+    @property
     def label(self) -> str:
         """Name, type and encoding, for lists of candidates."""
         encoding = self.image.encoding if self.image is not None else "does not decode"
@@ -98,88 +102,96 @@ class TopicScan:
         return topic
 
 
-def scan_topics(path: Path) -> dict[str, Topic]:
-    """Return the topics of a file by name: from its index, or by reading all of it if it has none."""
-    summary = read_summary(path)
-    scan = TopicScan()
+@dataclass(frozen=True, eq=False)
+class FileTopics:
+    """The topics of one file.
+
+    Attributes:
+        file: the file.
+        by_name: its topics.
+    """
+
+    file: McapFile
+    by_name: Mapping[str, Topic]
+
+    @property
+    def path(self) -> Path:
+        """Of the file."""
+        return self.file.path
+
+    @property
+    def images(self) -> list[Topic]:
+        """The topics of images that have any."""
+        return [t for t in self.by_name.values() if t.kind not in (None, CALIBRATION) and t.count]
+
+    @property
+    def calibration_frames(self) -> dict[str, str]:
+        """The coordinate frame of every calibration, by topic."""
+        return {
+            name: topic.frame_id
+            for name, topic in self.by_name.items()
+            if topic.kind == CALIBRATION and topic.first is not None
+        }
+
+    def depth_topic(self, wanted: str | None = None) -> Topic:
+        """Return the topic that holds depth: the one asked for, else the only one that does.
+
+        Raises:
+            RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
+                or if there is not exactly one candidate.
+        """
+        depth = [topic for topic in self.images if topic.is_depth]
+        asked = None if wanted is None else self.by_name.get(wanted)
+        if asked is not None and asked.is_depth:
+            return asked
+        if wanted is not None:
+            names = [candidate.name for candidate in depth] or list(self.by_name)
+            raise RecordingError(
+                "no such topic" if asked is None else "topic holds no depth",
+                where=self.path,
+                found=f"'{wanted}'" if asked is None else asked.label,
+                expected=_labels(depth) or "a topic with depth images, of which there is none",
+                hint=nearest_name(wanted, names) if asked is None and names else "",
+            )
+        if len(depth) == 1:
+            return depth[0]
+        if depth:
+            what, hint = "several topics hold depth", "choose one with --topic"
+            raise RecordingError(what, where=self.path, found=_labels(depth), hint=hint)
+        among = f" among {', '.join(sorted(self.by_name))}" if self.by_name else ""
+        raise RecordingError(
+            "no topic holds depth",
+            where=self.path,
+            found=_labels(self.images) or f"no image topics{among}",
+            expected="images of 16UC1, mono16, 32FC1 or 16-bit png",
+        )
+
+
+def scan_topics(path: Path) -> FileTopics:
+    """Return the topics of a file: from its index, or by reading all of it if it has none."""
+    file, summary, scan = McapFile(path), read_summary(path), TopicScan()
     if summary is None or summary.statistics is None:
-        for item in read_messages(path, LossLog()):
+        for item in file.messages():
             scan.inspect(item).count += 1
-        return scan.topics
+        return FileTopics(file, scan.topics)
     for channel in summary.channels.values():
         topic = scan.topic(summary.schemas.get(channel.schema_id), channel)
         topic.count += summary.statistics.channel_message_counts.get(channel.id, 0)
-    _settle(path, scan)
-    return scan.topics
+    _settle(file, scan)
+    return FileTopics(file, scan.topics)
 
 
-def choose_depth_topic(path: Path, topics: dict[str, Topic], wanted: str | None = None) -> Topic:
-    """Return the topic that holds depth: the one asked for, else the only one that does.
-
-    Raises:
-        RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
-            or if there is not exactly one candidate.
-    """
-    images = [topic for topic in topics.values() if topic.kind not in (None, CALIBRATION) and topic.count]
-    depth = [topic for topic in images if topic.is_depth]
-    if wanted is not None:
-        return _asked_for(path, wanted, topics, depth)
-    if len(depth) == 1:
-        return depth[0]
-    if depth:
-        raise RecordingError(
-            "several topics hold depth", where=path, found=_labels(depth), hint="choose one with --topic"
-        )
-    found = _labels(images) or "no image topics" + (f" among {', '.join(sorted(topics))}" if topics else "")
-    raise RecordingError(
-        "no topic holds depth",
-        where=path,
-        found=found,
-        expected="images of 16UC1, mono16, 32FC1 or 16-bit png",
-    )
-
-
-def calibration_frames(topics: Mapping[str, Topic]) -> dict[str, str]:
-    """Return the coordinate frame of every calibration, by topic."""
-    return {
-        name: frame_id_of_topic(topic)
-        for name, topic in topics.items()
-        if topic.kind == CALIBRATION and topic.first is not None
-    }
-
-
-def frame_id_of_topic(topic: Topic) -> str:
-    """Return the coordinate frame of a topic's first message, empty if there is none."""
-    return frame_id_of(topic.first) if topic.first is not None else ""
-
-
-def _settle(path: Path, scan: TopicScan) -> None:
+def _settle(file: McapFile, scan: TopicScan) -> None:
     """Look at messages until all topics that have any are settled: one pass for however many topics."""
     waiting = {name for name, topic in scan.topics.items() if topic.count and not topic.is_settled}
     if not waiting:
         return
-    for item in read_messages(path, LossLog(), waiting.__contains__):
+    for item in file.messages(waiting.__contains__):
         topic = scan.inspect(item)
         if topic.is_settled:
             waiting.discard(topic.name)
             if not waiting:
                 return
-
-
-def _asked_for(path: Path, wanted: str, topics: dict[str, Topic], depth: list[Topic]) -> Topic:
-    topic = topics.get(wanted)
-    if topic is not None and topic.is_depth:
-        return topic
-    what = "no such topic" if topic is None else "topic holds no depth"
-    found = f"'{wanted}'" if topic is None else topic.label
-    names = [candidate.name for candidate in depth] or list(topics)
-    raise RecordingError(
-        what,
-        where=path,
-        found=found,
-        expected=_labels(depth) or "a topic with depth images, of which there is none",
-        hint=nearest_name(wanted, names) if topic is None and names else "",
-    )
 
 
 def _labels(topics: list[Topic]) -> str:

@@ -17,7 +17,8 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input, utf8_name
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, Rig, found_rig
+from posetrack_cli.recording.base import CAMERA_FILE_NAME
+from posetrack_cli.recording.camera_file import Rig, found_rig
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import grey_like
 from posetrack_cli.recording.identity import file_identity, shown_name

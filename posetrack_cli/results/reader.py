@@ -23,15 +23,13 @@ from posetrack_cli.mcap.records import MAGIC
 from posetrack_cli.mcap.stream import (
     DAMAGED,
     TRUNCATED,
+    McapFile,
     McapItem,
     Topics,
-    read_channels,
-    read_extras,
-    read_messages,
 )
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
-from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage
+from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
 from posetrack_cli.recording.mcap_calibration import camera_from_message
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
@@ -118,8 +116,8 @@ class Result:
     @cached_property
     def channels(self) -> tuple[tuple[Schema, Channel], ...]:
         """Every channel with its schema, ordered by topic."""
-        with self._reading() as losses:
-            found = [(schema or NO_SCHEMA, channel) for schema, channel in read_channels(self.path, losses)]
+        with self._reading() as file:
+            found = [(schema or NO_SCHEMA, channel) for schema, channel in file.channels()]
         return tuple(sorted(found, key=lambda pair: (pair[1].topic, pair[1].id)))
 
     @property
@@ -235,19 +233,8 @@ class Result:
         return dict(zip(names, self.columns(fields=(NUMBERS,))[NUMBERS].T, strict=True))
 
     def truth(self) -> Iterator[TruthMessage]:
-        """Yield the messages of ground truth undecoded, in file order."""
-        for known, channel, message in self._messages(lambda topic: topic.startswith(TRUTH_PREFIX)):
-            schema = known or NO_SCHEMA
-            yield TruthMessage(
-                topic=channel.topic,
-                schema_name=schema.name,
-                schema_encoding=schema.encoding,
-                schema_data=schema.data,
-                message_encoding=channel.message_encoding,
-                log_time_ns=message.log_time,
-                data=message.data,
-                channel_metadata=channel.metadata,
-            )
+        """Return the messages of ground truth undecoded, in file order."""
+        return map(truth_message, self._messages(lambda topic: topic.startswith(TRUTH_PREFIX)))
 
     def camera(self) -> Camera:
         """Return the camera that the estimates are relative to; its name is the frame id.
@@ -289,9 +276,8 @@ class Result:
         Raises:
             ResultError: there is none of this name.
         """
-        with self._reading() as losses:
-            extras = read_extras(self.path, losses)
-            found = {record.name: record.data for record in extras if isinstance(record, Attachment)}
+        with self._reading() as file:
+            found = {record.name: record.data for record in file.extras() if isinstance(record, Attachment)}
         if name not in found:
             raise ResultError(
                 f"holds no attachment '{name}'", where=self.path, found=", ".join(found) or "none"
@@ -300,19 +286,19 @@ class Result:
 
     def _messages(self, topics: Topics) -> Iterator[McapItem]:
         """Yield the messages on some topics in file order, those of a smoothed track by their log times."""
-        with self._reading() as losses:
+        with self._reading() as file:
             backward = not callable(topics) and any(name.startswith(SMOOTHED_PREFIX) for name in topics or ())
-            yield from read_messages(self.path, losses, topics, in_file_order=not backward)
+            yield from file.messages(topics, in_file_order=not backward)
 
     @contextmanager
-    def _reading(self) -> Iterator[LossLog]:
+    def _reading(self) -> Iterator[McapFile]:
         """Whatever a pass loses is told in ``losses``, also by a pass that ends early."""
-        log = LossLog()
+        file = McapFile(self.path)
         try:
             with opened(self.path):
-                yield log
+                yield file
         finally:
-            self._losses.include(log.losses)
+            self._losses.include(file.losses.losses)
 
 
 def read_result(path: Path | str) -> Result:
@@ -324,14 +310,14 @@ def read_result(path: Path | str) -> Result:
     path = Path(path)
     if not path.exists() and part_path(path).exists():
         raise ResultError("does not exist", where=path, hint=f"an unfinished run left {part_path(path)}")
-    losses = LossLog()
+    file = McapFile(path)
     with opened(path):
-        metadata = {r.name: r.metadata for r in read_extras(path, losses) if isinstance(r, Metadata)}
+        metadata = {r.name: r.metadata for r in file.extras() if isinstance(r, Metadata)}
     if RUN_RECORD not in metadata or SUBJECT_RECORD not in metadata:
         raise ResultError(
             "is no result of posetrack",
             where=path,
-            found=loss_line(losses.losses),
+            found=loss_line(file.losses.losses),
             expected=f"metadata {RUN_RECORD}",
         )
     try:
@@ -340,9 +326,9 @@ def read_result(path: Path | str) -> Result:
         cameras = cameras_from_record(metadata[CAMERAS_RECORD]) if CAMERAS_RECORD in metadata else ()
     except ResultError as error:
         raise ResultError(str(error), where=path) from error
-    truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in losses.losses)
+    truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in file.losses.losses)
     summary = metadata.get(SUMMARY_RECORD, {})
-    return Result(path, subject, metadata[RUN_RECORD], summary, truncated, cameras, losses)
+    return Result(path, subject, metadata[RUN_RECORD], summary, truncated, cameras, file.losses)
 
 
 @contextmanager
@@ -366,7 +352,7 @@ def is_result(path: Path) -> bool:
     summary = read_summary(path)
     if summary is not None:
         return any(index.name == RUN_RECORD for index in summary.metadata_indexes)
-    return any(isinstance(r, Metadata) and r.name == RUN_RECORD for r in read_extras(path))
+    return any(isinstance(r, Metadata) and r.name == RUN_RECORD for r in McapFile(path).extras())
 
 
 def load_arrays(path: Path | str, topic: str | None = None) -> Columns:

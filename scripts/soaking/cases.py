@@ -10,7 +10,7 @@ import cv2
 
 from benchmarking.commands import POSETRACK
 from benchmarking.recordings import link_recording
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.base import CAMERA_FILE_NAME
 from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.synthesis.hand.frames import synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions

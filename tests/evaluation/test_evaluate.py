@@ -181,7 +181,7 @@ def test_images_are_looked_at_when_the_recording_is_given(
         "posetrack_cli.evaluation.metrics.image_consistency.image_consistency", image_consistency
     )
     monkeypatch.setattr(
-        "posetrack_cli.evaluation.evaluate.required_recording", lambda result, given: ("opened", given)
+        "posetrack_cli.evaluation.recording_of.required_recording", lambda result, given: ("opened", given)
     )
     options = EvalOptions(recording=tmp_path / "recording.mcap")
     found, nothing, apart = (evaluate(path, options) for _ in answers)

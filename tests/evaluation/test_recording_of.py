@@ -17,10 +17,13 @@ from posetrack_cli.evaluation.recording_of import (
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import RunOptions, run_record
+from posetrack_cli.recording.camera_file import LONE_NAME
+from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.results.reader import Result
+from support import images
 from support.viewing import make_folder, make_recording, make_result, truth_of, write_camera
 
 RATE = 20.0
@@ -204,6 +207,17 @@ def test_an_mcap_tracked_with_a_camera_file_gets_the_run_s_camera(
         k: v for k, v in values[1].items() if k != "name"
     }
     assert (next(found.frames()).depth == next(opened.frames()).depth).all()
+
+
+def test_a_folder_of_one_camera_without_a_name_is_opened_as_the_run_opened_it(tmp_path: Path) -> None:
+    """The run record calls the camera what its frames do, which no file and no folder does."""
+    folder = images.write_rig(tmp_path / "rig", {"left": images.grey_images(2)}) / "left"
+    unnamed = Path(shutil.copytree(folder, tmp_path / "unnamed"))
+    result = result_of(tmp_path / "r.mcap", open_recording(unnamed, "grey", fps=RATE, guess=Guess()))
+    assert result.run["input.cameras"] == LONE_NAME
+    record = {**result.run, "intrinsics": "guessed"}
+    found = search_recording(replace(result, run=record), unnamed).recording
+    assert found is not None and found.is_guessed
 
 
 def test_options_that_do_not_apply_are_wrong_usage(recording: Path, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, run_record
-from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.losses import Loss
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.rendering.port import RenderingDevice
@@ -33,7 +33,7 @@ def truth_at(stamp_ns: int, data: bytes = b"{}") -> TruthMessage:
 
 def truths(path: Path) -> list[tuple[int, bytes]]:
     """Stamps and contents of the truth in a result, in file order."""
-    messages = read_messages(path, LossLog(), ["/truth/hand/pose"])
+    messages = McapFile(path).messages(["/truth/hand/pose"])
     return [(message.log_time, message.data) for _, _, message in messages]
 
 

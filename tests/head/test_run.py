@@ -18,8 +18,7 @@ from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.model_file import load_model, model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import Estimate, load_arrays, read_result
@@ -160,7 +159,7 @@ def test_an_exported_table_has_the_numbers(track: Track, tmp_path: Path) -> None
 
 def test_the_other_camera_stands_where_its_transform_says(track: Track, tmp_path: Path) -> None:
     track(Memory())
-    messages = read_messages(tmp_path / "r.mcap", LossLog(), ["/tf_static"])
+    messages = McapFile(tmp_path / "r.mcap").messages(["/tf_static"])
     ((_, _, message),) = messages
     (placed,) = FrameTransforms.FromString(message.data).transforms
     assert (placed.parent_frame_id, placed.child_frame_id) == ("left", "right")

@@ -24,7 +24,7 @@ from posetrack_cli.mcap.records import (
     read_record,
     record_spans,
 )
-from posetrack_cli.mcap.stream import read_channels, read_extras, read_messages
+from posetrack_cli.mcap.stream import McapFile
 
 messages = st.lists(
     st.tuples(st.integers(0, 2), st.integers(0, 2**64 - 1), st.binary(max_size=40)), max_size=12
@@ -121,7 +121,7 @@ THREE = [(0, 30, b"x"), (1, 10, b"y"), (0, 20, b"z"), (2, 5, b"w"), (0, 1, b"v")
 
 
 def stamps(path: Path, losses: LossLog, **options: bool) -> list[int]:
-    return [message.log_time for _, _, message in read_messages(path, losses, ["/a", "/c"], **options)]
+    return [message.log_time for _, _, message in McapFile(path, losses).messages(["/a", "/c"], **options)]
 
 
 def test_order_is_that_of_time_or_that_of_the_file(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_order_is_that_of_time_or_that_of_the_file(tmp_path: Path) -> None:
     path.write_bytes(written(THREE))
     assert stamps(path, losses) == [1, 5, 20, 30]
     assert stamps(path, losses, in_file_order=True) == [30, 20, 5, 1]
-    by_prefix = read_messages(path, losses, lambda topic: topic > "/b", in_file_order=True)
+    by_prefix = McapFile(path, losses).messages(lambda topic: topic > "/b", in_file_order=True)
     assert [message.log_time for _, _, message in by_prefix] == [5]
     assert losses.losses == ()
 
@@ -138,9 +138,9 @@ def test_order_is_that_of_time_or_that_of_the_file(tmp_path: Path) -> None:
 def test_channels_and_metadata_are_found_with_and_without_an_index(tmp_path: Path, options: dict) -> None:
     path, losses = tmp_path / "r.mcap", LossLog()
     path.write_bytes(written(THREE, **options))
-    assert [channel.topic for _, channel in read_channels(path, losses)] == ["/a", "/b", "/c"]
-    assert {schema.name for schema, _ in read_channels(path, losses) if schema} == {"s"}
-    assert [record.name for record in read_extras(path, losses)] == ["first", "last"]
+    assert [channel.topic for _, channel in McapFile(path, losses).channels()] == ["/a", "/b", "/c"]
+    assert {schema.name for schema, _ in McapFile(path, losses).channels() if schema} == {"s"}
+    assert [record.name for record in McapFile(path, losses).extras()] == ["first", "last"]
     assert stamps(path, losses, in_file_order=True) == [30, 20, 5, 1]
     assert losses.losses == ()
 

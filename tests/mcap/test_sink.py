@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from posetrack_cli.errors import ResultError
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.sink import LIBRARY, McapSink
-from posetrack_cli.mcap.stream import read_extras, read_messages, read_summary
+from posetrack_cli.mcap.stream import McapFile, read_summary
 
 
 def write_all(path: Path, finish: bool = True) -> Path:
@@ -39,7 +39,7 @@ def write_all(path: Path, finish: bool = True) -> Path:
 
 def test_what_is_written_can_be_read(tmp_path: Path) -> None:
     path = write_all(tmp_path / "a.mcap")
-    items = list(read_messages(path, LossLog()))
+    items = list(McapFile(path).messages())
     assert [(c.topic, m.log_time, m.publish_time, m.sequence) for _, c, m in items] == [
         ("/a", 5, 5, 0),
         ("/a", 6, 6, 1),
@@ -57,7 +57,7 @@ def test_what_is_written_can_be_read(tmp_path: Path) -> None:
     )
     assert channel.metadata == {"unit": "mm"}
     assert RawImage.FromString(message.data).width == 5
-    names = [record.name for record in read_extras(path)]
+    names = [record.name for record in McapFile(path).extras()]
     assert names == ["posetrack.run", "hand.glb"]
 
 
@@ -79,7 +79,7 @@ def test_channel_without_schema(tmp_path: Path) -> None:
     with McapSink(path, compression="none") as sink:
         sink.write(sink.raw_channel("/x", "", "", b"", "json"), 1, b"{}")
         sink.finish()
-    ((schema, channel, _),) = read_messages(path, LossLog())
+    ((schema, channel, _),) = McapFile(path).messages()
     assert schema is None
     assert channel.schema_id == 0
 
@@ -91,7 +91,7 @@ def test_bytes_are_the_same_each_time(tmp_path: Path) -> None:
 def test_without_finish_there_is_no_footer_and_flushed_messages_remain(tmp_path: Path) -> None:
     path = write_all(tmp_path / "a.mcap", finish=False)
     log = LossLog()
-    assert len(list(read_messages(path, log))) == 5, "the message after the flush is lost"
+    assert len(list(McapFile(path, log).messages())) == 5, "the message after the flush is lost"
     assert len(log.losses) == 1
     assert read_summary(path) is None
 
@@ -101,7 +101,7 @@ def test_flush_reaches_the_operating_system(tmp_path: Path) -> None:
     with McapSink(path) as sink:
         sink.write(sink.channel("/a", RawImage), 1, b"")
         sink.flush()
-        assert len(list(read_messages(path, LossLog()))) == 1
+        assert len(list(McapFile(path).messages())) == 1
 
 
 def test_exception_does_not_finish_the_file(tmp_path: Path) -> None:

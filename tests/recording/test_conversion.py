@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
-from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC, convert_recording
 from posetrack_cli.recording.opening import open_recording
 
@@ -44,7 +43,7 @@ def test_png_bytes_are_copied_and_stamped(tmp_path: Path, make: SimpleNamespace)
 
     folder = make.write_folder(tmp_path / "r", make.depth_codes(3))
     convert_recording(open_recording(folder), tmp_path / "out.mcap")
-    items = list(read_messages(tmp_path / "out.mcap", LossLog()))
+    items = list(McapFile(tmp_path / "out.mcap").messages())
     assert [channel.topic for _, channel, _ in items] == [CALIBRATION_TOPIC, *[IMAGE_TOPIC] * 3]
     files = sorted(folder.glob("*.png"))
     for (_, _, message), file, stamp in zip(items[1:], files, make.stamps(3), strict=True):
@@ -111,7 +110,7 @@ def test_converted_file_converts_to_itself(tmp_path: Path, foxglove_file: Path) 
     convert_recording(open_recording(foxglove_file), tmp_path / "a.mcap")
     convert_recording(open_recording(tmp_path / "a.mcap"), tmp_path / "b.mcap")
     first, second = (
-        [(c.topic, m.log_time, m.data) for _, c, m in read_messages(tmp_path / name, LossLog())]
+        [(c.topic, m.log_time, m.data) for _, c, m in McapFile(tmp_path / name).messages()]
         for name in ("a.mcap", "b.mcap")
     )
     assert first == second

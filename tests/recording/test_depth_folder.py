@@ -11,7 +11,7 @@ import pytest
 from mcap.records import Metadata
 
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.mcap.stream import read_extras
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.opening import describe, open_recording
 
@@ -315,7 +315,7 @@ def test_a_name_that_is_no_text_is_told_and_stored(tmp_path: Path, make: SimpleN
     out = tmp_path / "out.mcap"
     convert_recording(open_recording(folder), out)
     assert open_recording(folder).identity()["name"] == describe(folder)["name"] == "r\ufffdö"
-    (source,) = (record for record in read_extras(out) if isinstance(record, Metadata))
+    (source,) = (record for record in McapFile(out).extras() if isinstance(record, Metadata))
     assert source.metadata["name"] == "r\ufffdö"
 
 

@@ -274,11 +274,10 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
 
 
 def copy_messages(path: Path, sink: Any) -> None:
-    from posetrack_cli.losses import LossLog
-    from posetrack_cli.mcap.stream import read_messages
+    from posetrack_cli.mcap.stream import McapFile
 
     channels: dict[str, int] = {}
-    for schema, channel, message in read_messages(path, LossLog()):
+    for schema, channel, message in McapFile(path).messages():
         if channel.topic not in channels:
             channels[channel.topic] = sink.raw_channel(
                 channel.topic, schema.name, schema.encoding, schema.data, channel.message_encoding
@@ -315,9 +314,7 @@ def test_ros_2_static_transforms(tmp_path: Path, make: SimpleNamespace) -> None:
             }
             writer.write_message("/tf_static", schema, {"transforms": [transform]}, 1, 1)
         writer.finish()
-    left, right, other = camera_places(
-        tmp_path / "r.mcap", scan_topics(tmp_path / "r.mcap"), ["left", "right", "x"]
-    )
+    left, right, other = camera_places(scan_topics(tmp_path / "r.mcap"), ["left", "right", "x"])
     np.testing.assert_array_equal(left, np.eye(3, 4))
     assert other is None
     # the right camera's own origin is at (100, 0, 20) mm for the left; its x axis points along -z there
@@ -330,7 +327,7 @@ def test_ros_1_transforms(tmp_path: Path, make: SimpleNamespace) -> None:
     data += make.ros1_bytes("ddddddd", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
     schema = "tf2_msgs/TFMessage", tf_definition(make, make.HEADER_TEXT_1)
     path = make.write_ros1_messages(tmp_path / "r.mcap", [schema], [("/tf", 0, 1, data)])
-    _, right = camera_places(path, scan_topics(path), ["left", "right"])
+    _, right = camera_places(scan_topics(path), ["left", "right"])
     np.testing.assert_allclose(right[:, 3], [-100, 0, 0])
 
 

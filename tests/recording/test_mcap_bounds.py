@@ -22,7 +22,7 @@ from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.chunks import ChunkLimitError, decompressed
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError
 from posetrack_cli.mcap.records import HEAD, MAGIC, chunk_records, record_spans
-from posetrack_cli.mcap.stream import DAMAGED_CHUNK, LARGE_CHUNK, read_messages
+from posetrack_cli.mcap.stream import DAMAGED_CHUNK, LARGE_CHUNK, McapFile
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.mcap_topics import scan_topics
 
@@ -90,7 +90,7 @@ def test_a_chunk_larger_than_any_is_a_loss(tmp_path: Path, compression: str) -> 
     losses = LossLog()
     path = file_of(tmp_path / "r.mcap", claimed, whole)
     with memory_below(8 * MIB):
-        assert [m.data for _, _, m in read_messages(path, losses)] == [b"data"]
+        assert [m.data for _, _, m in McapFile(path, losses).messages()] == [b"data"]
     (loss,) = losses.losses
     assert loss.what == LARGE_CHUNK
     assert f"chunk of {limits.CHUNK_BYTES + 1} bytes" in loss.first
@@ -101,9 +101,9 @@ def test_all_chunks_together_are_bounded(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(limits, "EXPANSION", 2)
     blank = chunk(message(5, bytes(1000)), "zstd")
     two, seven = (file_of(tmp_path / f"{count}.mcap", *[blank] * count) for count in (2, 7))
-    assert len(list(read_messages(two, LossLog()))) == 2
+    assert len(list(McapFile(two).messages())) == 2
     with pytest.raises(RecordingError, match=r"7\.mcap: chunks decompress to more than any recording's do"):
-        list(read_messages(seven, LossLog()))
+        list(McapFile(seven).messages())
 
 
 def test_a_chunk_of_more_records_than_bytes_is_a_loss() -> None:
@@ -130,7 +130,7 @@ def test_channels_that_are_said_again_are_parsed_once_and_new_ones_are_bounded(t
     content = small * 1000 + message(1, b"x" * 4000)
     assert len(list(chunk_records(chunk(content, "")))) == 2
     losses = LossLog()
-    assert not list(read_messages(file_of(tmp_path / "r.mcap", chunk(large, "zstd")), losses))
+    assert not list(McapFile(file_of(tmp_path / "r.mcap", chunk(large, "zstd")), losses).messages())
     assert [loss.what for loss in losses.losses] == [LARGE_CHUNK]
 
 
@@ -140,9 +140,9 @@ def test_messages_that_wait_for_their_turn_are_bounded(
     monkeypatch.setattr(limits, "PENDING_BYTES", 3500)
     path = indexed(tmp_path / "r.mcap", [(1, 99), (2, 98), (3, 97)])  # each chunk reaches over the others
     with pytest.raises(RecordingError, match="chunks overlap in time, found 4000 bytes"):
-        list(read_messages(path, LossLog()))
+        list(McapFile(path).messages())
     apart = indexed(tmp_path / "s.mcap", [(1, 2), (3, 4), (5, 6)])
-    assert len(list(read_messages(apart, LossLog()))) == 6
+    assert len(list(McapFile(apart).messages())) == 6
 
 
 def indexed(
@@ -190,7 +190,7 @@ def test_an_index_that_leads_astray_is_not_believed(tmp_path: Path, change: Call
     assert read_summary(good) is not None
     path = indexed(tmp_path / "bad.mcap", [(1, 2), (3, 4)], change)
     assert read_summary(path) is None
-    assert [m.log_time for _, _, m in read_messages(path, LossLog())] == [1, 2, 3, 4]
+    assert [m.log_time for _, _, m in McapFile(path).messages()] == [1, 2, 3, 4]
 
 
 def test_a_summary_is_never_decompressed(tmp_path: Path) -> None:
@@ -207,7 +207,7 @@ def test_a_summary_is_never_decompressed(tmp_path: Path) -> None:
     path.write_bytes(data)
     assert read_summary(path) is not None
     losses = LossLog()
-    assert not list(read_messages(path, losses))
+    assert not list(McapFile(path, losses).messages())
     assert [loss.what for loss in losses.losses] == [DAMAGED_CHUNK]
 
 
@@ -225,8 +225,6 @@ def test_a_summary_of_another_checksum_is_not_believed(tmp_path: Path) -> None:
 
 def test_topics_are_told_in_one_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pass for each of 1,000 topics that never decode would read a small file a thousand times."""
-    from posetrack_cli.recording import mcap_topics
-
     with (tmp_path / "r.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
@@ -237,12 +235,13 @@ def test_topics_are_told_in_one_pass(tmp_path: Path, monkeypatch: pytest.MonkeyP
         writer.finish()
     passes = []
 
-    def counted(*arguments: object) -> object:
+    def counted(file: McapFile, *arguments: object) -> object:
         passes.append(arguments)
-        return read_messages(*arguments)  # type: ignore[arg-type]
+        return read(file, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(mcap_topics, "read_messages", counted)
-    assert len(scan_topics(tmp_path / "r.mcap")) == 20
+    read = McapFile.messages
+    monkeypatch.setattr(McapFile, "messages", counted)
+    assert len(scan_topics(tmp_path / "r.mcap").by_name) == 20
     assert len(passes) == 1
 
 

@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.opening import open_recording
 
 
@@ -234,8 +234,8 @@ def test_losses_are_told_once_per_pass(tmp_path: Path, foxglove_file: Path) -> N
     path = tmp_path / "cut.mcap"
     path.write_bytes(foxglove_file.read_bytes()[:-200])
     log = LossLog()
-    list(read_messages(path, log))
-    list(read_messages(path, log))
+    list(McapFile(path, log).messages())
+    list(McapFile(path, log).messages())
     assert [loss.count for loss in log.losses] == [2]
     recording = open_recording(path)
     for _ in range(2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.joint_offsets import JointOffsets, OffsetFrame, remove_joint_offsets
@@ -12,8 +13,10 @@ from posetrack_cli.evaluation.metrics.metric import Metric, error, number
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
-from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
+
+if TYPE_CHECKING:
+    from posetrack_cli.recording.recording import Recording
 
 _PALM_AXES = {
     "x": "a right hand's thumb ahead",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Curve
@@ -12,13 +12,15 @@ from posetrack_cli.evaluation.joint_offsets import JointOffsets, OffsetFrame
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
+
+if TYPE_CHECKING:
+    from posetrack_cli.recording.recording import Recording
 
 Measure: TypeAlias = Callable[[Measures, Matched, int], Curve | None]
 """Adds what is measured of matched frames against truth; the number is that of frames that were missed."""
 RemoveOffsets: TypeAlias = Callable[[Result, Matched, OffsetFrame], tuple[Track, JointOffsets | None]]
-CompareImages: TypeAlias = Callable[[Result, Recording, str], Mapping[str, FloatArray]]
+CompareImages: TypeAlias = Callable[[Result, "Recording", str], Mapping[str, FloatArray]]
 """Measures a track of a result, by name, against images: values (N,) by metric, NaN where there is none."""
 
 

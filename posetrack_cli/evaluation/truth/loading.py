@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track
 from posetrack_cli.evaluation.truth.points_topic import POINTS_SCHEMA_NAME, points_topic, points_track
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import is_mcap, read_channels, read_messages
+from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
@@ -56,7 +56,7 @@ def load_truth(
     """
     log = LossLog() if losses is None else losses
     if path is None:
-        truth = _topics_truth(result.path, result.subject, "truth", LossLog())
+        truth = _topics_truth(McapFile(result.path), result.subject, "truth")
     else:
         truth = _given(result, path, log)
     if truth is None:
@@ -78,7 +78,7 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
         return load_csv_track(path, result.subject)
     if is_result(path):
         return _estimates_of(path, result.subject, losses)
-    truth = _topics_truth(path, result.subject, path.name, losses)
+    truth = _topics_truth(McapFile(path, losses), result.subject, path.name)
     if truth is None:
         raise TruthError(
             f"holds no truth of a {result.subject.name}",
@@ -101,21 +101,21 @@ def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
     return truth
 
 
-def _topics_truth(path: Path, subject: Subject, name: str, losses: LossLog) -> Track | None:
+def _topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
     """Return the truth on an MCAP file's topics, None if there is none of this subject."""
-    schemas = {c.topic: s.name for s, c in read_channels(path, LossLog()) if s is not None}
+    schemas = {c.topic: s.name for s, c in McapFile(file.path).channels() if s is not None}
     if schemas.get(_estimate_topic(subject.name)) == ESTIMATE_SCHEMA_NAME:
-        return _estimates_truth(path, subject, name, losses)
+        return _estimates_truth(file, subject, name)
     if schemas.get(odometry_topic(subject.name)) == ODOMETRY_SCHEMA:
-        return odometry_track(path, subject.name, schemas, name, losses)
+        return odometry_track(file, subject.name, schemas, name)
     if schemas.get(points_topic(subject.name)) == POINTS_SCHEMA_NAME:
-        return points_track(path, subject, name, losses)
+        return points_track(file, subject, name)
     return None
 
 
-def _estimates_truth(path: Path, subject: Subject, name: str, losses: LossLog) -> Track:
+def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the truth of a topic of ``posetrack.Estimate``, which is of the result's subject."""
-    messages = read_messages(path, losses, [_estimate_topic(subject.name)])
+    messages = file.messages([_estimate_topic(subject.name)])
     columns = joined(column_blocks((message.data for _, _, message in messages), MOTION_FIELDS))
     sizes = len(subject.shape_names), len(subject.point_names)
     columns = columns or empty_columns(MOTION_FIELDS, *sizes)
@@ -125,7 +125,7 @@ def _estimates_truth(path: Path, subject: Subject, name: str, losses: LossLog) -
     elif found != sizes:
         raise TruthError(
             "truth has other shape entries or points than the result",
-            where=f"{path}, {_estimate_topic(subject.name)}",
+            where=f"{file.path}, {_estimate_topic(subject.name)}",
             found=f"{found[0]} and {found[1]}",
             expected=f"{sizes[0]} and {sizes[1]}",
         )
@@ -137,7 +137,7 @@ def _estimate_topic(subject: str) -> str:
 
 
 def _truth_topics(path: Path) -> Sequence[str]:
-    topics = (channel.topic for _, channel in read_channels(path, LossLog()))
+    topics = (channel.topic for _, channel in McapFile(path).channels())
     return sorted(topic for topic in topics if topic.startswith(TRUTH_PREFIX))
 
 

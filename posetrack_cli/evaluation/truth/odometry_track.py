@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from posetrack_cli.evaluation.truth.checks import unit_quaternions
 from posetrack_cli.geometry.rotations import rotate
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import TRUTH_PREFIX
 
 ODOMETRY_SCHEMA = "foxglove.Odometry"
@@ -37,7 +36,7 @@ def joint_states_topic(subject: str) -> str:
     return f"{TRUTH_PREFIX}{subject}/joint_states"
 
 
-def odometry_track(path: Path, subject: str, schemas: Mapping[str, str], name: str, losses: LossLog) -> Track:
+def odometry_track(file: McapFile, subject: str, schemas: Mapping[str, str], name: str) -> Track:
     """Return the truth of a topic of Odometry and, if there is one, of JointStates; it has no points.
 
     An Odometry gives the linear velocity in the body's axes, a track in camera axes: with R the rotation of
@@ -45,11 +44,10 @@ def odometry_track(path: Path, subject: str, schemas: Mapping[str, str], name: s
     A pose without joint states of the same stamp is left out, and a loss.
 
     Args:
-        path: an MCAP file with a topic ``/truth/<subject>/odometry``.
+        file: has a topic ``/truth/<subject>/odometry``.
         subject: its name.
         schemas: names of the schemas of the file's topics.
         name: what tables and errors call the track.
-        losses: gets what cannot be read.
 
     Raises:
         TruthError: a quaternion is no rotation, or joint states cannot be used.
@@ -58,7 +56,7 @@ def odometry_track(path: Path, subject: str, schemas: Mapping[str, str], name: s
     poses, joints = _Rows(), _Rows()
     has_joints = schemas.get(joint_states_topic(subject)) == JOINT_STATES_SCHEMA
     topics = {odometry_topic(subject), *([joint_states_topic(subject)] if has_joints else [])}
-    for topic, stamp_ns, message in _decoded(path, topics, losses):
+    for topic, stamp_ns, message in _decoded(file, topics):
         if topic == odometry_topic(subject):
             poses.add(stamp_ns, _POSE, _pose_row(message))
         else:
@@ -66,7 +64,7 @@ def odometry_track(path: Path, subject: str, schemas: Mapping[str, str], name: s
     check_stamps(poses.stamps, f"{name}, {odometry_topic(subject)}")
     check_stamps(joints.stamps, f"{name}, {joint_states_topic(subject)}")
     if has_joints:
-        poses, joints = _together(poses, joints, losses)
+        poses, joints = _together(poses, joints, file.losses)
     return _track(poses, joints, subject, name)
 
 
@@ -109,14 +107,14 @@ class _Rows:
         return _Rows(self.names, [self.stamp_ns[i] for i in kept], [self.rows[i] for i in kept])
 
 
-def _decoded(path: Path, topics: set[str], losses: LossLog) -> Iterator[tuple[str, int, Any]]:
+def _decoded(file: McapFile, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, stamp and message; one that does not decode is a loss."""
     decoder = MessageDecoder()
-    for schema, channel, message in read_messages(path, losses, topics):
+    for schema, channel, message in file.messages(topics):
         try:
             decoded = decoder.decode(schema, channel, message)
         except UndecodableMessageError as error:
-            losses.add(str(error), f"at {message.log_time} ns")
+            file.losses.add(str(error), f"at {message.log_time} ns")
             continue
         yield channel.topic, stamp_of(decoded, message), decoded
 

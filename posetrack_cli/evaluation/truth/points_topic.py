@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.association import check_stamps
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import read_messages
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.strict_json import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
@@ -74,14 +72,13 @@ def points_messages(track: Track) -> Iterator[TruthMessage]:
         yield TruthMessage(topic, POINTS_SCHEMA_NAME, "jsonschema", schema, "json", stamp_ns, data)
 
 
-def points_track(path: Path, subject: Subject, name: str, losses: LossLog) -> Track:
+def points_track(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the truth of a topic of ``posetrack.Points``: points, no poses.
 
     Args:
-        path: an MCAP file with the topic ``/truth/<subject>/points``.
+        file: has the topic ``/truth/<subject>/points``.
         subject: of the result.
         name: what tables and errors call the track.
-        losses: gets what cannot be read.
 
     Raises:
         TruthError: a message cannot be used, or the points change their names.
@@ -91,7 +88,7 @@ def points_track(path: Path, subject: Subject, name: str, losses: LossLog) -> Tr
     names: tuple[str, ...] = ()
     stamps: list[int] = []
     rows: list[FloatArray] = []
-    for _, _, message in read_messages(path, losses, [topic]):
+    for _, _, message in file.messages([topic]):
         where = f"{name}, {topic} at {message.log_time} ns"
         own, stamp, points = _parsed(message.data, where)
         if stamps and own != names:

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.recorded_hand import configuration_of, hand_of
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.captions import caption
 from posetrack_cli.evaluation.viewing.colours import TEXT, TRUTH, Colour, DepthRange, false_colour
-from posetrack_cli.evaluation.viewing.drawing import SkeletonDrawer
-from posetrack_cli.evaluation.viewing.hand_drawing import hand_segments
-from posetrack_cli.evaluation.viewing.layers import MOST_RESULTS, Drawing, DrawnTrack, ViewOptions, not_lost
+from posetrack_cli.evaluation.viewing.drawing import Canvas, SkeletonDrawer, caption, marked
+from posetrack_cli.evaluation.viewing.hand_drawing import HandSegments
+from posetrack_cli.evaluation.viewing.layers import (
+    MOST_RESULTS,
+    Drawing,
+    DrawnEstimate,
+    Instant,
+    ViewOptions,
+    not_lost,
+)
 from posetrack_cli.evaluation.viewing.viewport import Framing, Viewport
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.observation import PixelSampler
-from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
 _DIMMED, _OPACITY = 0.6, 0.8
 _BONE: Colour = (255, 255, 255)
-_BORDER_PX = 4
 _ROOM_PX = 420
 """From this width on, one result's caption is one line."""
 
@@ -50,108 +55,115 @@ class DepthPanels:
         layout: str = "over",
         skeleton: SkeletonDrawer | None = None,
     ) -> None:
-        self.camera, self.drawing, self._depths = camera, drawing, depths
-        self._layout, self._skeleton = layout, skeleton
+        self.drawing = drawing
+        self._camera, self._depths, self._layout, self._skeleton = camera, depths, layout, skeleton
         self._sampler = PixelSampler(camera)  # what is drawn comes from a pinhole camera
         self._framing = Framing(camera, drawing.around, drawing.scale, still=drawing.still)
 
-    def picture(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
-        """Return the picture (height, width, 3), blue green red, of a frame, with its caption below.
-
-        Args:
-            frame: the depth image.
-            stamp_ns: of the estimates.
-            points: (P, 3) mm that it is cut out around, where the part that is shown moves.
-        """
-        viewport, tracks = self._framing.viewport(points), self.drawing.tracks
+    def picture(self, instant: Instant) -> ImageArray:
+        """Return the picture (height, width, 3), blue green red, of a frame, with its caption below."""
+        scene = self.scene(instant)
         if self._layout == "side-by-side":
-            return np.hstack([self._alone(frame, stamp_ns, viewport, drawn) for drawn in tracks])
-        panels = self._panels(frame, stamp_ns, viewport)
-        body = np.vstack(panels) if self._layout == "paper" else np.hstack(panels)
-        return np.vstack([body, self._caption(frame, stamp_ns, tracks, body.shape[1])])
-
-    def plain(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
-        """Return observed depth and, right of it, the estimates over it; no caption."""
-        viewport = self._framing.viewport(points)
-        observed = self.observed(frame, viewport)
-        return np.hstack([observed, self.over(observed, stamp_ns, viewport, self.drawing.tracks)])
-
-    def _panels(self, frame: Frame, stamp_ns: int, viewport: Viewport) -> list[ImageArray]:
-        observed, tracks = self.observed(frame, viewport), self.drawing.tracks
+            return np.hstack([scene.captioned([scene.over(drawn)], (drawn,)) for drawn in instant.estimates])
         if self._layout == "over":
-            return [self.over(observed, stamp_ns, viewport, tracks)]
-        if self._layout == "segments":
-            return [observed, *(self.segments(frame, stamp_ns, viewport, drawn) for drawn in tracks)]
-        panels = [observed]
-        for drawn in tracks:
-            panels.append(self.rendered(stamp_ns, viewport, drawn))
-            if self._layout == "beside":
-                panels.append(self.over(observed, stamp_ns, viewport, (drawn,)))
-        return panels
+            panels = [scene.over(*instant.estimates)]
+        elif self._layout == "segments":
+            panels = [scene.observed, *map(scene.segments, instant.estimates)]
+        else:
+            panels = [scene.observed]
+            for drawn in instant.estimates:
+                panels += [scene.rendered(drawn), *([scene.over(drawn)] if self._layout == "beside" else [])]
+        return scene.captioned(panels, instant.estimates, downwards=self._layout == "paper")
 
-    def _alone(self, frame: Frame, stamp_ns: int, viewport: Viewport, drawn: DrawnTrack) -> ImageArray:
-        """One of several results, with a caption of its own."""
-        panel = self.over(self.observed(frame, viewport), stamp_ns, viewport, (drawn,))
-        return np.vstack([panel, self._caption(frame, stamp_ns, (drawn,), panel.shape[1])])
+    def plain(self, instant: Instant) -> ImageArray:
+        """Return observed depth and, right of it, the estimates over it; no caption."""
+        scene = self.scene(instant)
+        return np.hstack([scene.observed, scene.over(*instant.estimates)])
 
-    def observed(self, frame: Frame, viewport: Viewport) -> ImageArray:
-        """The frame's depth in false colour, without lens distortion."""
-        straight = self._sampler.sample(frame.depth, Window.whole(self.camera))
-        return false_colour(viewport.cut(straight), self._depths)
+    def scene(self, instant: Instant) -> DepthScene:
+        """Return what panels of an instant are drawn from."""
+        camera, viewport = self._camera, self._framing.viewport(instant.points)
+        straight = self._sampler.sample(instant.frame.depth, Window.whole(camera))
+        return DepthScene(instant, viewport, camera, false_colour(straight, self._depths), self._skeleton)
 
-    def rendered(self, stamp_ns: int, viewport: Viewport, drawn: DrawnTrack) -> ImageArray:
+
+@dataclass(frozen=True, eq=False)
+class DepthScene:
+    """One instant on a depth image, of which panels show the same part.
+
+    Attributes:
+        instant: what is drawn.
+        viewport: the part.
+        camera: of the whole image.
+        whole: the whole depth in false colour, without lens distortion.
+        skeleton: drawn over every estimate, None for none.
+    """
+
+    instant: Instant
+    viewport: Viewport
+    camera: Camera
+    whole: ImageArray
+    skeleton: SkeletonDrawer | None = None
+
+    @property
+    def observed(self) -> ImageArray:
+        """The frame's depth."""
+        return self.viewport.cut(self.whole)
+
+    def rendered(self, drawn: DrawnEstimate) -> ImageArray:
         """The estimate alone."""
-        width, height = viewport.size
+        width, height = self.viewport.size
         picture = np.zeros((height, width, 3), dtype=np.uint8)
-        self._draw(picture, stamp_ns, viewport, drawn)
-        return marked(picture, drawn.mark(stamp_ns))
+        self._draw(picture, drawn)
+        return marked(picture, drawn.mark)
 
-    def segments(self, frame: Frame, stamp_ns: int, viewport: Viewport, drawn: DrawnTrack) -> ImageArray:
+    def segments(self, drawn: DrawnEstimate) -> ImageArray:
         """What segmentation around an estimate tells apart, over the observed depth, with the contour."""
-        whole = self.observed(frame, Viewport.whole(self.camera))
-        ground = cv2.convertScaleAbs(whole, alpha=_DIMMED)
-        shown = drawn.shown(stamp_ns)
-        if drawn.segments is not None:
-            drawn.segments.paint(ground, frame.depth, shown)
-        picture = np.ascontiguousarray(viewport.cut(ground))
-        drawn.drawer.outline(picture, viewport.camera(self.camera), shown, _BONE)
-        return marked(picture, drawn.mark(stamp_ns))
+        ground = cv2.convertScaleAbs(self.whole, alpha=_DIMMED)
+        if drawn.of.segments is not None:
+            drawn.of.segments.paint(ground, self.instant.frame.depth, drawn.shown)
+        picture = np.ascontiguousarray(self.viewport.cut(ground))
+        drawn.outline(self._canvas(picture), _BONE)
+        return marked(picture, drawn.mark)
 
-    def over(
-        self, observed: ImageArray, stamp_ns: int, viewport: Viewport, tracks: Sequence[DrawnTrack]
-    ) -> ImageArray:
+    def over(self, *estimates: DrawnEstimate) -> ImageArray:
         """Estimates over the observed depth, which shines through; the truth's contour on top."""
-        ground = cv2.convertScaleAbs(observed, alpha=_DIMMED)
+        ground = cv2.convertScaleAbs(self.observed, alpha=_DIMMED)
         painted = ground.copy()
-        for drawn in tracks:
-            self._draw(painted, stamp_ns, viewport, drawn)
+        for drawn in estimates:
+            self._draw(painted, drawn)
         picture: ImageArray = cv2.addWeighted(painted, _OPACITY, ground, 1.0 - _OPACITY, 0.0)
-        if self.drawing.truth is not None:
-            camera, shown = viewport.camera(self.camera), self.drawing.truth.shown(stamp_ns)
-            self.drawing.truth.drawer.outline(picture, camera, shown, TRUTH)
-        marks = [mark for mark in (drawn.mark(stamp_ns) for drawn in tracks) if mark is not None]
+        if self.instant.truth is not None:
+            self.instant.truth.outline(self._canvas(picture), TRUTH)
+        marks = [drawn.mark for drawn in estimates if drawn.mark is not None]
         return marked(picture, marks[0] if marks else None)
 
-    def _draw(self, picture: ImageArray, stamp_ns: int, viewport: Viewport, drawn: DrawnTrack) -> None:
-        camera, shown = viewport.camera(self.camera), drawn.shown(stamp_ns)
-        drawn.drawer.draw(picture, camera, shown, drawn.colour)
-        if self._skeleton is not None:
-            self._skeleton.draw(picture, camera, shown, _BONE)
+    def captioned(
+        self, panels: Sequence[ImageArray], estimates: Sequence[DrawnEstimate], *, downwards: bool = False
+    ) -> ImageArray:
+        """Panels beside or below each other, and frame and time below them.
 
-    def _caption(self, frame: Frame, stamp_ns: int, tracks: Sequence[DrawnTrack], width: int) -> ImageArray:
-        """Frame and time, then what is said of each result; on lines of their own where there is no room."""
-        when = self.drawing.when(frame.index, stamp_ns)
-        said = [(drawn.words(stamp_ns), self._ink(drawn, stamp_ns)) for drawn in tracks]
+        Then comes what is said of each estimate; on lines of their own where there is no room.
+        """
+        body = np.vstack(panels) if downwards else np.hstack(panels)
+        when, width = self.instant.when, body.shape[1]
+        said = [(drawn.words, self._ink(drawn)) for drawn in estimates]
         words, ink = said[0]
-        if len(said) == 1 and width >= _ROOM_PX and not tracks[0].name:
-            return caption([([*when, *words], ink)], width)
-        return caption([(when, TEXT), *said], width)
+        if len(said) == 1 and width >= _ROOM_PX and not estimates[0].of.name:
+            return np.vstack([body, caption([([*when, *words], ink)], width)])
+        return np.vstack([body, caption([(when, TEXT), *said], width)])
 
-    def _ink(self, drawn: DrawnTrack, stamp_ns: int) -> Colour:
-        mark = drawn.mark(stamp_ns)
-        if mark is not None:
-            return mark
-        return drawn.colour if len(self.drawing.tracks) > 1 else TEXT
+    def _canvas(self, picture: ImageArray) -> Canvas:
+        return Canvas(picture, self.viewport.camera(self.camera))
+
+    def _draw(self, picture: ImageArray, drawn: DrawnEstimate) -> None:
+        canvas = self._canvas(picture)
+        drawn.draw(canvas)
+        if self.skeleton is not None:
+            self.skeleton.draw(canvas, drawn.shown, _BONE)
+
+    def _ink(self, drawn: DrawnEstimate) -> Colour:
+        return drawn.mark or (drawn.of.colour if len(self.instant.estimates) > 1 else TEXT)
 
 
 def depth_panels(
@@ -180,10 +192,14 @@ def depth_layout(options: ViewOptions, count: int) -> str:
 
 
 def _with_segments(drawing: Drawing, results: Sequence[Result], camera: Camera) -> Drawing:
-    """The tracks, each with what tells the subject's pixels as its own run does."""
+    """The tracks, each with what tells the hand's pixels as its own run does.
+
+    Raises:
+        ResultError: a result is of another subject than a hand.
+    """
     sources = [result for result in results for _ in range(len(drawing.tracks) // len(results))]
     tracks = tuple(
-        replace(drawn, segments=hand_segments(result, camera))
+        replace(drawn, segments=HandSegments(hand_of(result).anatomy, configuration_of(result.run), camera))
         for drawn, result in zip(drawing.tracks, sources, strict=True)
     )
     return replace(drawing, tracks=tracks)
@@ -200,11 +216,3 @@ def _depth_range(options: ViewOptions, track: Track) -> DepthRange:
     rows = not_lost(track, np.arange(len(track), dtype=np.int64))
     source = track.points if track.points is not None else track.position
     return DepthRange.of_points(np.empty(0) if source is None else source[rows][..., 2])
-
-
-def marked(picture: ImageArray, mark: Colour | None) -> ImageArray:
-    """The picture in a frame of this colour, for frames that are lost or found anew."""
-    if mark is not None:
-        height, width = picture.shape[:2]
-        cv2.rectangle(picture, (0, 0), (width - 1, height - 1), mark, 2 * _BORDER_PX - 1)
-    return picture

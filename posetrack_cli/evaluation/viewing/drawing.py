@@ -1,9 +1,11 @@
-"""What can be drawn of an estimate: the interface, and points, bones and axes, which every subject has."""
+"""What can be drawn of an estimate: the interface, what every subject has (points, bones, axes), captions."""
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Protocol
 
@@ -21,8 +23,13 @@ AXIS_COLOURS: tuple[Colour, ...] = ((60, 60, 255), (60, 220, 60), (255, 120, 60)
 AXIS_MM = 60.0
 NEAREST_MM = 1.0
 _SUBPIXEL_BITS = 4
+_BORDER_PX = 4
 _FARTHEST_PX = 20_000.0
 """Lines are cut at the edges of the image; coordinates beyond this overflow in that."""
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SIZE, _SMALLEST = 0.45, 0.33
+_LINE_PX, _BASE_PX, _LEFT_PX, _GAP_PX = 18, 13, 4, 14
+_GROUND: Colour = (24, 24, 24)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +55,48 @@ class Shown:
         return cls(*(None if part is None else part[row] for part in parts))
 
 
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """What is painted on.
+
+    Attributes:
+        picture: (height, width, 3) blue green red, changed in place.
+        camera: the pinhole camera that sees it, of its size.
+    """
+
+    picture: ImageArray
+    camera: Camera
+
+    @property
+    def thickness(self) -> int:
+        """Of lines, pixels."""
+        height: int = self.picture.shape[0]
+        return max(1, round(height / 400))
+
+    def draw_line(self, points: FloatArray, colour: Colour, thickness: int) -> None:
+        """A polyline through points (P, 3), mm; pieces that reach behind the camera are left out."""
+        valid = points[:, 2] >= NEAREST_MM
+        pixels = _fixed_point(self.camera.pixels_from_points(points)[0])
+        for (start, begins), (end, ends) in pairwise(zip(pixels, valid, strict=True)):
+            if begins and ends:
+                cv2.line(self.picture, start, end, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+    def draw_dots(self, points: FloatArray, colour: Colour, radius: int) -> None:
+        """A dot at each of the points (P, 3), mm, before the camera."""
+        pixels = self.camera.pixels_from_points(points[points[:, 2] >= NEAREST_MM])[0]
+        for x, y in _fixed_point(pixels):
+            cv2.circle(
+                self.picture, (x, y), radius << _SUBPIXEL_BITS, colour, -1, cv2.LINE_AA, _SUBPIXEL_BITS
+            )
+
+
 class Drawer(Protocol):
     """Draws one subject; every tracker's pictures come from one of these."""
 
-    def draw(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
-        """Paint into a picture.
+    def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
+        """Paint what is shown; ``colour`` is of what has none of its own."""
 
-        Args:
-            picture: (height, width, 3) blue green red, changed in place.
-            camera: the pinhole camera that sees it, of its size.
-            shown: what to draw.
-            colour: of what has no colour of its own.
-        """
-
-    def outline(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
+    def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint a line drawing that leaves what is below it visible."""
 
 
@@ -86,61 +121,71 @@ class SkeletonDrawer:
     axes: bool = True
     lines: tuple[tuple[int, int], ...] = ()
 
-    def draw(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
+    def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint bones, points and axes; see ``Drawer``."""
-        self.outline(picture, camera, shown, colour)
-        if self.axes:
-            _draw_axes(picture, camera, shown)
+        self.outline(canvas, shown, colour)
+        if not self.axes or shown.position is None or shown.quaternion is None:
+            return
+        ends = shown.position + AXIS_MM * rotations.matrices_from_quaternions(shown.quaternion).T
+        for end, axis_colour in zip(ends, AXIS_COLOURS, strict=True):
+            canvas.draw_line(np.stack([shown.position, end]), axis_colour, 2 * canvas.thickness)
 
-    def outline(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
+    def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint bones, lines and points."""
         if shown.points is None:
             return
-        thickness = _thickness(picture)
-        for child, parent in enumerate(self.parents):
-            if parent >= 0:
-                _draw_line(picture, camera, shown.points[[parent, child]], colour, thickness)
-        for line in self.lines:
-            _draw_line(picture, camera, shown.points[list(line)], colour, thickness)
-        for pixel in _pixels(camera, shown.points):
-            _draw_dot(picture, pixel, colour, 2 * thickness)
-
-
-def _draw_axes(picture: ImageArray, camera: Camera, shown: Shown) -> None:
-    if shown.position is None or shown.quaternion is None:
-        return
-    ends = shown.position + AXIS_MM * rotations.matrices_from_quaternions(shown.quaternion).T
-    for end, colour in zip(ends, AXIS_COLOURS, strict=True):
-        _draw_line(picture, camera, np.stack([shown.position, end]), colour, 2 * _thickness(picture))
-
-
-def _thickness(picture: ImageArray) -> int:
-    height: int = picture.shape[0]
-    return max(1, round(height / 400))
-
-
-def _draw_line(
-    picture: ImageArray, camera: Camera, points: FloatArray, colour: Colour, thickness: int
-) -> None:
-    """A polyline through points (P, 3), mm; pieces that reach behind the camera are left out."""
-    valid = points[:, 2] >= NEAREST_MM
-    pixels = _fixed_point(camera.pixels_from_points(points)[0])
-    for (start, begins), (end, ends) in pairwise(zip(pixels, valid, strict=True)):
-        if begins and ends:
-            cv2.line(picture, start, end, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
-
-
-def _draw_dot(picture: ImageArray, pixel: FloatArray, colour: Colour, radius: int) -> None:
-    ((x, y),) = _fixed_point(pixel[None])
-    cv2.circle(picture, (x, y), radius << _SUBPIXEL_BITS, colour, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
-
-
-def _pixels(camera: Camera, points: FloatArray) -> FloatArray:
-    """Pixels (M, 2) of the points before the camera."""
-    return camera.pixels_from_points(points[points[:, 2] >= NEAREST_MM])[0]
+        bones = [(parent, child) for child, parent in enumerate(self.parents) if parent >= 0]
+        for line in (*bones, *self.lines):
+            canvas.draw_line(shown.points[list(line)], colour, canvas.thickness)
+        canvas.draw_dots(shown.points, colour, 2 * canvas.thickness)
 
 
 def _fixed_point(pixels: FloatArray) -> Sequence[tuple[int, int]]:
     """Pixels (N, 2) as OpenCV's line drawing takes them: integers of 1/16 pixel."""
     fixed = np.rint(np.clip(pixels, -_FARTHEST_PX, _FARTHEST_PX) * (1 << _SUBPIXEL_BITS))
     return [(int(x), int(y)) for x, y in fixed]
+
+
+def marked(picture: ImageArray, mark: Colour | None) -> ImageArray:
+    """The picture in a frame of this colour, for frames that are lost or found anew."""
+    if mark is not None:
+        height, width = picture.shape[:2]
+        cv2.rectangle(picture, (0, 0), (width - 1, height - 1), mark, 2 * _BORDER_PX - 1)
+    return picture
+
+
+def caption(lines: Sequence[tuple[Sequence[str], Colour]], width: int) -> ImageArray:
+    """Lines of words (one after the other, with gaps) as a picture (18 per line, width, 3).
+
+    Every line is written on one row, smaller if it must be, so pictures of one width are equally high.
+    What still does not fit is cut off. Characters that the font lacks are written as ``?``.
+    """
+    picture = np.full((_LINE_PX * len(lines), width, 3), _GROUND, dtype=np.uint8)
+    for number, (words, colour) in enumerate(lines):
+        _write(picture, [_plain(word) for word in words], number * _LINE_PX + _BASE_PX, colour)
+    return picture
+
+
+def _write(picture: ImageArray, words: list[str], base: int, colour: Colour) -> None:
+    free = picture.shape[1] - 2 * _LEFT_PX
+    length = sum(_length(word) for word in words)
+    gaps = max(0, len(words) - 1)
+    shrunk = min(1.0, free / (length + gaps * _GAP_PX)) if length else 1.0
+    size = max(_SMALLEST, _SIZE * shrunk)
+    left = float(_LEFT_PX)
+    for word in words:
+        cv2.putText(picture, word, (round(left), base), _FONT, size, colour, 1, cv2.LINE_AA)
+        left += (_length(word) + _GAP_PX) * size / _SIZE
+
+
+@lru_cache(maxsize=4096)
+def _length(word: str) -> int:
+    """Width at the usual size, pixels."""
+    (width, _), _ = cv2.getTextSize(word, _FONT, _SIZE, 1)
+    return int(width)
+
+
+def _plain(text: str) -> str:
+    """The text in the letters that the font has: accents are left off, other letters are ``?``."""
+    letters = (c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    return "".join(letters).encode("ascii", "replace").decode()

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
-from posetrack_cli.evaluation.viewing.captions import caption
 from posetrack_cli.evaluation.viewing.colours import SKIN, TEXT, Colour
+from posetrack_cli.evaluation.viewing.drawing import caption
 from posetrack_cli.head.face.points import LINES, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 

@@ -7,9 +7,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray
 from posetrack_cli.evaluation.metrics.image_consistency import MESH_LEVEL
-from posetrack_cli.evaluation.recorded_hand import configuration_of, hand_of
 from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
-from posetrack_cli.evaluation.viewing.drawing import Shown, SkeletonDrawer
+from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown, SkeletonDrawer
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
@@ -19,7 +18,6 @@ from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
 from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice
 from posetrack_cli.rendering.window import Window
-from posetrack_cli.results.reader import Result
 
 _RIM = np.ones((3, 3), np.uint8)
 
@@ -58,25 +56,25 @@ class HandDrawer:
         )[0]
         return depth
 
-    def draw(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
+    def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint the shaded hand; see ``Drawer``."""
-        depth = self.depth(camera, shown)
+        depth = self.depth(canvas.camera, shown)
         if depth is None:
-            self._skeleton.draw(picture, camera, shown, colour)
+            self._skeleton.draw(canvas, shown, colour)
             return
         hand = depth > 0
         if hand.any():
-            mm_per_pixel = float(depth[hand].mean()) / camera.fx
-            picture[hand] = shaded(np.array(colour), lit(depth, mm_per_pixel))[hand]
-            picture[_rim(hand)] = 255
+            mm_per_pixel = float(depth[hand].mean()) / canvas.camera.fx
+            canvas.picture[hand] = shaded(np.array(colour), lit(depth, mm_per_pixel))[hand]
+            canvas.picture[_rim(hand)] = 255
 
-    def outline(self, picture: ImageArray, camera: Camera, shown: Shown, colour: Colour) -> None:
+    def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint the hand's contour."""
-        depth = self.depth(camera, shown)
+        depth = self.depth(canvas.camera, shown)
         if depth is None:
-            self._skeleton.outline(picture, camera, shown, colour)
+            self._skeleton.outline(canvas, shown, colour)
         else:
-            picture[_rim(depth > 0)] = colour
+            canvas.picture[_rim(depth > 0)] = colour
 
     def _renderer_of(self, size: tuple[int, int]) -> DepthRenderer:
         """A renderer for pictures of this size; those of one view are all alike."""
@@ -137,17 +135,3 @@ def _blend(picture: ImageArray, tile: ImageArray, left: int, top: int) -> None:
     picture[y0:y1, x0:x1] = cv2.addWeighted(
         np.ascontiguousarray(over), _OPACITY, np.ascontiguousarray(ground), 1.0 - _OPACITY, 0.0
     )
-
-
-def hand_drawer(result: Result, device: RenderingDevice) -> HandDrawer:
-    """Return what draws the hand that a result's run tracked."""
-    return HandDrawer(device, hand_of(result))
-
-
-def hand_segments(result: Result, camera: Camera) -> HandSegments:
-    """Return what tells the hand's pixels as a result's own run does.
-
-    Raises:
-        ResultError: the result is of another subject than a hand.
-    """
-    return HandSegments(hand_of(result).anatomy, configuration_of(result.run), camera)

@@ -11,17 +11,13 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.viewing.captions import caption
 from posetrack_cli.evaluation.viewing.colours import TEXT, TRUTH
-from posetrack_cli.evaluation.viewing.depth_panels import marked
-from posetrack_cli.evaluation.viewing.drawing import Shown
-from posetrack_cli.evaluation.viewing.layers import MOST_RESULTS, Drawing, DrawnTrack, ViewOptions
+from posetrack_cli.evaluation.viewing.drawing import Canvas, caption, marked
+from posetrack_cli.evaluation.viewing.layers import MOST_RESULTS, Drawing, DrawnEstimate, Instant, ViewOptions
 from posetrack_cli.evaluation.viewing.viewport import Framing
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_normalised
 from posetrack_cli.geometry.rotations import canonical, multiply, quaternions_from_matrices
-from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.reader import Result
 from posetrack_cli.results.subject_kind import kind_of
 
 NO_IMAGE = 40
@@ -44,8 +40,8 @@ class CameraPanel:
         self._camera = camera
         self._framing = Framing(camera, drawing.around, drawing.scale, still=drawing.still)
 
-    def picture(self, image: ImageArray | None, points: FloatArray | None) -> tuple[ImageArray, Camera]:
-        """Return the picture (height, width, 3) of a grey image, and the pinhole camera that sees it.
+    def canvas(self, image: ImageArray | None, points: FloatArray | None) -> Canvas:
+        """Return the picture of a grey image, to paint on.
 
         Args:
             image: (h, w) uint8 as it was taken, None where the camera gave none.
@@ -55,7 +51,7 @@ class CameraPanel:
         viewport = self._framing.viewport(points)
         straight = self._straight(image)
         picture = cv2.cvtColor(np.ascontiguousarray(viewport.cut(straight)), cv2.COLOR_GRAY2BGR)
-        return picture, viewport.camera(self._camera)
+        return Canvas(picture, viewport.camera(self._camera))
 
     def _straight(self, image: ImageArray | None) -> ImageArray:
         """The image without lens distortion."""
@@ -76,15 +72,15 @@ class CameraPanel:
         return np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
 
 
-def seen_from(camera: Camera, shown: Shown) -> Shown:
-    """What is shown, from the reference camera's axes to another's."""
-    rotation = np.array(camera.camera_T_reference)[:, :3]
-    turned = None
+def seen_from(camera: Camera, drawn: DrawnEstimate) -> DrawnEstimate:
+    """The estimate, from the reference camera's axes to another's."""
+    shown, turned = drawn.shown, None
     if shown.quaternion is not None:
-        turned = canonical(multiply(quaternions_from_matrices(rotation), shown.quaternion))
+        rotation = quaternions_from_matrices(np.array(camera.camera_T_reference)[:, :3])
+        turned = canonical(multiply(rotation, shown.quaternion))
     position = None if shown.position is None else in_camera_axes(camera, shown.position)
     points = None if shown.points is None else in_camera_axes(camera, shown.points)
-    return replace(shown, position=position, quaternion=turned, points=points)
+    return replace(drawn, shown=replace(shown, position=position, quaternion=turned, points=points))
 
 
 class ImagePanels:
@@ -96,49 +92,31 @@ class ImagePanels:
     """
 
     def __init__(self, cameras: Sequence[Camera], drawing: Drawing) -> None:
+        self.drawing = drawing
         self._panels = [CameraPanel(camera, drawing) for camera in cameras]
-        self._drawing = drawing
 
-    def picture(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
-        """Return the picture (height, width, 3) of a frame, with a caption below each result.
-
-        Args:
-            frame: the images.
-            stamp_ns: of the estimates.
-            points: (P, 3) mm that it is cut out around, where the part that is shown moves.
-        """
+    def picture(self, instant: Instant) -> ImageArray:
+        """Return the picture (height, width, 3) of a frame, with a caption below each result."""
         parts = []
-        for drawn in self._drawing.tracks:
-            body = self._body(frame, stamp_ns, points, drawn)
-            parts += [body, self._caption(frame, stamp_ns, drawn, body.shape[1])]
+        for drawn in instant.estimates:
+            body = self._body(instant, drawn)
+            words = [*instant.when, *drawn.words, *_angles(drawn)]
+            parts += [body, caption([(words, drawn.mark or TEXT)], body.shape[1])]
         return np.vstack(parts)
 
-    def plain(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
+    def plain(self, instant: Instant) -> ImageArray:
         """Return what the cameras saw, with the first result's estimate; no caption."""
-        return self._body(frame, stamp_ns, points, self._drawing.tracks[0])
+        return self._body(instant, instant.estimates[0])
 
-    def _body(self, frame: Frame, stamp_ns: int, points: FloatArray | None, drawn: DrawnTrack) -> ImageArray:
+    def _body(self, instant: Instant, drawn: DrawnEstimate) -> ImageArray:
         pictures = []
-        for panel, image in zip(self._panels, frame.images, strict=True):
-            picture, camera = panel.picture(image, points)
-            drawn.drawer.draw(picture, camera, seen_from(camera, drawn.shown(stamp_ns)), drawn.colour)
-            if self._drawing.truth is not None:
-                shown = seen_from(camera, self._drawing.truth.shown(stamp_ns))
-                self._drawing.truth.drawer.outline(picture, camera, shown, TRUTH)
-            pictures.append(marked(picture, drawn.mark(stamp_ns)))
+        for panel, image in zip(self._panels, instant.frame.images, strict=True):
+            canvas = panel.canvas(image, instant.points)
+            seen_from(canvas.camera, drawn).draw(canvas)
+            if instant.truth is not None:
+                seen_from(canvas.camera, instant.truth).outline(canvas, TRUTH)
+            pictures.append(marked(canvas.picture, drawn.mark))
         return np.hstack(_equally_high(pictures))
-
-    def _caption(self, frame: Frame, stamp_ns: int, drawn: DrawnTrack, width: int) -> ImageArray:
-        said = [*drawn.words(stamp_ns), *_angles(drawn, stamp_ns)]
-        words = [*self._drawing.when(frame.index, stamp_ns), *said]
-        return caption([(words, drawn.mark(stamp_ns) or TEXT)], width)
-
-
-def image_panels(
-    results: Sequence[Result], cameras: Sequence[Camera], drawing: Drawing, options: ViewOptions
-) -> ImagePanels:
-    """Return what draws results on the images of their cameras."""
-    return ImagePanels(cameras, drawing)
 
 
 def image_layout(options: ViewOptions, count: int) -> str:
@@ -164,10 +142,9 @@ def _equally_high(pictures: Sequence[ImageArray]) -> list[ImageArray]:
     return [np.pad(picture, ((0, height - len(picture)), (0, 0), (0, 0))) for picture in pictures]
 
 
-def _angles(drawn: DrawnTrack, stamp_ns: int) -> list[str]:
+def _angles(drawn: DrawnEstimate) -> list[str]:
     """The words of a caption about where the subject is turned."""
-    quaternion = drawn.shown(stamp_ns).quaternion
-    if quaternion is None or drawn.status(stamp_ns) == "lost":
+    if drawn.shown.quaternion is None or drawn.status == "lost":
         return []
-    angles = np.degrees(kind_of(drawn.track.subject).euler_angles(quaternion))
+    angles = np.degrees(kind_of(drawn.of.track.subject).euler_angles(drawn.shown.quaternion))
     return [f"{name} {angle:+.1f}" for name, angle in zip(ANGLES, angles, strict=True)]

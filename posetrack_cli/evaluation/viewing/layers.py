@@ -15,8 +15,9 @@ from posetrack_cli.evaluation.result_names import unique_names
 from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, TONES, Colour
-from posetrack_cli.evaluation.viewing.drawing import Drawer, Segments, Shown
+from posetrack_cli.evaluation.viewing.drawing import Canvas, Drawer, Segments, Shown
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.tracks import FILTERED
 from posetrack_cli.units import NS_PER_S
@@ -59,36 +60,79 @@ class DrawnTrack:
         row = int(nearest_rows(np.array([stamp_ns]), stamps)[0])
         return row if abs(int(stamps[row]) - stamp_ns) <= TOLERANCE_NS else None
 
-    def shown(self, stamp_ns: int) -> Shown:
-        """What to draw at a stamp; nothing where there is no estimate."""
+    def at(self, stamp_ns: int) -> DrawnEstimate:
+        """What is drawn at a stamp; nothing where there is no estimate."""
         row = self.row(stamp_ns)
-        return Shown() if row is None else Shown.of_row(self.track, row)
+        return DrawnEstimate(self, row, Shown() if row is None else Shown.of_row(self.track, row))
 
-    def status(self, stamp_ns: int) -> str:
+
+@dataclass(frozen=True, eq=False)
+class DrawnEstimate:
+    """What is drawn of a track at one instant.
+
+    Attributes:
+        of: the track.
+        row: of its estimate, None without one.
+        shown: of the estimate, in the axes of the camera that it is drawn for.
+    """
+
+    of: DrawnTrack
+    row: int | None
+    shown: Shown
+
+    @property
+    def status(self) -> str:
         """``tracking``, ``lost``, ``reinitialised`` or ``no estimate``."""
-        row = self.row(stamp_ns)
-        return "no estimate" if row is None else self.track.status(row).value
+        return "no estimate" if self.row is None else self.of.track.status(self.row).value
 
-    def mark(self, stamp_ns: int) -> Colour | None:
+    @property
+    def mark(self) -> Colour | None:
         """The colour that marks a frame which is not simply tracked; None for one that is."""
-        status = self.status(stamp_ns)
-        return {"tracking": None, "reinitialised": FOUND_ANEW}.get(status, LOST)
+        return {"tracking": None, "reinitialised": FOUND_ANEW}.get(self.status, LOST)
 
-    def words(self, stamp_ns: int) -> list[str]:
-        """What a caption says of the estimate at a stamp."""
-        row = self.row(stamp_ns)
-        status = self.status(stamp_ns)
-        words = [self.name] if self.name else []
-        words.append(status.upper() if status in ("lost", "no estimate") else status)
-        if row is not None:
-            words += _figure(self.track.confidence, row, lambda value: f"confidence {value:.2f}")
-            words += _figure(self.error_mm, row, lambda value: f"error {value:.1f} mm")
+    @property
+    def words(self) -> list[str]:
+        """What a caption says of the estimate."""
+        words = [self.of.name] if self.of.name else []
+        words.append(self.status.upper() if self.status in ("lost", "no estimate") else self.status)
+        if self.row is not None:
+            words += _figure(self.of.track.confidence, self.row, "confidence {:.2f}")
+            words += _figure(self.of.error_mm, self.row, "error {:.1f} mm")
         return words
 
+    def draw(self, canvas: Canvas) -> None:
+        """Paint it in the track's colour."""
+        self.of.drawer.draw(canvas, self.shown, self.of.colour)
 
-def _figure(values: FloatArray | None, row: int, words: Callable[[float], str]) -> list[str]:
-    known = values is not None and np.isfinite(values[row])
-    return [words(float(values[row]))] if values is not None and known else []
+    def outline(self, canvas: Canvas, colour: Colour) -> None:
+        """Paint it as lines."""
+        self.of.drawer.outline(canvas, self.shown, colour)
+
+
+def _figure(values: FloatArray | None, row: int, words: str) -> list[str]:
+    return [] if values is None or not np.isfinite(values[row]) else [words.format(float(values[row]))]
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """What is drawn of one frame.
+
+    Attributes:
+        frame: what the cameras saw.
+        when: what a caption says of the time.
+        estimates: of each track.
+        truth: drawn over them, None for none.
+    """
+
+    frame: Frame
+    when: list[str]
+    estimates: tuple[DrawnEstimate, ...]
+    truth: DrawnEstimate | None
+
+    @property
+    def points(self) -> FloatArray | None:
+        """(P, 3) mm that its picture is cut out around, where the part that is shown moves."""
+        return self.estimates[0].shown.points
 
 
 def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
@@ -158,9 +202,15 @@ class Drawing:
         """The stamp that captions count the time from."""
         return int(self.tracks[0].track.stamp_ns[0])
 
-    def when(self, frame_index: int, stamp_ns: int) -> list[str]:
-        """What a caption says of an instant."""
-        return [f"frame {frame_index}", f"{(stamp_ns - self.start_ns) / NS_PER_S:.3f} s"]
+    def at(self, frame: Frame, stamp_ns: int) -> Instant:
+        """Return what is drawn of a frame, given the stamp of its estimates."""
+        seconds = (stamp_ns - self.start_ns) / NS_PER_S
+        return Instant(
+            frame,
+            [f"frame {frame.index}", f"{seconds:.3f} s"],
+            tuple(drawn.at(stamp_ns) for drawn in self.tracks),
+            None if self.truth is None else self.truth.at(stamp_ns),
+        )
 
 
 def truth_of(result: Result, options: ViewOptions) -> Track | None:

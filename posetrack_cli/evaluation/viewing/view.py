@@ -10,15 +10,17 @@ from typing import Protocol, TypeAlias
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.matched_frames import matched_frames
+from posetrack_cli.evaluation.recorded_hand import hand_of
 from posetrack_cli.evaluation.recording_of import cameras_of, pixels_of
 from posetrack_cli.evaluation.viewing.colours import TRUTH
 from posetrack_cli.evaluation.viewing.depth_panels import depth_layout, depth_panels
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
-from posetrack_cli.evaluation.viewing.hand_drawing import hand_drawer
-from posetrack_cli.evaluation.viewing.image_panels import image_layout, image_panels
+from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
+from posetrack_cli.evaluation.viewing.image_panels import ImagePanels, image_layout
 from posetrack_cli.evaluation.viewing.layers import (
     Drawing,
     DrawnTrack,
+    Instant,
     ViewOptions,
     drawn_tracks,
     not_lost,
@@ -28,7 +30,6 @@ from posetrack_cli.evaluation.viewing.layers import (
 )
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
@@ -37,23 +38,23 @@ from posetrack_cli.results.reader import Result
 OpenDevice: TypeAlias = Callable[[], RenderingDevice]
 DrawerOf: TypeAlias = Callable[[Result, OpenDevice], Drawer]
 
-DRAWERS: Mapping[str, DrawerOf] = {"hand": lambda result, device: hand_drawer(result, device())}
+DRAWERS: Mapping[str, DrawerOf] = {"hand": lambda result, device: HandDrawer(device(), hand_of(result))}
 """What draws a subject, by its name; of any other its points, lines and axes are drawn."""
 
 
 class Panels(Protocol):
-    """Draws frames, all of one size."""
+    """Draws frames, all of one size.
 
-    def picture(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
-        """Return the picture (height, width, 3), blue green red, of a frame, with its caption below.
+    Attributes:
+        drawing: what is shown, of which instants are taken.
+    """
 
-        Args:
-            frame: what the cameras saw.
-            stamp_ns: of the estimates.
-            points: (P, 3) mm that it is cut out around, where the part that is shown moves.
-        """
+    drawing: Drawing
 
-    def plain(self, frame: Frame, stamp_ns: int, points: FloatArray | None) -> ImageArray:
+    def picture(self, instant: Instant) -> ImageArray:
+        """Return the picture (height, width, 3), blue green red, of a frame, with its caption below."""
+
+    def plain(self, instant: Instant) -> ImageArray:
         """Return the picture of a frame for a report, which has captions of its own."""
 
 
@@ -67,7 +68,7 @@ class _Style:
 
 _STYLES: Mapping[PixelKind, _Style] = {
     "depth": _Style(depth_layout, depth_panels),
-    "grey": _Style(image_layout, image_panels),
+    "grey": _Style(image_layout, lambda results, cameras, drawing, options: ImagePanels(cameras, drawing)),
 }
 
 
@@ -125,9 +126,7 @@ class ResultView:
         numbers = None if track.frame_index is None else track.frame_index[self.rows]
         stamps = track.stamp_ns[self.rows]
         for position, frame in matched_frames(self._recording, stamps, numbers, self._log):
-            row = int(self.rows[position])
-            points = None if track.points is None else track.points[row]
-            yield frame.index, self._panels.picture(frame, int(track.stamp_ns[row]), points)
+            yield frame.index, self._panels.picture(self._panels.drawing.at(frame, int(stamps[position])))
 
     def _around(self, options: ViewOptions, layout: str) -> FloatArray | None:
         """The points that pictures are cut out around; None for all of the image."""

@@ -37,10 +37,9 @@ class Viewport:
         """All of a camera's image."""
         return cls(0, 0, camera.width, camera.height, scale)
 
-    @classmethod
-    def enlarged(cls, camera: Camera, scale: float | None = None) -> Viewport:
-        """All of a camera's image; without a scale, small images are enlarged up to ``LEAST_ROWS``."""
-        return _scaled(cls.whole(camera), scale)
+    def scaled(self, scale: float | None) -> Viewport:
+        """The same part at a scale; by default the whole number that makes it ``LEAST_ROWS`` high."""
+        return replace(self, scale=scale or float(-(-LEAST_ROWS // self.height)))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -82,11 +81,10 @@ class Framing:
         self, camera: Camera, points: FloatArray | None, scale: float | None = None, *, still: bool = True
     ) -> None:
         self._camera, self._moves = camera, points is not None and not still
-        if points is None:
-            self._common = Viewport.enlarged(camera, scale)
-        else:
-            choose = around_points if still else largest_viewport
-            self._common = choose(in_camera_axes(camera, points), camera, scale)
+        common = Viewport.whole(camera)
+        if points is not None:
+            common = (around_points if still else largest_viewport)(in_camera_axes(camera, points), camera)
+        self._common = common.scaled(scale)
 
     def viewport(self, points: FloatArray | None) -> Viewport:
         """Return the part to show where points (P, 3) mm are, in the axes of the reference camera."""
@@ -95,40 +93,37 @@ class Framing:
         return moved_to(self._common, in_camera_axes(self._camera, points), self._camera)
 
 
-def around_points(points: FloatArray, camera: Camera, scale: float | None = None) -> Viewport:
+def around_points(points: FloatArray, camera: Camera) -> Viewport:
     """The part of the image in which all points can be seen, with a margin for skin.
 
     Args:
         points: (..., 3) mm; those behind the camera do not count.
         camera: of the image.
-        scale: None enlarges by whole numbers up to ``LEAST_ROWS``.
     """
     flat = points.reshape(-1, 3)
     flat = flat[flat[:, 2] > 0.0]
     if not flat.size:
-        return Viewport.enlarged(camera, scale)
+        return Viewport.whole(camera)
     pixels, _ = camera.pixels_from_points(flat)
     margin = MARGIN_MM * np.array([camera.fx, camera.fy]) / flat[:, 2:]
     size = np.array([camera.width, camera.height])
     low = np.clip((pixels - margin).min(axis=0), 0, size - 1)
     high = np.clip((pixels + margin).max(axis=0), low + 1, size)
     (left, top), (right, bottom) = np.floor(low).astype(int).tolist(), np.ceil(high).astype(int).tolist()
-    return _scaled(Viewport(left, top, right - left, bottom - top), scale)
+    return Viewport(left, top, right - left, bottom - top)
 
 
-def largest_viewport(points: FloatArray, camera: Camera, scale: float | None) -> Viewport:
-    """A viewport as large as that of the largest of several hands.
+def largest_viewport(points: FloatArray, camera: Camera) -> Viewport:
+    """A viewport as large as that of the largest of several subjects.
 
     Args:
         points: (N, P, 3) of each, mm.
         camera: of the image.
-        scale: as of ``around_points``.
     """
-    each = [around_points(hand, camera, 1.0) for hand in points]
+    each = [around_points(subject, camera) for subject in points]
     if not each:
-        return Viewport.enlarged(camera, scale)
-    width, height = max(one.width for one in each), max(one.height for one in each)
-    return _scaled(Viewport(0, 0, width, height), scale)
+        return Viewport.whole(camera)
+    return Viewport(0, 0, max(one.width for one in each), max(one.height for one in each))
 
 
 def moved_to(viewport: Viewport, points: FloatArray, camera: Camera) -> Viewport:
@@ -142,8 +137,3 @@ def moved_to(viewport: Viewport, points: FloatArray, camera: Camera) -> Viewport
     left = int(np.clip(round(middle[0] - 0.5 * viewport.width), 0, camera.width - viewport.width))
     top = int(np.clip(round(middle[1] - 0.5 * viewport.height), 0, camera.height - viewport.height))
     return replace(viewport, left=left, top=top)
-
-
-def _scaled(viewport: Viewport, scale: float | None) -> Viewport:
-    """The viewport at a scale; by default the whole number that makes it ``LEAST_ROWS`` high."""
-    return replace(viewport, scale=scale or float(-(-LEAST_ROWS // viewport.height)))

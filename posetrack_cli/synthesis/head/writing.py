@@ -18,7 +18,8 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_output, check_place, is_taken, part_path
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME, camera_file_text
+from posetrack_cli.recording.base import CAMERA_FILE_NAME
+from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
 from posetrack_cli.results import messages

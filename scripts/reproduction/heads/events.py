@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mcap.records import Metadata
 
-from posetrack_cli.mcap.stream import read_extras
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
 
 Interval = tuple[float, float]
@@ -39,7 +39,7 @@ def events_of(recording: Path) -> Events:
     """Return what the record of a synthetic recording, an MCAP file, tells; of any other nothing."""
     if not recording.is_file():
         return NOTHING
-    for record in read_extras(recording):
+    for record in McapFile(recording).extras():
         if isinstance(record, Metadata) and record.name == SYNTH_RECORD:
             told = record.metadata
             return Events(_interval(told.get("turn_s", "")), _interval(told.get("occlusion_s", "")))

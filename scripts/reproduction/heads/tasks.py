@@ -16,7 +16,7 @@ from pathlib import Path
 import click
 
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.recording.camera_file import CAMERA_FILE_NAME
+from posetrack_cli.recording.base import CAMERA_FILE_NAME
 from reproduction.heads_data import camera_file_text, frame_rate
 from reproduction.made import code_digest, command, drawing_digest, is_made, mark_made
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.evaluation.viewing.captions import caption
+from posetrack_cli.evaluation.viewing.drawing import caption
 
 WHITE = (255, 255, 255)
 WORDS = ["frame 12", "0.400 s", "tracking", "confidence 0.75"]

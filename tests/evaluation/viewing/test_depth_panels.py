@@ -11,11 +11,10 @@ import pytest
 
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.colours import LOST, SECOND, SKIN, TRUTH, DepthRange
-from posetrack_cli.evaluation.viewing.depth_panels import LAYOUTS, DepthPanels
+from posetrack_cli.evaluation.viewing.depth_panels import LAYOUTS, DepthPanels, DepthScene
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.layers import Drawing, DrawnTrack, point_errors
-from posetrack_cli.evaluation.viewing.viewport import Viewport
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.recording.base import Frame
@@ -24,7 +23,6 @@ from support.evaluation import FRAME_NS, hand_track
 from support.viewing import KINECT
 
 FRAMES = 4
-WHOLE = Viewport.whole(KINECT)
 LENS = replace(KINECT, distortion=(0.25, -0.1, 0.002, -0.003, 0.0))
 CAPTION_PX = 18
 
@@ -46,14 +44,18 @@ def frame_of(drawer: HandDrawer, track: Track, row: int = 1, camera: Camera = KI
     return Frame(row, int(track.stamp_ns[row]), (np.where(depth > 0, depth, 2000.0).astype(np.float32),))
 
 
-def panels_of(
-    *tracks: DrawnTrack, camera: Camera = KINECT, truth: DrawnTrack | None = None, layout: str = "over"
-) -> DepthPanels:
-    return DepthPanels(camera, Drawing(tracks, truth, scale=1.0), DepthRange(500.0, 1000.0), layout)
+def picture_of(frame: Frame, *tracks: DrawnTrack, layout: str) -> np.ndarray:
+    drawing = Drawing(tracks, None, scale=1.0)
+    panels = DepthPanels(KINECT, drawing, DepthRange(500.0, 1000.0), layout)
+    return panels.picture(drawing.at(frame, frame.stamp_ns))
 
 
-def picture_of(panels: DepthPanels, frame: Frame) -> np.ndarray:
-    return panels.picture(frame, frame.stamp_ns, None)
+def scene_of(
+    frame: Frame, *tracks: DrawnTrack, camera: Camera = KINECT, truth: DrawnTrack | None = None
+) -> DepthScene:
+    drawing = Drawing(tracks, truth, scale=1.0)
+    panels = DepthPanels(camera, drawing, DepthRange(500.0, 1000.0))
+    return panels.scene(drawing.at(frame, frame.stamp_ns))
 
 
 def near_colour(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
@@ -61,29 +63,28 @@ def near_colour(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray
 
 
 def test_over_changes_the_hand_s_pixels_and_dims_the_rest(drawer: HandDrawer, track: Track) -> None:
-    frame, panels = frame_of(drawer, track), panels_of(DrawnTrack(track, drawer))
+    frame = frame_of(drawer, track)
     hand = frame.depth < 1000.0
-    observed = panels.observed(frame, WHOLE)
-    over = panels.over(observed, frame.stamp_ns, WHOLE, panels.drawing.tracks)
+    scene = scene_of(frame, DrawnTrack(track, drawer))
+    observed, over = scene.observed, scene.over(*scene.instant.estimates)
     np.testing.assert_allclose(over[~hand], 0.6 * observed[~hand], atol=1.0)
     changed = np.abs(over.astype(float) - 0.6 * observed).max(axis=2) > 10
     assert changed[hand].mean() > 0.99
 
 
 def test_rendered_shows_the_estimate_and_nothing_else(drawer: HandDrawer, track: Track) -> None:
-    frame, panels = frame_of(drawer, track), panels_of(DrawnTrack(track, drawer))
-    hand = frame.depth < 1000.0
-    np.testing.assert_array_equal(
-        panels.rendered(frame.stamp_ns, WHOLE, panels.drawing.tracks[0]).any(axis=2), hand
-    )
+    frame = frame_of(drawer, track)
+    scene = scene_of(frame, DrawnTrack(track, drawer))
+    rendered = scene.rendered(scene.instant.estimates[0])
+    np.testing.assert_array_equal(rendered.any(axis=2), frame.depth < 1000.0)
 
 
 def test_the_truth_is_a_green_contour_where_the_truth_is(drawer: HandDrawer, track: Track) -> None:
     assert track.position is not None
     wrong = replace(track, position=track.position + np.array([60.0, 0.0, 0.0]))
-    panels = panels_of(DrawnTrack(wrong, drawer), truth=DrawnTrack(track, drawer, TRUTH))
     frame = frame_of(drawer, track)
-    picture = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, panels.drawing.tracks)
+    scene = scene_of(frame, DrawnTrack(wrong, drawer), truth=DrawnTrack(track, drawer, TRUTH))
+    picture = scene.over(*scene.instant.estimates)
     hand = (frame.depth < 1000.0).astype(np.uint8)
     rim = (hand > 0) & (cv2.erode(hand, np.ones((3, 3), np.uint8)) == 0)
     np.testing.assert_array_equal(near_colour(picture, TRUTH), rim)
@@ -101,14 +102,14 @@ def test_frames_that_are_not_simply_tracked_have_a_border(
     frame = frame_of(drawer, track, row)
     if status == "no estimate":
         frame = replace(frame, stamp_ns=10 * FRAMES * FRAME_NS)
-    layer = DrawnTrack(changed, drawer)
-    assert layer.status(frame.stamp_ns) == status
-    panels = panels_of(layer)
-    border = panels.over(panels.observed(frame, WHOLE), frame.stamp_ns, WHOLE, (layer,))[0]
+    scene = scene_of(frame, DrawnTrack(changed, drawer))
+    (drawn,) = scene.instant.estimates
+    assert drawn.status == status
+    border = scene.over(drawn)[0]
     red = near_colour(border[None], LOST).all()
     assert red == (status in ("lost", "no estimate"))
-    assert bool(layer.mark(frame.stamp_ns)) == (status != "tracking")
-    words = " ".join(layer.words(frame.stamp_ns))
+    assert bool(drawn.mark) == (status != "tracking")
+    words = " ".join(drawn.words)
     assert (status.upper() if red else status) in words
 
 
@@ -128,9 +129,9 @@ def test_a_distorted_image_is_straightened_to_where_the_hand_is_drawn(
     seen = cv2.remap(straight.depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     frame = replace(straight, images=(seen,))
     assert ((seen < 1000.0) != (straight.depth < 1000.0)).sum() > 300, "the lens moves the hand"
-    panels = panels_of(DrawnTrack(track, drawer), camera=LENS)
-    shown = panels.observed(frame, WHOLE)
-    drawn = panels.rendered(frame.stamp_ns, WHOLE, panels.drawing.tracks[0]).any(axis=2)
+    scene = scene_of(frame, DrawnTrack(track, drawer), camera=LENS)
+    shown = scene.observed
+    drawn = scene.rendered(scene.instant.estimates[0]).any(axis=2)
     wall = tuple(shown[350, 100].tolist())
     in_image = ~near_colour(shown, wall) & shown.any(axis=2)
     assert (in_image != drawn).sum() < 0.05 * drawn.sum()  # nearest pixels twice: an edge moves by one
@@ -152,8 +153,8 @@ def test_sizes_of_layouts(
     drawer: HandDrawer, track: Track, layout: str, results: int, across: int, down: int
 ) -> None:
     layers = [DrawnTrack(track, drawer, tone, name) for tone, name in ((SKIN, "a"), (SECOND, "b"))]
-    panels = panels_of(*(layers if results == 2 else [DrawnTrack(track, drawer)]), layout=layout)
-    pictures = [picture_of(panels, frame_of(drawer, track, row)) for row in range(FRAMES)]
+    tracks = layers if results == 2 else [DrawnTrack(track, drawer)]
+    pictures = [picture_of(frame_of(drawer, track, row), *tracks, layout=layout) for row in range(FRAMES)]
     height, width = pictures[0].shape[:2]
     assert width == KINECT.width * across
     assert (height - KINECT.height * down) in (CAPTION_PX, 2 * CAPTION_PX, 3 * CAPTION_PX)
@@ -163,7 +164,7 @@ def test_sizes_of_layouts(
 
 def test_two_results_differ_in_colour(drawer: HandDrawer, track: Track) -> None:
     both = DrawnTrack(track, drawer, SKIN, "a"), DrawnTrack(track, drawer, SECOND, "b")
-    picture = picture_of(panels_of(*both, layout="side-by-side"), frame_of(drawer, track))[:-CAPTION_PX]
+    picture = picture_of(frame_of(drawer, track), *both, layout="side-by-side")[:-CAPTION_PX]
     left, right = np.hsplit(picture.astype(int), 2)
     hand = np.abs(left - right).max(axis=2) > 10
     assert (left[hand][:, 2] > left[hand][:, 0]).mean() > 0.9, "skin is red rather than blue"
@@ -180,11 +181,11 @@ def test_estimates_within_the_tolerance_of_a_stamp_are_its_own(drawer: HandDrawe
 
 
 def test_words_tell_what_is_known(drawer: HandDrawer, track: Track) -> None:
-    assert DrawnTrack(track, drawer).words(0) == ["tracking", "confidence 0.80"]
+    assert DrawnTrack(track, drawer).at(0).words == ["tracking", "confidence 0.80"]
     errors = np.array([np.nan, 12.345, 0.0, 0.0])
     named = DrawnTrack(replace(track, confidence=None), drawer, name="mine", error_mm=errors)
-    assert named.words(FRAME_NS) == ["mine", "tracking", "error 12.3 mm"]
-    assert named.words(0) == ["mine", "tracking"]
+    assert named.at(FRAME_NS).words == ["mine", "tracking", "error 12.3 mm"]
+    assert named.at(0).words == ["mine", "tracking"]
 
 
 def test_point_errors_are_mean_distances_at_equal_stamps(track: Track) -> None:

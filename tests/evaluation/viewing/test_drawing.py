@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM, Shown, SkeletonDrawer
+from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM, Canvas, Shown, SkeletonDrawer
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_PARENTS
 from support.viewing import KINECT, open_hand, shown_pose
@@ -15,7 +15,7 @@ WHITE = (255, 255, 255)
 
 def drawn(shown: Shown, drawer: SkeletonDrawer) -> np.ndarray:
     picture = np.zeros((KINECT.height, KINECT.width, 3), np.uint8)
-    drawer.draw(picture, KINECT, shown, WHITE)
+    drawer.draw(Canvas(picture, KINECT), shown, WHITE)
     return picture
 
 

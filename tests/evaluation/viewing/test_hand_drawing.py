@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.viewing.drawing import Shown
+from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points
 from posetrack_cli.geometry.camera import Camera
@@ -29,7 +29,7 @@ def painted(
 ) -> np.ndarray:
     picture = np.zeros((camera.height, camera.width, 3), np.uint8)
     drawer = HandDrawer(device, average_hand(side))
-    (drawer.outline if outline else drawer.draw)(picture, camera, shown, GREEN if outline else SKIN)
+    (drawer.outline if outline else drawer.draw)(Canvas(picture, camera), shown, GREEN if outline else SKIN)
     return picture
 
 
@@ -50,7 +50,7 @@ def test_the_drawn_hand_covers_its_joints(
 def test_an_enlarged_part_shows_the_same_hand(device: RenderingDevice) -> None:
     """Every pixel of the picture at scale one is a block of the enlarged one, but for the hand's edge."""
     shown = shown_pose(open_hand())
-    viewport = around_points(shown.points, KINECT, 3.0)
+    viewport = around_points(shown.points, KINECT).scaled(3.0)
     plain = painted(device, shown).any(axis=2).astype(np.uint8)
     fine = painted(device, shown, camera=viewport.camera(KINECT)).any(axis=2)
     agree = (viewport.cut(plain) > 0) == fine

@@ -80,23 +80,23 @@ def test_around_points_lies_in_the_image_and_shows_them_all() -> None:
 
 def test_small_parts_are_enlarged_by_whole_numbers_unless_a_scale_is_given() -> None:
     shown = shown_pose(open_hand())
-    usual = around_points(shown.points, KINECT)
+    usual = around_points(shown.points, KINECT).scaled(None)
     assert usual.scale == int(usual.scale) and LEAST_ROWS <= usual.size[1] < 2 * LEAST_ROWS
-    assert around_points(shown.points, KINECT, 0.5).scale == 0.5
-    assert Viewport.enlarged(KINECT).scale == 1.0
+    assert around_points(shown.points, KINECT).scaled(0.5).scale == 0.5
+    assert Viewport.whole(KINECT).scaled(None).scale == 1.0
 
 
 def test_points_behind_the_camera_or_none_show_everything() -> None:
     behind = np.array([[0.0, 0.0, -100.0]])
     for points in (behind, np.empty((0, 21, 3))):
-        assert around_points(points, KINECT, 1.0) == Viewport.whole(KINECT)
-    assert largest_viewport(np.empty((0, 21, 3)), KINECT, 1.0) == Viewport.whole(KINECT)
+        assert around_points(points, KINECT) == Viewport.whole(KINECT)
+    assert largest_viewport(np.empty((0, 21, 3)), KINECT) == Viewport.whole(KINECT)
 
 
 def test_a_moved_viewport_keeps_its_size_and_stays_in_the_image() -> None:
     near, far = (shown_pose(open_hand([0.0, 0.0, z])).points for z in (500.0, 900.0))
-    common = largest_viewport(np.stack([far, near]), KINECT, 1.0)
-    assert (common.width, common.height) == (lambda v: (v.width, v.height))(around_points(near, KINECT, 1.0))
+    common = largest_viewport(np.stack([far, near]), KINECT)
+    assert (common.width, common.height) == (lambda v: (v.width, v.height))(around_points(near, KINECT))
     for x in (-900.0, 0.0, 900.0):
         placed = moved_to(common, shown_pose(open_hand([x, 0.0, 900.0])).points, KINECT)
         assert (placed.width, placed.height) == (common.width, common.height)
