@@ -66,6 +66,7 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     from posetrack_cli.outputs import check_target, whole_or_nothing
     from posetrack_cli.recording.calibration.boards import Board
     from posetrack_cli.recording.calibration.stereo import calibrate_stereo as calibrated
+    from posetrack_cli.recording.calibration.views import find_views
 
     check_target(output, overwrite=options["overwrite"], source=images)
     board = Board(
@@ -74,9 +75,8 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     names = options["cameras"].split(",") if options["cameras"] else None
     losses = LossLog()
     with _progress() as report:
-        found = calibrated(
-            images, board, names=names, distortion=options["distortion"], report=report, losses=losses
-        )
+        views = find_views(images, board, names, report, losses)
+        found = calibrated(views, options["distortion"])
     with whole_or_nothing(output) as part:
         write_output(part, found.file_text(images).encode())
     for line in found.lines():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.recording_options import reading_options, recording_options
+from posetrack_cli.cli.options import reading_options, recording_options
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -49,7 +49,7 @@ def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **o
 def _joints(path: Path, source: Recording) -> list[TruthMessage]:
     """The joints of a CSV file as messages of truth, for a recording that has none on their topic."""
     from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-    from posetrack_cli.evaluation.truth.points_topic import points_messages, points_topic
+    from posetrack_cli.evaluation.truth.topics import points_messages, points_topic
     from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
     from posetrack_cli.results.estimate import Subject
 

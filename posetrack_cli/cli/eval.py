@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.parameter_types import FiniteRange, only_once
+from posetrack_cli.cli.options import BOTH, TRACKS, FiniteRange, chosen_tracks, only_once
 from posetrack_cli.cli.standard_output import print_data, print_line, print_note, reader_may_leave
-from posetrack_cli.cli.track_option import BOTH, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
 if TYPE_CHECKING:
@@ -206,8 +205,7 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
     """Write what was asked for, also when a gate failed."""
     from posetrack_cli.evaluation.assessment import stated_options
-    from posetrack_cli.evaluation.reports.csv_report import csv_report, curve_report
-    from posetrack_cli.evaluation.reports.json_report import json_report
+    from posetrack_cli.evaluation.reports.report_files import csv_report, curve_report, json_report
 
     stated = stated_options(request.options)
     if options["json_path"] is not None:
@@ -231,11 +229,11 @@ def _write(path: Path, text: str) -> None:
 
 
 def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
-    from posetrack_cli.evaluation.html.writer import write_html
+    from posetrack_cli.evaluation.html.writer import ReportPage, write_html
 
     pictures = {one.name: _pictures(one, recording) for one in found.on_page}
     title = ", ".join(one.name for one in found.evaluations)
-    write_html(path, found.on_page, found.page_comparison, pictures, title)
+    write_html(path, ReportPage(found.on_page, found.page_comparison, pictures, title))
 
 
 def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from posetrack_cli.cli.options import FILTERED, TRACKS
 from posetrack_cli.cli.standard_output import print_data, print_line, print_note
-from posetrack_cli.cli.track_option import FILTERED, TRACKS
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 FORMATS = ("csv", "tum", "npz", "json")

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.compiling import compiling_said
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
-from posetrack_cli.cli.recording_options import reading_options, recording_options
-from posetrack_cli.cli.run_options import (
+from posetrack_cli.cli.options import (
     RUN_OPTIONS,
     configuration_of,
     finishing_options,
     frame_options,
+    reading_options,
+    recording_options,
     result_options,
 )
-from posetrack_cli.cli.running import close, kept, progress
+from posetrack_cli.cli.running import close, compiling_said, kept, progress
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.cli.standard_output import print_note
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.compiling import compiling_said
-from posetrack_cli.cli.recording_options import reading_options, recording_options
+from posetrack_cli.cli.options import reading_options, recording_options
+from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 

@@ -15,8 +15,13 @@ from posetrack_cli.cli.head_options import (
     start_options,
     track_head,
 )
-from posetrack_cli.cli.recording_options import one_camera_options, reading_options
-from posetrack_cli.cli.run_options import finishing_options, frame_options, result_options
+from posetrack_cli.cli.options import (
+    finishing_options,
+    frame_options,
+    one_camera_options,
+    reading_options,
+    result_options,
+)
 from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 

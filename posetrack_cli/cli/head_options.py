@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from posetrack_cli.cli.compiling import compiling_said
-from posetrack_cli.cli.option_group import Command, option_group
-from posetrack_cli.cli.run_options import RUN_OPTIONS, configuration_of
-from posetrack_cli.cli.running import close, kept, progress
+from posetrack_cli.cli.options import RUN_OPTIONS, Command, configuration_of, option_group
+from posetrack_cli.cli.running import close, compiling_said, kept, progress
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.errors import UsageError
 

@@ -1,21 +1,60 @@
-"""What every command that tracks shows: its progress, what is kept after a failure, how it closed."""
+"""What every command that tracks shows: compiling, progress, what is kept after a failure, the end."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.process import leave_process
+from posetrack_cli.cli.signals import signals_watched
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.results.estimate import Estimate
     from posetrack_cli.tracking.options import RunOutcome
+
+
+@contextmanager
+def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]]:
+    """Say on standard error, above any progress bar, that kernels are compiled; wait for none to stop.
+
+    Yields a function that tells whether one is being compiled just now.
+
+    Args:
+        resumable: output that a stopped run can be resumed to.
+    """
+    from tqdm import tqdm
+
+    from posetrack_cli.compiled import announced, watched
+
+    def give_up() -> None:
+        print_note(_interrupted(resumable))
+        leave_process(EXIT_INTERRUPTED)
+
+    def check() -> None:
+        if asked.is_set():  # before this kernel, or between two of a frame
+            raise KeyboardInterrupt
+
+    with (
+        announced(lambda line: tqdm.write(f"{line} ...", file=sys.stderr)),
+        watched(lambda: check()) as is_compiling,
+        signals_watched(is_compiling, give_up) as asked,
+    ):
+        yield is_compiling
+
+
+def _interrupted(resumable: Path | None) -> str:
+    from posetrack_cli.outputs import part_path, state_path
+
+    if resumable is None or not (state_path(resumable).is_file() and part_path(resumable).is_file()):
+        return "posetrack: interrupted"
+    return f"interrupted while kernels were compiled: {part_path(resumable)}; --resume goes on"
 
 
 @contextmanager

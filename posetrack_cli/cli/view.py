@@ -11,11 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.parameter_types import FiniteRange
-from posetrack_cli.cli.recording_options import reading_options, recording_options
+from posetrack_cli.cli.options import (
+    BOTH,
+    FILTERED,
+    TRACKS,
+    FiniteRange,
+    chosen_tracks,
+    reading_options,
+    recording_options,
+)
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.cli.standard_output import print_line, print_note
-from posetrack_cli.cli.track_option import BOTH, FILTERED, TRACKS, chosen_tracks
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,7 @@ from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gates
-from posetrack_cli.evaluation.result_names import track_name, unique_names
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.track import Track, track_name, unique_names
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 
@@ -49,6 +48,11 @@ class Request:
     keep_tracks: bool = False
     tracks: tuple[str, ...] = (FILTERED,)
     page: bool = False
+
+    def measured(self, path: Path, name: str, which: str) -> Evaluation:
+        """Measure a track of a result, with as much of it kept as is asked for."""
+        evaluation = evaluate(path, replace(self.options, track=which), name)
+        return evaluation if self.keep_tracks else _lean(evaluation, keep_series=not self.groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +110,13 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
     names = unique_names(list(paths))
     evaluations: dict[tuple[Path, str], Evaluation] = {}
     beside: list[Evaluation] = []
+    several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
     for path, name in zip(paths, names, strict=True):
-        for which, own in _tracks_of(path, name, names, request).items():
-            evaluations[path, which] = _measured(path, own, request, which)
-        beside += _for_page(path, name, names, request)
+        for which in read_result(path).tracks if several else request.tracks:
+            own = track_name(name, which, names) if several else name
+            evaluations[path, which] = request.measured(path, own, which)
+        if adds_smoothed and SMOOTHED in read_result(path).tracks:
+            beside.append(request.measured(path, track_name(name, SMOOTHED, names), SMOOTHED))
         report()
     _check_tracks(evaluations, request)
     measured = tuple(evaluations.values())
@@ -136,20 +143,6 @@ def _every_path(request: Request) -> tuple[Path, ...]:
     return tuple(dict.fromkeys((*request.results, *files)))
 
 
-def _tracks_of(path: Path, name: str, names: Sequence[str], request: Request) -> dict[str, str]:
-    """The tracks of a result to measure, and what each is called."""
-    if len(request.tracks) == 1:
-        return {request.tracks[0]: name}
-    return {which: track_name(name, which, names) for which in read_result(path).tracks}
-
-
-def _for_page(path: Path, name: str, names: Sequence[str], request: Request) -> list[Evaluation]:
-    """The smoothed track of a result whose filtered one is asked for, where a page can show both."""
-    if not request.page or request.tracks != (FILTERED,) or SMOOTHED not in read_result(path).tracks:
-        return []
-    return [_measured(path, track_name(name, SMOOTHED, names), request, SMOOTHED)]
-
-
 def _check_tracks(evaluations: Mapping[tuple[Path, str], Evaluation], request: Request) -> None:
     """Raise ResultError if several tracks are asked for and no result has more than one."""
     if len(request.tracks) > 1 and evaluations and not any(which == SMOOTHED for _, which in evaluations):
@@ -168,11 +161,6 @@ def _groups(
                 own = name if len(request.tracks) == 1 else track_name(name, which, tuple(request.groups))
                 groups[own] = members
     return groups
-
-
-def _measured(path: Path, name: str, request: Request, which: str) -> Evaluation:
-    evaluation = evaluate(path, replace(request.options, track=which), name)
-    return evaluation if request.keep_tracks else _lean(evaluation, keep_series=not request.groups)
 
 
 def _lean(evaluation: Evaluation, *, keep_series: bool) -> Evaluation:

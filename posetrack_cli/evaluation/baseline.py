@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import figure_of, key_figures
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gate
 from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
-from posetrack_cli.evaluation.reports.json_report import FORMAT
+from posetrack_cli.evaluation.reports.report_files import FORMAT
 from posetrack_cli.files import read_input
 
 FLOOR = 0.01

@@ -14,15 +14,13 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value, statistics
 from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, OffsetFrame
 from posetrack_cli.evaluation.metrics.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.metrics.without_truth import EMPTY, consistency_metrics, run_metrics, run_series
-from posetrack_cli.evaluation.result_names import plain_name
-from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.subjects import KINDS
-from posetrack_cli.evaluation.track import Track, track_of_result
+from posetrack_cli.evaluation.track import Track, plain_name, track_of_result
 from posetrack_cli.evaluation.truth.checks import truth_warnings
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.losses import Loss, LossLog

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.metrics.catalogue import Address, is_measured, split_address
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.subjects import KINDS
 
 _ALWAYS = ("coverage",)

@@ -11,10 +11,9 @@ from pathlib import Path
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation
 from posetrack_cli.evaluation.figures import Figure, figure_of
 from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
 from posetrack_cli.files import read_text
 
 OPERATORS: dict[str, Callable[[float, float], bool]] = {

@@ -7,10 +7,9 @@ from contextlib import closing
 
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.base import Frame, StoredFrame, decode_frames
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.recording.stored import StoredFrame, decode_frames
 
 
 def matched_frames(

@@ -13,7 +13,7 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import pose_rates
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.tracking.protocol import Tracker
+from posetrack_cli.tracking.loop import Tracker
 
 State = TypeVar("State")
 

@@ -34,7 +34,7 @@ from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
-from posetrack_cli.tracking.record import common_record
+from posetrack_cli.tracking.options import common_record
 from posetrack_cli.tracking.run import Run
 
 INIT_METHODS = ("auto", "center")

@@ -21,7 +21,7 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
-from posetrack_cli.tracking.record import common_record
+from posetrack_cli.tracking.options import common_record
 from posetrack_cli.tracking.run import Report
 from posetrack_cli.tracking.two_pass import (
     Learned,

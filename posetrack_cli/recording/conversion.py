@@ -17,13 +17,12 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_output, whole_or_nothing
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.recording.stored import StoredFrame, StoredImage, UnreadableImageError
 
 IMAGE_TOPIC = "/camera/depth/image"
 CALIBRATION_TOPIC = "/camera/depth/calibration"
@@ -78,14 +77,12 @@ def _write(recording: Recording, part: Path, truth: Iterable[TruthMessage]) -> C
     first = next(stored, None)
     if first is None:
         raise RecordingError("no frames to convert", where=recording.path)
-    encoding = _encoding(recording)
-    compression: Literal["none", "zstd"] = "none" if encoding == "16UC1" else "zstd"
+    writer = _Writer(recording, _encoding(recording))
+    compression: Literal["none", "zstd"] = "none" if writer.encoding == "16UC1" else "zstd"
     with McapSink(part, compression=compression, chunk_bytes=CHUNK_BYTES) as sink:
-        writer = _Writer(sink, recording, encoding)
-        serialised = read_ahead(_images(chain([first], stored), recording.cameras[0].name, encoding, losses))
-        with closing(serialised) as images:
+        with closing(read_ahead(writer.images(chain([first], stored), losses))) as images:
             for entry in heapq.merge(images, recording.truth(), truth, key=_time):
-                writer.write(entry)
+                writer.write(sink, entry)
         if not writer.frames:
             raise RecordingError("no frame can be decoded", where=recording.path)
         sink.finish()
@@ -96,33 +93,44 @@ def _write(recording: Recording, part: Path, truth: Iterable[TruthMessage]) -> C
 class _Writer:
     """Puts images and truth on their channels; the calibration goes out with the first image."""
 
-    sink: McapSink
     recording: Recording
     encoding: DepthEncoding
     frames: int = 0
     _image_channel: int = 0
     _truth_channels: dict[str, int] = field(default_factory=dict)
 
-    def write(self, entry: _Image | TruthMessage) -> None:
+    def images(
+        self, frames: Iterable[tuple[int, StoredFrame]], losses: LossLog
+    ) -> Iterator[_Image | TruthMessage]:
+        """Yield the serialised messages; an image that cannot be decoded is skipped and counted."""
+        for index, frame in frames:
+            for image in filter(None, frame.images):
+                try:
+                    yield _Image(frame.stamp_ns, self._serialised(image))
+                except UnreadableImageError as error:
+                    losses.add(f"image skipped, {error}", f"frame {index}, {image.where}")
+
+    def write(self, sink: McapSink, entry: _Image | TruthMessage) -> None:
+        """Write one message."""
         if isinstance(entry, TruthMessage):
-            self.sink.write(self._truth_channel(entry), entry.log_time_ns, entry.data)
+            sink.write(self._truth_channel(sink, entry), entry.log_time_ns, entry.data)
             return
         if not self.frames:
-            self._begin(entry.stamp_ns)
-        self.sink.write(self._image_channel, entry.stamp_ns, entry.data)
+            self._begin(sink, entry.stamp_ns)
+        sink.write(self._image_channel, entry.stamp_ns, entry.data)
         self.frames += 1
 
-    def _begin(self, stamp_ns: int) -> None:
+    def _begin(self, sink: McapSink, stamp_ns: int) -> None:
         camera = self.recording.cameras[0]
         calibration = calibration_message(camera, stamp_ns, camera.name)
-        channel = self.sink.channel(CALIBRATION_TOPIC, type(calibration))
-        self._image_channel = self.sink.channel(IMAGE_TOPIC, _message_class(self.encoding))
-        self.sink.metadata(SOURCE_RECORD, self.recording.identity())
-        self.sink.write(channel, stamp_ns, calibration.SerializeToString(deterministic=True))
+        channel = sink.channel(CALIBRATION_TOPIC, type(calibration))
+        self._image_channel = sink.channel(IMAGE_TOPIC, _message_class(self.encoding))
+        sink.metadata(SOURCE_RECORD, self.recording.identity())
+        sink.write(channel, stamp_ns, calibration.SerializeToString(deterministic=True))
 
-    def _truth_channel(self, message: TruthMessage) -> int:
+    def _truth_channel(self, sink: McapSink, message: TruthMessage) -> int:
         if message.topic not in self._truth_channels:
-            self._truth_channels[message.topic] = self.sink.raw_channel(
+            self._truth_channels[message.topic] = sink.raw_channel(
                 message.topic,
                 message.schema_name,
                 message.schema_encoding,
@@ -132,34 +140,21 @@ class _Writer:
             )
         return self._truth_channels[message.topic]
 
+    def _serialised(self, stored: StoredImage) -> bytes:
+        # Decoded even if its PNG is copied: a damaged image must not pass as a good one.
+        depth = stored.decode()
+        message = _message_class(self.encoding)(
+            frame_id=self.recording.cameras[0].name, **_content(stored, depth, self.encoding)
+        )
+        message.timestamp.FromNanoseconds(stored.stamp_ns)
+        return bytes(message.SerializeToString(deterministic=True))
+
 
 def _encoding(recording: Recording) -> DepthEncoding:
     pixels = recording.pixels[0]
     if not isinstance(pixels, Depth):
         raise RecordingError("only depth can be converted", where=recording.path)
     return pixels.encoding
-
-
-def _images(
-    frames: Iterable[tuple[int, StoredFrame]], frame_id: str, encoding: DepthEncoding, losses: LossLog
-) -> Iterator[_Image | TruthMessage]:
-    """Yield the serialised messages; an image that cannot be decoded is skipped and counted."""
-    for index, frame in frames:
-        for image in frame.images:
-            if image is None:
-                continue
-            try:
-                yield _Image(frame.stamp_ns, _serialised(image, frame_id, encoding))
-            except UnreadableImageError as error:
-                losses.add(f"image skipped, {error}", f"frame {index}, {image.where}")
-
-
-def _serialised(stored: StoredImage, frame_id: str, encoding: DepthEncoding) -> bytes:
-    # Decoded even if its PNG is copied: a damaged image must not pass as a good one.
-    depth = stored.decode()
-    message = _message_class(encoding)(frame_id=frame_id, **_content(stored, depth, encoding))
-    message.timestamp.FromNanoseconds(stored.stamp_ns)
-    return bytes(message.SerializeToString(deterministic=True))
 
 
 def _content(stored: StoredImage, depth: ImageArray, encoding: DepthEncoding) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import Float32Array, ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes
 from posetrack_cli.recording.pixels import check_size, raw_values
-from posetrack_cli.recording.stored import UnreadableImageError
 
 DepthEncoding = Literal["16UC1", "32FC1"]
 

@@ -10,7 +10,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import CAMERA_FILE_NAME, no_intrinsics
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, no_intrinsics, no_png
 from posetrack_cli.recording.camera_file import DepthCamera, Rig, found_rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
@@ -23,13 +23,7 @@ from posetrack_cli.recording.image_files import (
     list_images,
     read_image,
 )
-from posetrack_cli.recording.image_folders import (
-    Stamped,
-    common_stamps,
-    find_folders,
-    stamped_images,
-    stamps_files,
-)
+from posetrack_cli.recording.image_folders import CameraFolders, Stamped, common_stamps, find_folders
 from posetrack_cli.recording.matching import NS_PER_MS
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import (
@@ -40,7 +34,6 @@ from posetrack_cli.recording.recording import (
     tolerance_ns,
 )
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
-from posetrack_cli.recording.stored import StoredImage, no_png
 
 
 def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
@@ -89,9 +82,9 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         UsageError: if an option has a value that cannot be used.
     """
     every, fps, tolerance = find_folders(path), options.get("fps"), tolerance_ns(options)
-    rig = _rig_of(path, every, options)
-    folders = _folders_of(path, rig, every)
-    stamped = stamped_images(path, folders, fps)
+    rig = _rig_of(every, options)
+    chosen = _folders_of(every, rig)
+    folders, stamped = chosen.by_name, chosen.stamped(fps)
     kinds = {name: _first_grey(rig, name, images) for name, images in folders.items()}
     windows = {name: rig.window(name, options.get("mirror")) for name in folders}
     stored = rig.stored_cameras({name: (kind.width, kind.height) for name, kind in kinds.items()})
@@ -103,7 +96,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
 
     def identity() -> Mapping[str, str]:
         files = [(_label(name, image), image) for name, images in folders.items() for image in images]
-        files += [(f"{i} {file.name}", file) for i, file in enumerate(stamps_files(path, folders, fps))]
+        files += [(f"{i} {file.name}", file) for i, file in enumerate(chosen.stamps_files(fps))]
         files += [] if rig.is_guessed else [(CAMERA_FILE_NAME, rig.path)]
         return {
             **files_identity(path, "folder", files),
@@ -184,30 +177,35 @@ def _label(folder: str, image: Path) -> str:
     return f"{folder}/{image.name}" if folder else image.name
 
 
-def _rig_of(path: Path, folders: Mapping[str, object], options: ReadingOptions) -> Rig:
+def _rig_of(folders: CameraFolders, options: ReadingOptions) -> Rig:
     """Return the cameras to use; one of them if intrinsics may be guessed."""
-    guess = options.get("guess")
-    rig = found_rig(path, _camera_file(path, options.get("camera_file")), folders, guess)
-    rig = _named_rig(path, folders, rig, options.get("cameras"))
+    guess, names = options.get("guess"), options.get("cameras")
+    file = _camera_file(folders.path, options.get("camera_file"))
+    rig = found_rig(folders.path, file, folders.by_name, guess)
+    rig = _named_rig(folders, rig) if names is None else rig.chosen(names)
     if guess is not None:
-        check_one_camera(path, rig.cameras)
+        check_one_camera(folders.path, rig.cameras)
     return rig
 
 
-def _named_rig(path: Path, folders: Mapping[str, object], rig: Rig, names: Sequence[str] | None) -> Rig:
-    """Return the cameras to use, by what the folders and the camera file are called."""
-    if names is not None:
-        return rig.chosen(names)
-    _check_calibrated(path, rig, folders)
-    if "" not in folders or len(rig.cameras) == 1:
+def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
+    """Return the cameras to use where nobody chose, by what the folders and the camera file are called."""
+    unknown = [name for name in folders.by_name if name and name not in rig.cameras]
+    if unknown and "" not in rig.cameras:
+        raise RecordingError(
+            f"camera '{unknown[0]}' is not calibrated",
+            where=folders.path,
+            found=f"[cameras.NAME] of {', '.join(rig.cameras)} in {rig.path.name}",
+            hint="posetrack calibrate stereo measures cameras; --cameras leaves some out",
+        )
+    if "" not in folders.by_name or len(rig.cameras) == 1:
         return rig
-    name = path.resolve().name
+    name = folders.path.resolve().name
     if name not in rig.cameras:
-        known = ", ".join(rig.cameras)
         raise RecordingError(
             "one folder of images and several cameras",
-            where=path,
-            found=known,
+            where=folders.path,
+            found=", ".join(rig.cameras),
             hint="choose one with --cameras",
         )
     return rig.chosen([name])
@@ -224,32 +222,21 @@ def _camera_file(path: Path, given: Path | None) -> Path | None:
     return None
 
 
-def _folders_of(path: Path, rig: Rig, folders: Mapping[str, list[Path]]) -> dict[str, list[Path]]:
+def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
     """Return the images of each camera of the rig, in its order."""
-    if len(folders) == len(rig.cameras) == 1:
-        return {next(iter(rig.cameras)): next(iter(folders.values()))}
-    found = ", ".join(folders) if "" not in folders else "images of one camera"
+    path, by_name = folders.path, folders.by_name
+    if len(by_name) == len(rig.cameras) == 1:
+        return CameraFolders(path, {next(iter(rig.cameras)): next(iter(by_name.values()))})
+    found = ", ".join(by_name) if "" not in by_name else "images of one camera"
     if "" in rig.cameras:
         hint = "write a table [cameras.NAME] for each; posetrack calibrate stereo measures them"
         raise RecordingError("several cameras and the calibration of one", where=path, found=found, hint=hint)
     for name in rig.cameras:
-        if name not in folders:
+        if name not in by_name:
             raise RecordingError(
                 f"no images of camera '{name}'", where=path, found=found, expected=f"a folder {name}"
             )
-    return {name: folders[name] for name in rig.cameras}
-
-
-def _check_calibrated(path: Path, rig: Rig, folders: Mapping[str, object]) -> None:
-    """Refuse folders of images of cameras that the file does not know, as long as nobody chose."""
-    unknown = [name for name in folders if name and name not in rig.cameras]
-    if unknown and "" not in rig.cameras:
-        raise RecordingError(
-            f"camera '{unknown[0]}' is not calibrated",
-            where=path,
-            found=f"[cameras.NAME] of {', '.join(rig.cameras)} in {rig.path.name}",
-            hint="posetrack calibrate stereo measures cameras; --cameras leaves some out",
-        )
+    return folders.of(rig.cameras)
 
 
 def _first_grey(rig: Rig, name: str, images: Sequence[Path]) -> Grey:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from posetrack_cli.recording.image_files import (
     list_images,
     read_image,
 )
-from posetrack_cli.recording.image_folders import find_folders, stamped_images
+from posetrack_cli.recording.image_folders import CameraFolders, find_folders
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps
 
 ANY_RATE_HZ = 30.0
@@ -33,11 +33,12 @@ ANY_RATE_HZ = 30.0
 def describe_folder(path: Path) -> dict[str, Any]:
     """Describe a folder of 16-bit depth, or images of cameras; of depth only the first image is read."""
     folders = find_folders(path)
-    if "" in folders:
-        first = first_decoded(folders[""], _as_stored)
-        if first.ndim == 2 and first.dtype == np.uint16 and folders[""][0].suffix.lower() in DEPTH_SUFFIXES:
+    images = folders.by_name.get("")
+    if images is not None:
+        first = first_decoded(images, _as_stored)
+        if first.ndim == 2 and first.dtype == np.uint16 and images[0].suffix.lower() in DEPTH_SUFFIXES:
             return _describe_depth(path)
-    return _describe_grey(path, folders)
+    return _describe_grey(folders)
 
 
 def _describe_depth(path: Path) -> dict[str, Any]:
@@ -65,17 +66,18 @@ def _describe_depth(path: Path) -> dict[str, Any]:
     }
 
 
-def _describe_grey(path: Path, folders: Mapping[str, list[Path]]) -> dict[str, Any]:
+def _describe_grey(folders: CameraFolders) -> dict[str, Any]:
     """Describe the images of each camera, the frames that they make, and the cameras together."""
-    fps, no_stamps = _rate_if_unstamped(path, folders)
+    path, by_name = folders.path, folders.by_name
+    fps, no_stamps = _rate_if_unstamped(folders)
     recording, no_camera = opened(lambda: open_grey_folder(path, {"fps": fps}))
     matched = () if recording is None else recording.matched(LossLog())
     frames = [frame for frame in matched if frame is not None]
     return {
         "name": shown_name(path.resolve()),
         "kind": "images",
-        "bytes": sum(image.stat().st_size for images in folders.values() for image in images),
-        "folders": [_folder(name, images) for name, images in folders.items()],
+        "bytes": sum(image.stat().st_size for images in by_name.values() for image in images),
+        "folders": [_folder(name, images) for name, images in by_name.items()],
         "frames": len(frames),
         "incomplete_frames": sum(None in frame.images for frame in frames),
         "stamps": described_stamps(f.stamp_ns for f in frames) if not no_stamps and frames else None,
@@ -110,10 +112,10 @@ def _as_stored(image: Path) -> ImageArray:
     return decode_any(read_image(image))
 
 
-def _rate_if_unstamped(path: Path, folders: Mapping[str, list[Path]]) -> tuple[float | None, str | None]:
+def _rate_if_unstamped(folders: CameraFolders) -> tuple[float | None, str | None]:
     """Return a rate to read images without stamps at, and why they have none."""
     try:
-        stamped_images(path, folders, None)
+        folders.stamped(None)
     except PosetrackError as error:
         return ANY_RATE_HZ, str(error)
     return None, None

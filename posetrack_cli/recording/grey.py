@@ -11,9 +11,9 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
 from posetrack_cli.recording.pixels import check_size, raw_values
-from posetrack_cli.recording.stored import UnreadableImageError
 
 BITS = (10, 12, 14, 16)
 """Significant bits that cameras deliver in 16-bit images."""

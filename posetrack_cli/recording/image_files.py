@@ -15,7 +15,7 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import read_input
-from posetrack_cli.recording.stored import UnreadableImageError
+from posetrack_cli.recording.base import UnreadableImageError
 
 Decoded = TypeVar("Decoded")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.stored import StoredFrame, StoredImage
+from posetrack_cli.recording.base import StoredFrame, StoredImage
 
 NS_PER_MS = 1_000_000
 ALONE_LIMIT = 600

@@ -13,14 +13,13 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.extrinsics import placed, relative_to, rotation_from_rows
-from posetrack_cli.recording.base import TRUTH_PREFIX
+from posetrack_cli.recording.base import TRUTH_PREFIX, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
 from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
 from posetrack_cli.recording.mcap_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Pixels
-from posetrack_cli.recording.stored import UnreadableImageError
 
 COMPRESSED = "/compressed"
 RECTIFIED = "image_rect"

@@ -18,7 +18,14 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
 from posetrack_cli.mcap.stream import McapFile, McapItem
-from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, TruthMessage, truth_message
+from posetrack_cli.recording.base import (
+    TRUTH_PREFIX,
+    NotCalibratedError,
+    StoredImage,
+    TruthMessage,
+    no_png,
+    truth_message,
+)
 from posetrack_cli.recording.camera_file import DepthCamera, Rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import Guess, check_one_camera
@@ -37,7 +44,6 @@ from posetrack_cli.recording.mcap_cameras import (
 from posetrack_cli.recording.mcap_topics import FileTopics, Topic, scan_topics
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
-from posetrack_cli.recording.stored import StoredImage, no_png
 
 FROM_FILE, FROM_MESSAGES, GUESSED = "camera file", "messages", "guessed"
 """Where cameras are from."""

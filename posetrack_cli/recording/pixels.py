@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.stored import UnreadableImageError
+from posetrack_cli.recording.base import UnreadableImageError
 
 PixelKind = Literal["depth", "grey"]
 """What frames have: float32 depth, mm, 0 = no reading; or uint8 grey."""

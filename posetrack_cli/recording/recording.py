@@ -10,12 +10,11 @@ from typing import TypedDict
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.recording.base import Frame, StoredFrame, StoredImage, TruthMessage, decode_frames
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.matching import NS_PER_MS, check_range, match_images, select_frames, unmatched
 from posetrack_cli.recording.pixels import Pixels
 from posetrack_cli.recording.readahead import read_ahead
-from posetrack_cli.recording.stored import StoredFrame, StoredImage, decode_frames
 
 DEFAULT_TOLERANCE_MS, LONGEST_TOLERANCE_MS = 10.0, 1000.0
 

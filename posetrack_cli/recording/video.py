@@ -17,7 +17,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input, utf8_name
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import CAMERA_FILE_NAME
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage
 from posetrack_cli.recording.camera_file import Rig, found_rig
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import grey_like
@@ -26,7 +26,6 @@ from posetrack_cli.recording.matching import NS_PER_MS
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.stamps import VideoStamps, stamp_at_rate, stamps_at_rate
-from posetrack_cli.recording.stored import StoredImage
 from posetrack_cli.units import NS_PER_S
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")

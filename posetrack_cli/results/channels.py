@@ -16,11 +16,10 @@ from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.results import messages
-from posetrack_cli.results.annotations import image_annotations
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json
 from posetrack_cli.results.fields import check_estimate
-from posetrack_cli.results.scene import SceneEncoder, line_scene
+from posetrack_cli.results.scene import SceneEncoder, image_annotations, line_scene
 from posetrack_cli.results.subject_kind import kind_of
 from posetrack_cli.results.tracks import (
     FILTERED,

@@ -82,30 +82,26 @@ _JSON_DETAILS: dict[str, dict[str, Any]] = {
 }
 
 
-def _number(name: str, description: str, **more: Any) -> Field:
-    return Field(name, "number", description, NUMBER, **more)
-
-
-def _count(name: str, description: str, **more: Any) -> Field:
-    return Field(name, "integer", description, COUNT, **more)
-
-
 def _array(name: str, description: str, shape: Shape, entry: CoreSchema = NUMBER, **more: Any) -> Field:
     length = shape(0, 0, 0)[0] if shape(0, 0, 0) == shape(1, 1, 1) else None
     return Field(name, "array", description, list_of(entry, length), shape, **more)
 
 
 FIELDS = (
-    _count(
+    Field(
         "frame_index",
+        "integer",
         "Position of the frame in the recording, counted from 0.",
+        COUNT,
         column=np.int64,
         code="q",
         meaning="position of the frame in the recording, counted from 0",
     ),
-    _count(
+    Field(
         "stamp_ns",
+        "integer",
         "When the frame was taken, nanoseconds; equal to the log time.",
+        COUNT,
         column=np.int64,
         code="q",
         unit="ns",
@@ -120,9 +116,11 @@ FIELDS = (
         code="b",
         meaning="tracking, lost or reinitialised",
     ),
-    _number(
+    Field(
         "confidence",
+        "number",
         "0 (guess) to 1 (certain).",
+        NUMBER,
         meaning="0 (guess) to 1 (certain)",
     ),
     _array(
@@ -183,9 +181,11 @@ FIELDS = (
         object_of(dict.fromkeys("xyz", LENGTH_MM)),
         unit="mm, camera axes",
     ),
-    _number(
+    Field(
         "effective_sample_size",
+        "number",
         "1 / sum of the squared weights, before resampling; particles; left out without weights.",
+        NUMBER,
         required=False,
         unit="particles",
         meaning="1 / sum of the squared weights, before resampling, empty without weights",
@@ -199,23 +199,29 @@ FIELDS = (
         code="b",
         meaning="1 if the particles were resampled after this frame, else 0",
     ),
-    _number(
+    Field(
         "cost",
+        "number",
         "Cost of the estimate against the image; left out when it was not evaluated.",
+        NUMBER,
         required=False,
         unit="mm",
         meaning="cost of the estimate against the image, empty where not evaluated",
     ),
-    _number(
+    Field(
         "milliseconds",
+        "number",
         "Time the frame took; left out unless the run recorded timings.",
+        NUMBER,
         required=False,
         unit="ms",
         meaning="time that the frame took, empty if the run recorded none",
     ),
-    _count(
+    Field(
         "evaluations",
+        "integer",
         "Poses whose fit to the image was evaluated; left out where the tracker does not count.",
+        COUNT,
         required=False,
         unit="poses",
         meaning="whose fit to the image was evaluated, empty where not counted",

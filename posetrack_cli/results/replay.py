@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -25,40 +24,90 @@ from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.reader import opened
 
 
-def replay(part: Path, file_bytes: int, sink: McapSink, channels: ResultChannels) -> set[str]:
-    """Write the chunks and attachments in the first ``file_bytes`` of ``part`` to ``sink``.
+class Replay:
+    """Writes the flushed part of an interrupted result once more.
 
-    What lies behind (frames after the last checkpoint, a chunk cut short, a footer) is left out. Chunks
-    end where they ended before; one chunk is in memory at a time.
+    Args:
+        part: the interrupted result.
+        sink: where to.
+        channels: of the sink.
 
-    Returns:
-        The names of the attachments written.
-
-    Raises:
-        ResultError: the file is shorter than that, or damaged.
-        UsageError: it is of another camera.
+    Attributes:
+        attached: the names of the attachments written.
     """
-    attached: set[str] = set()
-    schemas: dict[int, Schema] = {}
-    position = 0
-    with opened(part) as stream:
-        for span in record_spans(stream):
-            if span.end > file_bytes:
-                break
-            position = span.end
-            if span.opcode == Opcode.ATTACHMENT:
-                attached.add(_replay_attachment(part, stream, span, sink))
-            elif span.opcode == Opcode.CHUNK:
-                _replay_chunk(_chunk(part, stream, span), schemas, sink, channels)
-    if position != file_bytes:
-        raise ResultError(
-            "checkpoint does not fit the unfinished result",
-            where=part,
-            found=f"{position} whole bytes",
-            expected=file_bytes,
-            hint=RESTART_HINT,
+
+    def __init__(self, part: Path, sink: McapSink, channels: ResultChannels) -> None:
+        self._part, self._sink, self._channels = part, sink, channels
+        self._schemas: dict[int, Schema] = {}
+        self.attached: set[str] = set()
+
+    def run(self, file_bytes: int) -> None:
+        """Write the chunks and attachments in the first ``file_bytes``.
+
+        What lies behind (frames after the last checkpoint, a chunk cut short, a footer) is left out. Chunks
+        end where they ended before; one chunk is in memory at a time.
+
+        Raises:
+            ResultError: the file is shorter than that, or damaged.
+            UsageError: it is of another camera.
+        """
+        position = 0
+        with opened(self._part) as stream:
+            for span in record_spans(stream):
+                if span.end > file_bytes:
+                    break
+                position = span.end
+                if span.opcode in (Opcode.ATTACHMENT, Opcode.CHUNK):
+                    with _damage(self._part, span):
+                        record = read_record(stream, span)
+                        records = [] if span.opcode == Opcode.ATTACHMENT else list(chunk_records(record))
+                    if isinstance(record, Attachment):
+                        self._attach(record)
+                    else:
+                        self._write(records)
+        if position != file_bytes:
+            raise ResultError(
+                "checkpoint does not fit the unfinished result",
+                where=self._part,
+                found=f"{position} whole bytes",
+                expected=file_bytes,
+                hint=RESTART_HINT,
+            )
+
+    def _attach(self, record: Attachment) -> None:
+        self._sink.attachment(record.name, record.media_type, record.data, record.log_time)
+        self.attached.add(record.name)
+
+    def _write(self, records: list[ChunkRecord]) -> None:
+        """Write a chunk."""
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._adopt(record)
+            else:
+                self._channels.write_replayed(record.channel_id, record.log_time, record.data)
+        self._sink.flush()
+
+    def _adopt(self, channel: Channel) -> None:
+        """Register a truth channel where it was registered before; the result's own exist already."""
+        if channel.id in self._channels.own_ids:
+            return
+        schema = self._schemas.get(channel.schema_id, Schema(id=0, name="", encoding="", data=b""))
+        as_message = TruthMessage(
+            topic=channel.topic,
+            schema_name=schema.name,
+            schema_encoding=schema.encoding,
+            schema_data=schema.data,
+            message_encoding=channel.message_encoding,
+            log_time_ns=0,
+            data=b"",
+            channel_metadata=channel.metadata,
         )
-    return attached
+        if self._channels.truth_channel(as_message) != channel.id:
+            raise ResultError(
+                "channels cannot be written in their old order", where=channel.topic, hint=RESTART_HINT
+            )
 
 
 def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> None:
@@ -88,58 +137,6 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
                 expected=_listed(now, keys),
                 hint=f"resume with the options it was begun with, or {RESTART_HINT}",
             )
-
-
-def _replay_attachment(part: Path, stream: IO[bytes], span: RecordSpan, sink: McapSink) -> str:
-    with _damage(part, span):
-        record = read_record(stream, span)
-    assert isinstance(record, Attachment)
-    sink.attachment(record.name, record.media_type, record.data, record.log_time)
-    return record.name
-
-
-def _chunk(part: Path, stream: IO[bytes], span: RecordSpan) -> list[ChunkRecord]:
-    records: list[ChunkRecord] = []
-    with _damage(part, span):
-        records.extend(chunk_records(read_record(stream, span)))
-    return records
-
-
-def _replay_chunk(
-    records: list[ChunkRecord],
-    schemas: dict[int, Schema],
-    sink: McapSink,
-    channels: ResultChannels,
-) -> None:
-    for record in records:
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            _adopt(record, schemas, channels)
-        else:
-            channels.write_replayed(record.channel_id, record.log_time, record.data)
-    sink.flush()
-
-
-def _adopt(channel: Channel, schemas: Mapping[int, Schema], channels: ResultChannels) -> None:
-    """Register a truth channel where it was registered before; the result's own exist already."""
-    if channel.id in channels.own_ids:
-        return
-    schema = schemas.get(channel.schema_id, Schema(id=0, name="", encoding="", data=b""))
-    as_message = TruthMessage(
-        topic=channel.topic,
-        schema_name=schema.name,
-        schema_encoding=schema.encoding,
-        schema_data=schema.data,
-        message_encoding=channel.message_encoding,
-        log_time_ns=0,
-        data=b"",
-        channel_metadata=channel.metadata,
-    )
-    if channels.truth_channel(as_message) != channel.id:
-        raise ResultError(
-            "channels cannot be written in their old order", where=channel.topic, hint=RESTART_HINT
-        )
 
 
 def _first_metadata(part: Path) -> dict[str, Mapping[str, str]]:

@@ -27,7 +27,7 @@ from posetrack_cli.results.records import (
     cameras_to_record,
     subject_to_record,
 )
-from posetrack_cli.results.replay import check_same_run, replay
+from posetrack_cli.results.replay import Replay, check_same_run
 from posetrack_cli.results.tracks import SMOOTHED, StampOrder
 
 
@@ -323,8 +323,9 @@ class ResultWriter:
     def _restore(self, checkpoint: Checkpoint, progress: Progress) -> None:
         """Copy the flushed part of the interrupted file, take its place and go on counting from there."""
         with self._guarded():
-            old = part_path(self._path)
-            self._attached = replay(old, progress.file_bytes, self._sink, self._channels)
+            replay = Replay(part_path(self._path), self._sink, self._channels)
+            replay.run(progress.file_bytes)
+        self._attached = replay.attached
         found = self._channels.estimates_replayed, self._channels.truth_replayed
         if found != (checkpoint.frames_written, progress.truth_messages):
             raise _unusable(self._path, "{} estimates and {} truth messages in it".format(*found))

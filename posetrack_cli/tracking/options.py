@@ -1,11 +1,15 @@
-"""What a run is asked for, and what came of it."""
+"""What a run is asked for, what a result states of it, and what came of it."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from posetrack_cli import __version__
+from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
 from posetrack_cli.recording.recording import Recording
 
@@ -75,3 +79,29 @@ def nothing_to_track(recording: Recording) -> UsageError | RecordingError:
     count = recording.frame_count
     found = "none that can be read" if count is None else f"{count} frames"
     return UsageError("no frame to track", where=recording.path, found=found, hint="check --start and --end")
+
+
+def common_record(
+    tracker: str, recording: Recording, camera: Camera, config: Settings, options: RunOptions
+) -> dict[str, str]:
+    """Return what the records of all trackers' runs state.
+
+    Args:
+        tracker: its name.
+        recording: its identity is stated, not its path.
+        camera: that estimates are relative to, with the intrinsics that are used.
+        config: resolved, with the defaults.
+        options: frames and seed.
+    """
+    return {
+        "tracker": tracker,
+        "version": __version__,
+        "configuration": json.dumps(config.model_dump(mode="json")),
+        "seed": str(options.seed),
+        "start": str(options.start),
+        "end": "" if options.end is None else str(options.end),
+        "stride": str(options.stride),
+        "timings": str(options.timings).lower(),
+        "camera": json.dumps(camera.values()),
+        **{f"input.{key}": value for key, value in recording.identity().items()},
+    }

@@ -1,4 +1,4 @@
-"""A run: every frame of a recording through a tracker into a result."""
+"""A run: every frame of a recording through a tracker into a result, which truth is carried over to."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,17 +15,14 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
-from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import StampCheck
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
-from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
-from posetrack_cli.tracking.loop import RunState, Step, track_frames
+from posetrack_cli.tracking.loop import RunState, Step, Tracker, checkpoint_of, run_state_at, track_frames
 from posetrack_cli.tracking.options import RunOptions, RunOutcome, frames_ahead, nothing_to_track
-from posetrack_cli.tracking.protocol import Tracker
-from posetrack_cli.tracking.truth import truth_carrier
 
 Report = Callable[[Estimate], None]
 Stopped = Callable[[], bool]
@@ -234,3 +231,23 @@ def _stopped_at_once(stopped: Stopped) -> Iterator[None]:
     except KeyboardInterrupt:
         if not stopped():
             raise
+
+
+def truth_carrier(messages: Iterator[TruthMessage], writer: ResultWriter) -> Generator[None, int]:
+    """Return a coroutine that carries truth over up to each stamp (ns) it is sent.
+
+    What a resumed result holds already is left out.
+    """
+    carrier = _carry(messages, writer)
+    next(carrier)
+    return carrier
+
+
+def _carry(messages: Iterator[TruthMessage], writer: ResultWriter) -> Generator[None, int]:
+    messages = islice(messages, writer.truth_messages, None)
+    message, stamp = next(messages, None), (yield)
+    while True:
+        while message is not None and message.log_time_ns <= stamp:
+            writer.add_truth(message)
+            message = next(messages, None)
+        stamp = yield

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from typing import Any, Protocol, TypeAlias, TypeVar
@@ -17,10 +17,8 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.layouts import COUNTS, check_numbers
 from posetrack_cli.results.writer import ResultWriter
-from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
-from posetrack_cli.tracking.loop import RunState
+from posetrack_cli.tracking.loop import RunState, Tracker
 from posetrack_cli.tracking.options import RunOptions, RunOutcome
-from posetrack_cli.tracking.protocol import Tracker
 from posetrack_cli.tracking.run import Report, Run, Stopped
 
 State = TypeVar("State")
@@ -119,11 +117,11 @@ class TwoPassRun(Run):
         learned = learned_before(checkpoint)
         if learned:
             self._begin_second_pass(learned)
-        return run_state_in_pass(self.tracker, checkpoint, self.new_rng())
+        return super().run_state_at(as_of_one_pass(checkpoint))
 
     def checkpoint(self, run_state: RunState, frames: int) -> Checkpoint:
         """Return the checkpoint after a frame that was written."""
-        return second_pass_checkpoint(self.tracker, run_state, frames, self._learned)
+        return within_second_pass(super().checkpoint(run_state, frames), self._learned)
 
     def before_writing(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> RunState | None:
         """Do the first of two passes, if it is not done."""
@@ -144,7 +142,7 @@ class TwoPassRun(Run):
                 run_state = step.after
                 self._first_pass_report(step.estimate)
                 if self._tracked % self._flush_frames == 0:
-                    writer.save_checkpoint(first_pass_checkpoint(self.tracker, run_state))
+                    writer.save_checkpoint(within_first_pass(super().checkpoint(run_state, 0)))
                 if stopped():
                     return None
         return self.learned_by(run_state.state)
@@ -154,18 +152,14 @@ class TwoPassRun(Run):
         self.tracker = self._make_tracker(learned)
 
 
-def first_pass_checkpoint(tracker: Tracker[Any], run_state: RunState) -> Checkpoint:
-    """Return the checkpoint within the first pass, before anything is in the result."""
-    checkpoint = checkpoint_of(tracker, run_state, 0)
-    state = {**checkpoint.state, FIRST_PASS_FRAME: run_state.frame_index}
+def within_first_pass(checkpoint: Checkpoint) -> Checkpoint:
+    """Return the checkpoint of a frame of the first pass, before anything is in the result."""
+    state = {**checkpoint.state, FIRST_PASS_FRAME: checkpoint.frame_index}
     return replace(checkpoint, frame_index=-1, state=state)
 
 
-def second_pass_checkpoint(
-    tracker: Tracker[Any], run_state: RunState, frames: int, learned: Mapping[str, np.ndarray[Any, Any]]
-) -> Checkpoint:
+def within_second_pass(checkpoint: Checkpoint, learned: Learned) -> Checkpoint:
     """Return the checkpoint within the second pass, with what it began with."""
-    checkpoint = checkpoint_of(tracker, run_state, frames)
     kept = {f"{_LEARNED}{name}": values for name, values in learned.items()}
     return replace(checkpoint, arrays={**checkpoint.arrays, **kept})
 
@@ -176,15 +170,15 @@ def learned_before(checkpoint: Checkpoint) -> Learned:
     return {name.removeprefix(_LEARNED): values for name, values in arrays if name.startswith(_LEARNED)}
 
 
-def run_state_in_pass(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> RunState:
-    """Return where a checkpoint of either pass was saved, given the tracker of that pass.
+def as_of_one_pass(checkpoint: Checkpoint) -> Checkpoint:
+    """Return a checkpoint of either pass as a run of this pass alone would have saved it.
 
     Raises:
-        LayoutError: as of ``run_state_at``.
+        LayoutError: its frame is no number.
     """
     arrays = {name: v for name, v in checkpoint.arrays.items() if not name.startswith(_LEARNED)}
     index = checkpoint.frame_index
     if FIRST_PASS_FRAME in checkpoint.state:
         check_numbers(checkpoint.state, {FIRST_PASS_FRAME: COUNTS})
         index = checkpoint.state[FIRST_PASS_FRAME]
-    return run_state_at(tracker, replace(checkpoint, arrays=arrays, frame_index=index), rng)
+    return replace(checkpoint, arrays=arrays, frame_index=index)

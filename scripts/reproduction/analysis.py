@@ -11,7 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import SIGNIFICANCE, Paired, paired
 from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.evaluation import Statistics
 from reproduction.study import CONDITIONS, Condition
 from reproduction.unit import Unit
 

@@ -16,7 +16,7 @@ import click
 
 from posetrack_cli import __version__
 from posetrack_cli.cli.main import run as posetrack
-from posetrack_cli.cli.recording_options import recording_options
+from posetrack_cli.cli.options import recording_options
 from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.rendering.devices import open_device
 from posetrack_cli.rendering.port import RenderingDevice

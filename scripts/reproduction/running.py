@@ -14,7 +14,7 @@ import click
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.evaluation.reports.json_report import finite
+from posetrack_cli.evaluation.reports.report_files import finite
 
 FIRST_SEED = 201
 """Seeds from here on were not used for tuning."""

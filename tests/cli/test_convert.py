@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_USAGE, UsageError
-from posetrack_cli.evaluation.truth.points_topic import points_topic
+from posetrack_cli.evaluation.truth.topics import points_topic
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.export.table import point_columns

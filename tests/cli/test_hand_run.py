@@ -22,7 +22,7 @@ from numba.core.event import trigger_event
 from posetrack_cli.cli.main import run
 from posetrack_cli.cli.running import progress
 from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import part_path, state_path

@@ -19,7 +19,7 @@ COMPILING = """
 import ctypes, pathlib, signal, sys, time
 import click
 from numba.core.event import trigger_event
-from posetrack_cli.cli.compiling import compiling_said
+from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.main import cli, main
 from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.cli.standard_output import print_note

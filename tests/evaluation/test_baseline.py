@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.baseline import FLOOR, check_baseline, read_baseline
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.reports.json_report import json_report
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.evaluation import Statistics
+from posetrack_cli.evaluation.reports.report_files import json_report
 from support.evaluation import hand_evaluation
 
 OPTIONS = {"tolerance_ms": 5.0, "time_offset_s": 0.0, "align": "none"}

@@ -14,9 +14,8 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, addresses, is_measured, metric_of
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (

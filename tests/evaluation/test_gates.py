@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Statistics
 from posetrack_cli.evaluation.figures import figure_of
 from posetrack_cli.evaluation.gates import OPERATORS, check_gate, check_gates, parse_gate, read_gates
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
 from support.evaluation import hand_evaluation
 
 FIGURES = Statistics(mean=8.0, sd=2.0, median=7.5, p95=12.0, max=30.0, count=600)

@@ -17,6 +17,7 @@ from posetrack_cli.evaluation.evaluation import Curve, Evaluation
 from posetrack_cli.evaluation.html import write_html
 from posetrack_cli.evaluation.html.packing import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
+from posetrack_cli.evaluation.html.writer import ReportPage
 from support.browser import console_lines, open_browser, requested, set_features, set_width
 from support.evaluation import hand_evaluation
 from support.html import NASTY, head_evaluation, picture, shortened, without_truth
@@ -147,7 +148,7 @@ def make(driver: Any, tmp_path: Path) -> Make:
 
     def made(*evaluations: Evaluation, width: int = 1200, scheme: str = "light", **pictures: Any) -> Page:
         path = tmp_path / "page.html"
-        write_html(path, evaluations, None, pictures, "A page")
+        write_html(path, ReportPage(evaluations, None, pictures, "A page"))
         return Page(driver, path).open(width, scheme)
 
     return made

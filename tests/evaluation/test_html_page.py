@@ -21,7 +21,7 @@ from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html import gallery, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
-from posetrack_cli.evaluation.html.writer import html_page
+from posetrack_cli.evaluation.html.writer import ReportPage, html_page
 from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 from support.html import NASTY, PNG, head_evaluation, picture, shortened, without_truth
@@ -59,7 +59,9 @@ class Outline(HTMLParser):
 
 
 def page(*evaluations: Evaluation, **given: Any) -> str:
-    return html_page(evaluations, given.get("comparison"), given.get("pictures", {}), given.get("title", "T"))
+    return html_page(
+        ReportPage(evaluations, given.get("comparison"), given.get("pictures", {}), given.get("title", "T"))
+    )
 
 
 def data_of(text: str) -> dict[str, Any]:
@@ -145,7 +147,7 @@ def test_a_page_names_no_address_and_forbids_connections() -> None:
 
 def test_the_same_evaluation_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one.html", "two.html"):
-        write_html(tmp_path / name, [hand_evaluation(frames=30)], None, {"a": [picture()]}, "T")
+        write_html(tmp_path / name, ReportPage([hand_evaluation(frames=30)], None, {"a": [picture()]}, "T"))
     assert filecmp.cmp(tmp_path / "one.html", tmp_path / "two.html", shallow=False)
 
 
@@ -306,19 +308,19 @@ def test_a_result_whose_pictures_find_no_room_says_so(monkeypatch: pytest.Monkey
 def test_a_name_that_no_page_can_have_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "folder.html").mkdir()
     with pytest.raises(UsageError, match="page is"):
-        write_html(tmp_path / name, [hand_evaluation(frames=2)], None, {}, "T")
+        write_html(tmp_path / name, ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
 
 
 def test_a_page_in_a_folder_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ResultError, match="no folder"):
-        write_html(tmp_path / "none" / "page.html", [hand_evaluation(frames=2)], None, {}, "T")
+        write_html(tmp_path / "none" / "page.html", ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(ResultError, match="cannot be written"):
-        write_html(tmp_path / "page.html", [hand_evaluation(frames=2)], None, {}, "T")
+        write_html(tmp_path / "page.html", ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
 
 
 def test_a_page_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -331,7 +333,7 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(writer, "write_output", full)
     with pytest.raises(ResultError, match="No space left"):
-        write_html(path, [hand_evaluation(frames=2)], None, {}, "T")
+        write_html(path, ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
     assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
     assert path.read_text() == "old"
 

@@ -12,7 +12,7 @@ import pytest
 
 from posetrack_cli.evaluation.matched_frames import matched_frames
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.stored import StoredFrame, StoredImage, UnreadableImageError
+from posetrack_cli.recording.base import StoredFrame, StoredImage, UnreadableImageError
 
 
 class Recorded:

@@ -22,7 +22,7 @@ from posetrack_cli.configuration import Settings
 from posetrack_cli.evaluation.evaluation import Curve
 from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.metrics.metric import error
+from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 from posetrack_cli.filtering.filters import MarginalState, Prior
 from posetrack_cli.filtering.model import Dynamics, FilterModel
@@ -43,8 +43,7 @@ from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.results.messages import JointStates
 from posetrack_cli.synthesis.recording import TruthChannels, write_file, write_message
-from posetrack_cli.tracking.options import RunOptions
-from posetrack_cli.tracking.record import common_record
+from posetrack_cli.tracking.options import RunOptions, common_record
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, stamp
 
@@ -321,9 +320,9 @@ BOX = SubjectKind(
     name="box",
     body="Box",
     metrics=(
-        error("position_mm", "mm", "Distance between the estimated and the true middle of the box."),
-        error("rotation_deg", "deg", "Angle between the estimated and the true box, 0 to 180."),
-        error("corner_error_mm", "mm", "Distance between an estimated and the true corner.", "point"),
+        Metric("position_mm", "mm", "Distance between the estimated and the true middle of the box."),
+        Metric("rotation_deg", "deg", "Angle between the estimated and the true box, 0 to 180."),
+        Metric("corner_error_mm", "mm", "Distance between an estimated and the true corner.", "point"),
     ),
     measure=measure,
     parts={"point": SUBJECT.point_names},

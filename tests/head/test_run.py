@@ -22,8 +22,8 @@ from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import Estimate, load_arrays, read_result
+from posetrack_cli.results.export.export import csv_text
 from posetrack_cli.results.export.source import export_source
-from posetrack_cli.results.export.text_formats import csv_text
 from posetrack_cli.tracking.options import RunOutcome
 from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory

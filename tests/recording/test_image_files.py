@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, decode_any, decode_codes, encode_png
-from posetrack_cli.recording.stored import UnreadableImageError
 
 CODES = np.random.default_rng(0).integers(0, 999, (30, 40)).astype(np.uint16)
 

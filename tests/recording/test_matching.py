@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import LossLog
+from posetrack_cli.recording.base import StoredImage
 from posetrack_cli.recording.matching import match_images
-from posetrack_cli.recording.stored import StoredImage
 
 MS = 1_000_000
 

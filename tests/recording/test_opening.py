@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.cli.recording_options import NAMES
+from posetrack_cli.cli.options import NAMES
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.opening import SOURCES, describe, open_recording
 from posetrack_cli.recording.recording import ReadingOptions

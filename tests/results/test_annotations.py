@@ -11,8 +11,7 @@ from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results import Estimate, Status, Subject
-from posetrack_cli.results.annotations import AXIS_MM, image_annotations
-from posetrack_cli.results.scene import LOST_ALPHA, line_scene
+from posetrack_cli.results.scene import AXIS_MM, LOST_ALPHA, image_annotations, line_scene
 from support.results import CAMERA, make_estimate
 
 SUBJECT = Subject(

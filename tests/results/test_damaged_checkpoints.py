@@ -18,9 +18,7 @@ from posetrack_cli.results import ResultWriter
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import FORMAT_VERSION, Checkpoint, Progress
 from posetrack_cli.results.layouts import floats
-from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
-from posetrack_cli.tracking.loop import RunState
-from posetrack_cli.tracking.protocol import Tracker
+from posetrack_cli.tracking.loop import RunState, Tracker, checkpoint_of, run_state_at
 from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
 from support.damage import Arrays, changed_json, damaged_arrays, damaged_fields, sealed
 from support.results import CAMERA, RUN, SUBJECT, begin, make_estimate, make_truth

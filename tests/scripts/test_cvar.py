@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.evaluation.truth.points_topic import points_topic, points_track
+from posetrack_cli.evaluation.truth.topics import points_topic, points_track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.opening import open_recording

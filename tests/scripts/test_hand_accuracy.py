@@ -15,7 +15,7 @@ from reproduction import made
 from reproduction.accuracy import filters, other_hands, own_model, real, tasks
 from reproduction.accuracy.measuring import Figures, Measured, Row
 from reproduction.accuracy.options import Options
-from reproduction.accuracy.tasks import CALIBRATED, RECORDING, Task, is_current, run_task
+from reproduction.accuracy.tasks import CALIBRATED, RECORDING, Task
 from reproduction.hand_accuracy import PARTS
 from reproduction.running import FIRST_SEED, Targets, table
 
@@ -77,29 +77,29 @@ def test_a_task_is_done_once_and_again_when_anything_it_depends_on_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = Task("a", MADE, {"small": (*SMALL, "--init", RECORDING)})
-    run_task(task, tmp_path)
+    task.run(tmp_path)
     result = task.result(tmp_path, "small")
     assert len(load_arrays(result)["stamp_ns"]) == 2 and read_result(result).run["seed"] == "0"
     assert list(tmp_path.glob("*.mcap")) == [result]  # the recording is gone
     before = result.stat().st_mtime_ns
-    run_task(task, tmp_path)
-    assert result.stat().st_mtime_ns == before and is_current(task, "small", tmp_path)
-    assert not is_current(Task("a", MADE, {"small": (*SMALL, "--seed", "1")}), "small", tmp_path)
-    assert not is_current(Task("a", (*MADE[:-1], "--fps", "15", "-o"), task.entrants), "small", tmp_path)
+    task.run(tmp_path)
+    assert result.stat().st_mtime_ns == before and task.is_current(tmp_path, "small")
+    assert not Task("a", MADE, {"small": (*SMALL, "--seed", "1")}).is_current(tmp_path, "small")
+    assert not Task("a", (*MADE[:-1], "--fps", "15", "-o"), task.entrants).is_current(tmp_path, "small")
     monkeypatch.setattr(tasks, "code_digest", lambda: "of other code")
-    assert not is_current(task, "small", tmp_path)
+    assert not task.is_current(tmp_path, "small")
 
 
 def test_an_entrant_that_fails_keeps_no_other_from_it(tmp_path: Path) -> None:
     task = Task("a", MADE, {"bad": ("--set", "filter.kind=magic"), "good": (*SMALL, "--init", RECORDING)})
     with pytest.raises(PosetrackError, match="a: failed: bad"):
-        run_task(task, tmp_path)
+        task.run(tmp_path)
     assert task.result(tmp_path, "good").exists() and not task.result(tmp_path, "bad").exists()
 
 
 def test_figures_are_those_of_the_evaluation(tmp_path: Path) -> None:
     task = Task("a", MADE, {"small": (*SMALL, "--init", RECORDING)})
-    run_task(task, tmp_path)
+    task.run(tmp_path)
     measured = Measured(tmp_path)
     figures = measured.figures(task, Row("small"))
     assert figures is not None

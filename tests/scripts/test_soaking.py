@@ -23,9 +23,9 @@ from posetrack_cli.outputs import state_path
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
-from posetrack_cli.tracking.loop import RunState
+from posetrack_cli.tracking.loop import RunState, checkpoint_of
 from posetrack_cli.tracking.state_codec import whole
-from posetrack_cli.tracking.two_pass import first_pass_checkpoint, second_pass_checkpoint
+from posetrack_cli.tracking.two_pass import within_first_pass, within_second_pass
 from soaking import disks
 from soaking.__main__ import main
 from soaking.cases import Case, Recordings
@@ -203,8 +203,8 @@ def test_steps_of_both_passes_are_counted(tmp_path: Path) -> None:
     case, output = replace(made_up(frames=40), passes=2), tmp_path / "r.mcap"
     assert standing_of(case, output) is None
     reached = RunState(0, np.random.default_rng(0), 9)
-    first = first_pass_checkpoint(NoTracker(), reached)
-    second = second_pass_checkpoint(NoTracker(), reached, 10, {"face": np.ones(3)})
+    first = within_first_pass(checkpoint_of(NoTracker(), reached, 0))
+    second = within_second_pass(checkpoint_of(NoTracker(), reached, 10), {"face": np.ones(3)})
     for checkpoint, expected in ((first, Standing(10, 0)), (second, Standing(50, 10))):
         checkpoints.save(state_path(output), checkpoint, Progress(0, 10, 0, {}))
         assert standing_of(case, output) == expected

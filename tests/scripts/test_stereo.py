@@ -23,7 +23,7 @@ from reproduction.heads import comparison, conditions, experiment, figures, peop
 from reproduction.heads.events import Events, events_of
 from reproduction.heads.measuring import Course, Figures, Measured, course, figures_of, recovery_s
 from reproduction.heads.options import Options
-from reproduction.heads.tasks import ENTRANTS, Task, is_current, run_task
+from reproduction.heads.tasks import ENTRANTS, Task
 from reproduction.running import FIRST_SEED, Targets
 from reproduction.stereo import PARTS
 from support.heads import CAMERAS, FRAME_NS, heads_folder, judged, pose
@@ -92,14 +92,14 @@ def test_a_recording_is_drawn_once_and_tracked_once_by_each_entrant(
     done: list[tuple[str, ...]] = []
     monkeypatch.setattr(tasks, "command", fake_command(done))
     task = Task("a", ("--frames", "3"), entrants=("deformable", "rigid"))
-    run_task(task, tmp_path)
+    task.run(tmp_path)
     recording = str(tmp_path / "recordings" / "a.mcap")
     assert done[0] == ("head", "synth", "--frames", "3", "-o", recording, "--overwrite")
     assert [arguments[:3] for arguments in done[1:]] == [("head", "stereo", recording)] * 2
     assert "rigid" in done[2] and "rigid" not in done[1]
     done.clear()
-    run_task(task, tmp_path)
-    run_task(replace(task, entrants=("deformable", "paper")), tmp_path)
+    task.run(tmp_path)
+    replace(task, entrants=("deformable", "paper")).run(tmp_path)
     assert [arguments[:2] for arguments in done] == [("head", "stereo")] and "head-stereo-paper" in done[0]
 
 
@@ -107,14 +107,14 @@ def test_what_has_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Monk
     done: list[tuple[str, ...]] = []
     monkeypatch.setattr(tasks, "command", fake_command(done))
     task = Task("a", ("--frames", "3"), entrants=("rigid",))
-    run_task(task, tmp_path)
+    task.run(tmp_path)
     monkeypatch.setattr(tasks, "code_digest", lambda: "of another tracker")
-    assert not is_current(task, "rigid", tmp_path)
-    run_task(task, tmp_path)
+    assert not task.is_current(tmp_path, "rigid")
+    task.run(tmp_path)
     assert [arguments[1] for arguments in done] == ["synth", "stereo", "stereo"]  # the recording was kept
     monkeypatch.setattr(tasks, "drawing_digest", lambda: "of other faces")
     monkeypatch.setattr(tasks, "code_digest", lambda: "of all of that")
-    run_task(task, tmp_path)
+    task.run(tmp_path)
     assert [arguments[1] for arguments in done[3:]] == ["synth", "stereo"]
 
 
@@ -122,7 +122,7 @@ def test_a_folder_is_read_with_its_calibration(tmp_path: Path, monkeypatch: pyte
     done: list[tuple[str, ...]] = []
     monkeypatch.setattr(tasks, "command", fake_command(done))
     (task,) = people.People().tasks(Options(tmp_path, heads_folder(tmp_path, "person-a")))
-    run_task(replace(task, entrants=("rigid",)), tmp_path / "out")
+    replace(task, entrants=("rigid",)).run(tmp_path / "out")
     camera = tmp_path / "out" / "recordings" / "person-a.camera.toml"
     assert done[0][:7] == ("head", "stereo", task.folder, "--camera", str(camera), "--fps", "25")
     assert "cameras.right" in camera.read_text()
@@ -134,8 +134,8 @@ def test_an_entrant_that_fails_keeps_no_other_from_it(
     monkeypatch.setattr(tasks, "command", fake_command([], fails="rigid"))
     task = Task("a", ("--frames", "3"), entrants=("rigid", "deformable"))
     with pytest.raises(PosetrackError, match="a: failed: rigid"):
-        run_task(task, tmp_path)
-    assert is_current(task, "deformable", tmp_path) and not is_current(task, "rigid", tmp_path)
+        task.run(tmp_path)
+    assert task.is_current(tmp_path, "deformable") and not task.is_current(tmp_path, "rigid")
 
 
 def true_shape(index: int) -> np.ndarray:

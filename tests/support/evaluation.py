@@ -9,8 +9,7 @@ import numpy as np
 
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation
-from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, statistics
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from support.tracks import hand_track
 

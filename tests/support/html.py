@@ -11,9 +11,8 @@ import numpy as np
 
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, statistics
 from posetrack_cli.evaluation.pictures import Picture
-from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import FACING

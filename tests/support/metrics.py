@@ -6,11 +6,10 @@ import numpy as np
 from hypothesis import settings
 
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Curve
+from posetrack_cli.evaluation.evaluation import Curve, Statistics
 from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
 from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 
 NOTHING = "nothing to compare"

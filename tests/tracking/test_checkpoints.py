@@ -11,9 +11,7 @@ import numpy as np
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
 from posetrack_cli.results.layouts import floats
-from posetrack_cli.tracking.checkpoints import checkpoint_of, run_state_at
-from posetrack_cli.tracking.loop import RunState
-from posetrack_cli.tracking.protocol import Tracker
+from posetrack_cli.tracking.loop import RunState, Tracker, checkpoint_of, run_state_at
 from posetrack_cli.tracking.state_codec import Fields, Value, whole
 
 

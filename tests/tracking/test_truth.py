@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.recording.base import TruthMessage
-from posetrack_cli.tracking.truth import truth_carrier
+from posetrack_cli.tracking.run import truth_carrier
 
 
 @dataclass

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from posetrack_cli.evaluation.comparing.paired import Paired, neighbour_correlation, paired, paired_blocks
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.metrics.catalogue import place_of
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.recording.base import RECORDING_KEY
 
 SECONDS = "one second of a recording"

@@ -10,9 +10,8 @@ from pathlib import Path
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import UNCORRECTED, Comparison, Difference
 from posetrack_cli.evaluation.comparing.paired import paired
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics, statistics
 from posetrack_cli.evaluation.figures import figure_of, studied_figures
-from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.files import real_path
 from posetrack_cli.recording.base import RECORDING_KEY
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.markup import element, text
+from posetrack_cli.evaluation.html.components import element, text
 from posetrack_cli.evaluation.pictures import Picture
 
 MOST_BYTES = 3_500_000

@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.components import components
-from posetrack_cli.evaluation.html.markup import readable
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
+from posetrack_cli.evaluation.html.components import components, readable
 from posetrack_cli.evaluation.html.packing import envelope_rows, packed
 from posetrack_cli.evaluation.html.scene import scene
 from posetrack_cli.evaluation.html.timebase import RowTable, Timebase, gap_spans, state_spans, timebases
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, place_of
 from posetrack_cli.evaluation.metrics.without_truth import run_series
 from posetrack_cli.evaluation.pictures import Picture
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.subjects import KINDS
 
 

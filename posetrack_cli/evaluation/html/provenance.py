@@ -8,7 +8,7 @@ from typing import Any
 
 from posetrack_cli import __version__
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.markup import details, element, listed, row, scrolling, text
+from posetrack_cli.evaluation.html.components import details, element, listed, row, scrolling, text
 from posetrack_cli.geometry.euler import EULER_ORDER
 
 FIRST = (

@@ -9,8 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.components import matched_truth
-from posetrack_cli.evaluation.html.markup import readable
+from posetrack_cli.evaluation.html.components import matched_truth, readable
 from posetrack_cli.evaluation.html.packing import packed, quantisation, quantised, step_for
 from posetrack_cli.evaluation.html.timebase import RowTable
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.markup import details, element, listed, readable, row, scrolling, text
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
+from posetrack_cli.evaluation.html.components import details, element, listed, readable, row, scrolling, text
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
 from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, shown, tables
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.losses import loss_line
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
@@ -12,8 +13,8 @@ from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.html.components import text
 from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
-from posetrack_cli.evaluation.html.markup import text
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
 from posetrack_cli.evaluation.html.provenance import about, component_remark, plot_remark, provenance
@@ -46,33 +47,37 @@ SCRIPTS = (
 ENDINGS = (".html", ".htm")
 
 
-def write_html(
-    path: Path,
-    evaluations: Sequence[Evaluation],
-    comparison: Comparison | None,
-    pictures: Pictures,
-    title: str,
-) -> None:
-    """Write a page that shows evaluations beside each other; the same arguments give the same bytes.
+@dataclass(frozen=True)
+class ReportPage:
+    """What a page shows.
 
-    The page loads nothing: styles, scripts, data and pictures are in it, and its security policy forbids
-    connections. An existing page is replaced.
-
-    Args:
-        path: ``*.html``.
-        evaluations: their names are unique.
+    Attributes:
+        evaluations: beside each other; their names are unique.
         comparison: paired differences of several results; None shows none.
         pictures: of each result, by its name, the worst frames first; or why there are none, as text.
         title: heading of the page.
+    """
+
+    evaluations: Sequence[Evaluation]
+    comparison: Comparison | None
+    pictures: Pictures
+    title: str
+
+
+def write_html(path: Path, page: ReportPage) -> None:
+    """Write a page to ``*.html``; equal pages give equal bytes.
+
+    The page loads nothing: styles, scripts, data and pictures are in it, and its security policy forbids
+    connections. An existing page is replaced.
 
     Raises:
         UsageError: the path is not named as a page, or is a folder.
         ResultError: it cannot be written.
     """
     check_page(path)
-    page = html_page(evaluations, comparison, pictures, title)
+    written = html_page(page)
     with whole_or_nothing(path) as part:
-        write_output(part, page.encode("utf-8", "backslashreplace"))
+        write_output(part, written.encode("utf-8", "backslashreplace"))
 
 
 def check_page(path: Path) -> None:
@@ -89,28 +94,24 @@ def check_page(path: Path) -> None:
     check_place(path)
 
 
-def html_page(
-    evaluations: Sequence[Evaluation],
-    comparison: Comparison | None,
-    pictures: Pictures,
-    title: str,
-) -> str:
+def html_page(page: ReportPage) -> str:
     """Return the page's text, see ``write_html``."""
+    evaluations = page.evaluations
     style = _asset("report.css")
     script = '"use strict";\n' + "\n".join(_asset(f"scripts/{name}.js") for name in SCRIPTS)
-    gallery = fitting(evaluations, pictures)
+    gallery = fitting(evaluations, page.pictures)
     data = page_data(evaluations, gallery.pictures)
     return Template(_asset("report.html")).substitute(
         policy=_policy(style, script),
         version=text(__version__),
-        title=text(title),
+        title=text(page.title),
         style=style,
         script=script,
         top="top single" if len(evaluations) == 1 else "top",
         lead=lead(evaluations),
         notices=notices(evaluations),
         summary=summary_tables(evaluations),
-        comparison=comparison_section(comparison),
+        comparison=comparison_section(page.comparison),
         plot_remark=plot_remark(data),
         component_remark=component_remark(data),
         gallery=gallery_section(evaluations, gallery),

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 
 from posetrack_cli.errors import UsageError, nearest_name
-from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Metric, error, number
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES
+from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Metric
 from posetrack_cli.evaluation.subjects import KINDS, SubjectKind
 
 _NEES = (
@@ -26,45 +26,68 @@ _INSIDE = (
 )
 
 GENERAL: tuple[Metric, ...] = (
-    number(
+    Metric(
         "coverage",
-        "coverage",
-        "higher",
+        "",
         "Share of the frames due that are tracked and have a truth; without truth the share that is tracked.",
+        group="coverage",
+        better="higher",
+        scalar=True,
     ),
-    number("frames", "coverage", "neither", "Estimates in the result."),
-    number("tracked", "coverage", "neither", "Estimates that are not lost."),
-    number("lost", "coverage", "lower", "Estimates whose status is lost; their errors count all the same."),
-    number("reinitialised", "coverage", "lower", "Estimates where the track was found anew."),
-    number("matched", "coverage", "neither", "Estimates with a truth at their stamp: errors are over these."),
-    number("unmatched", "coverage", "lower", "Estimates without a truth at their stamp."),
-    number("missed", "coverage", "lower", "Frames that the run left out though there is a truth for them."),
-    number(
+    Metric("frames", "", "Estimates in the result.", group="coverage", better="neither", scalar=True),
+    Metric("tracked", "", "Estimates that are not lost.", group="coverage", better="neither", scalar=True),
+    Metric(
+        "lost",
+        "",
+        "Estimates whose status is lost; their errors count all the same.",
+        group="coverage",
+        scalar=True,
+    ),
+    Metric("reinitialised", "", "Estimates where the track was found anew.", group="coverage", scalar=True),
+    Metric(
+        "matched",
+        "",
+        "Estimates with a truth at their stamp: errors are over these.",
+        group="coverage",
+        better="neither",
+        scalar=True,
+    ),
+    Metric("unmatched", "", "Estimates without a truth at their stamp.", group="coverage", scalar=True),
+    Metric(
+        "missed",
+        "",
+        "Frames that the run left out though there is a truth for them.",
+        group="coverage",
+        scalar=True,
+    ),
+    Metric(
         "truth_outside",
-        "coverage",
-        "neither",
+        "",
         "Truths before the result's first or after its last estimate; not counted against it.",
+        group="coverage",
+        better="neither",
+        scalar=True,
     ),
-    error(
+    Metric(
         "velocity_error_mm_s",
         "mm/s",
         "Length of the difference between the estimated and the true velocity of the origin.",
         group="velocity",
     ),
-    error(
+    Metric(
         "angular_velocity_error_deg_s",
         "deg/s",
         "Length of the difference between the estimated and the true angular velocity, in camera axes.",
         group="velocity",
     ),
-    Metric("nees", "", _NEES.format(what="the pose"), "neither", "covariance", spoken="NEES"),
+    Metric("nees", "", _NEES.format(what="the pose"), group="covariance", better="neither", spoken="NEES"),
     Metric(
         "inside_90",
         "",
         _INSIDE.format(what="the pose"),
-        "neither",
-        "covariance",
-        "state",
+        part="state",
+        group="covariance",
+        better="neither",
         scalar=True,
         spoken="inside 90 % interval",
     ),
@@ -72,75 +95,82 @@ GENERAL: tuple[Metric, ...] = (
         "velocity_nees",
         "",
         _NEES.format(what="the velocity"),
-        "neither",
-        "covariance",
+        group="covariance",
+        better="neither",
         spoken="velocity NEES",
     ),
     Metric(
         "velocity_inside_90",
         "",
         _INSIDE.format(what="the velocity"),
-        "neither",
-        "covariance",
-        "state",
+        part="state",
+        group="covariance",
+        better="neither",
         scalar=True,
         spoken="velocity inside 90 % interval",
     ),
-    Metric("cost_mm", "mm", "The run's own cost of its estimate against the image.", "lower", "consistency"),
+    Metric("cost_mm", "mm", "The run's own cost of its estimate against the image.", group="consistency"),
     Metric(
         "residual_mm",
         "mm",
         "Mean difference of rendered and observed depth where both have the hand, segmented around it.",
-        "lower",
-        "consistency",
+        group="consistency",
         needs_depth=True,
     ),
     Metric(
         "region_overlap",
         "",
         "Pixels that the rendered and the observed hand share, over those of either.",
-        "higher",
-        "consistency",
+        group="consistency",
+        better="higher",
         needs_depth=True,
     ),
     Metric(
         "jitter_mm",
         "mm",
         "Mean over points of how far they are off the line between frames before and after, over sqrt(6).",
-        "lower",
-        "consistency",
+        group="consistency",
     ),
-    number("gaps", "consistency", "lower", "Times that frames are missing between two estimates."),
-    number("largest_gap_s", "consistency", "lower", "Longest time between two estimates.", "s"),
-    number("status_changes", "consistency", "lower", "Times that the status changes."),
-    Metric("confidence", "", "Confidence of the estimates, 0 to 1.", "higher", "run"),
-    Metric("ms_per_frame", "ms", "Time that a frame took.", "lower", "run", spoken="time per frame"),
-    number(
+    Metric(
+        "gaps", "", "Times that frames are missing between two estimates.", group="consistency", scalar=True
+    ),
+    Metric("largest_gap_s", "s", "Longest time between two estimates.", group="consistency", scalar=True),
+    Metric("status_changes", "", "Times that the status changes.", group="consistency", scalar=True),
+    Metric("confidence", "", "Confidence of the estimates, 0 to 1.", group="run", better="higher"),
+    Metric("ms_per_frame", "ms", "Time that a frame took.", group="run", spoken="time per frame"),
+    Metric(
         "frames_per_s",
-        "run",
-        "higher",
-        "Frames over the time that they took together.",
         "1/s",
+        "Frames over the time that they took together.",
+        group="run",
+        better="higher",
+        scalar=True,
         spoken="frame rate",
     ),
     Metric(
         "evaluations",
         "",
         "Poses a frame whose fit to the image was evaluated.",
-        "lower",
-        "run",
+        group="run",
         spoken="poses evaluated",
     ),
-    number("particles", "run", "neither", "Particles of the filter."),
+    Metric("particles", "", "Particles of the filter.", group="run", better="neither", scalar=True),
     Metric(
         "ess",
         "",
         "Effective sample size of the weights before resampling.",
-        "higher",
-        "run",
+        group="run",
+        better="higher",
         spoken="effective sample size",
     ),
-    number("resampling_rate", "run", "neither", "Share of the frames after which particles were resampled."),
+    Metric(
+        "resampling_rate",
+        "",
+        "Share of the frames after which particles were resampled.",
+        group="run",
+        better="neither",
+        scalar=True,
+    ),
 )
 """What every subject is measured by."""
 

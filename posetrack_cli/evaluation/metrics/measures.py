@@ -10,8 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Value
-from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.evaluation import Value, statistics
 from posetrack_cli.evaluation.track import Track
 
 

@@ -1,4 +1,4 @@
-"""What a metric is, and shorthand to state one."""
+"""What a metric is."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Metric:
         name: first word of its address; ends in its unit where it has one.
         unit: mm, deg, s, ...; empty for counts and shares.
         meaning: one sentence.
-        better: which way an improvement goes; ``neither`` where the figure has a target or none at all.
-        group: where tables show it.
         part: kind of the parts that it is told for besides the whole; None for none.
+        group: where tables show it.
+        better: which way an improvement goes; ``neither`` where the figure has a target or none at all.
         scalar: one number; otherwise ``Statistics``.
         spoken: what a page calls it; by default the name without its unit.
         needs_depth: whether it is measured against depth images.
@@ -41,9 +41,9 @@ class Metric:
     name: str
     unit: str
     meaning: str
-    better: Better
-    group: Group
     part: PartKind | None = None
+    group: Group = "accuracy"
+    better: Better = "lower"
     scalar: bool = False
     spoken: str = ""
     needs_depth: bool = False
@@ -53,20 +53,3 @@ class Metric:
         """What a page calls it."""
         endings = (self.name.removesuffix(end) for end in _UNIT_ENDINGS if self.name.endswith(end))
         return self.spoken or next(endings, self.name).replace("_", " ")
-
-
-def number(name: str, group: Group, better: Better, meaning: str, unit: str = "", spoken: str = "") -> Metric:
-    """State a metric that is one number."""
-    return Metric(name, unit, meaning, better, group, scalar=True, spoken=spoken)
-
-
-def error(
-    name: str,
-    unit: str,
-    meaning: str,
-    part: PartKind | None = None,
-    group: Group = "accuracy",
-    spoken: str = "",
-) -> Metric:
-    """State a metric of errors, which are better lower."""
-    return Metric(name, unit, meaning, "lower", group, part, spoken=spoken)

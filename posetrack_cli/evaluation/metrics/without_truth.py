@@ -8,9 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.evaluation.evaluation import Value
+from posetrack_cli.evaluation.evaluation import Value, statistics
 from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.statistics import statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.recording.timeline import GAP_FACTOR
 from posetrack_cli.units import NS_PER_S

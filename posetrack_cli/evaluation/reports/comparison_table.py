@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from math import isnan
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison, Difference
+from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.metrics.catalogue import split_address
 from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, mean_and_sd, shown
-from posetrack_cli.evaluation.statistics import Statistics
 
 NOT_COMPARED = (
     "not compared: no two results are of the same recording with figures in common; "

@@ -1,13 +1,28 @@
-"""Where reports are written: whole or not at all, and never over what an evaluation reads."""
+"""Reports as files: everything as JSON, figures and curves as CSV; where they are written."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.comparing.comparison import Comparison
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Statistics, Value
+from posetrack_cli.evaluation.gates import GateOutcome
+from posetrack_cli.evaluation.joint_offsets import JointOffsets
+from posetrack_cli.evaluation.metrics.catalogue import metric_of, split_address
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.outputs import check_free, check_place, whole_or_nothing
+from posetrack_cli.text import printable_json
 
 
 def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite: bool) -> None:
@@ -45,3 +60,175 @@ def write_report(path: Path, text: str) -> None:
     """
     with whole_or_nothing(path) as part:
         write_output(part, text.encode("utf-8", "backslashreplace"))
+
+
+FORMAT = "posetrack.eval/1"
+
+
+def json_report(
+    evaluations: Sequence[Evaluation],
+    options: Mapping[str, Any],
+    comparison: Comparison | None = None,
+    gates: Sequence[GateOutcome] = (),
+) -> str:
+    """Return the report as JSON text.
+
+    ``results`` has for each result its name, file, track, subject, coverage, metrics by address (``unit``
+    with either ``value`` or mean, sd, median, p95, max and count), absent metrics with reasons, curve,
+    joint offsets that were removed, notes, losses and run record; ``comparison`` the paired differences,
+    ``gates`` the outcome of every gate.
+
+    Args:
+        evaluations: the results.
+        options: what they were evaluated with.
+        comparison: of the results or groups.
+        gates: of ``--fail-if``, files of gates and a baseline.
+    """
+    report = {
+        "format": FORMAT,
+        "version": __version__,
+        "options": dict(options),
+        "results": [_result(one) for one in evaluations],
+        "comparison": None if comparison is None else _comparison(comparison),
+        "gates": [asdict(outcome) for outcome in gates],
+    }
+    return printable_json(json.dumps(finite(report), indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
+
+
+def finite(value: Any) -> Any:
+    """Replace numbers that JSON cannot hold by None, in nested lists and dictionaries."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(key): finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return value
+
+
+def _result(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "name": evaluation.name,
+        "file": str(evaluation.path),
+        "track": evaluation.which,
+        "subject": evaluation.subject,
+        "coverage": {**asdict(evaluation.coverage), "share": evaluation.coverage.share},
+        "metrics": {base: _metric(base, value) for base, value in evaluation.metrics.items()},
+        "absent": dict(evaluation.absent),
+        "curve": None if evaluation.curve is None else _curve(evaluation.curve),
+        "joint_offsets": _offsets(evaluation.joint_offsets),
+        "notes": list(evaluation.notes),
+        "losses": [asdict(loss) for loss in evaluation.losses],
+        "run": dict(evaluation.run),
+    }
+
+
+def _metric(base: str, value: Value) -> dict[str, Any]:
+    figures = asdict(value) if isinstance(value, Statistics) else {"value": value}
+    return {"unit": metric_of(base).unit, **figures}
+
+
+def _curve(curve: Curve) -> dict[str, list[float]]:
+    return {
+        "thresholds_mm": curve.thresholds_mm.tolist(),
+        "share": curve.share.tolist(),
+        "mean_share": curve.mean_share.tolist(),
+    }
+
+
+def _offsets(removed: JointOffsets | None) -> dict[str, Any] | None:
+    if removed is None:
+        return None
+    joints = dict(zip(removed.names, removed.offsets.tolist(), strict=True))
+    return {"axes": removed.frame, "mm": joints}
+
+
+def _comparison(comparison: Comparison) -> dict[str, Any]:
+    return {
+        "unit": comparison.unit,
+        "groups": {
+            group: {figure: asdict(of) for figure, of in summary.items()}
+            for group, summary in comparison.groups.items()
+        },
+        "differences": [_flat(asdict(one)) for one in comparison.differences],
+        "notes": list(comparison.notes),
+    }
+
+
+def _flat(difference: dict[str, Any]) -> dict[str, Any]:
+    """The paired figures beside the names; one note."""
+    paired = difference.pop("paired")
+    return {**{key: value for key, value in paired.items() if key != "note"}, **difference}
+
+
+HEADER = ("result", "metric", "part", "statistic", "value", "unit")
+Line = tuple[str, str, str, str, float, str]
+
+
+KINDS = ("largest", "mean")
+"""Of a frame's joint errors."""
+
+
+def csv_report(evaluations: Sequence[Evaluation], comparison: Comparison | None = None) -> str:
+    """Return lines ``result,metric,part,statistic,value,unit``, UTF-8, with a header.
+
+    ``part`` is empty for a metric as a whole; ``statistic`` is empty for a metric that is one number. Of a
+    comparison ``result`` is ``second - first`` and ``statistic`` ends in ``difference``, ``low``, ``high``,
+    ``p_value`` or ``pairs``. Values have all their digits; those that are not finite are ``nan`` or ``inf``.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(HEADER)
+    for one in evaluations:
+        for base, value in one.metrics.items():
+            writer.writerows(_lines(one.name, base, value))
+    if comparison is not None:
+        writer.writerows(_differences(comparison))
+    return text.getvalue()
+
+
+def _lines(result: str, base: str, value: Value) -> Iterator[Line]:
+    metric = metric_of(base)
+    part = base.removeprefix(metric.name).removeprefix(".")
+    figures = asdict(value) if isinstance(value, Statistics) else {"": value}
+    for statistic, figure in figures.items():
+        yield result, metric.name, part, statistic, figure, "" if statistic == "count" else metric.unit
+
+
+def _differences(comparison: Comparison) -> Iterator[Line]:
+    for one in comparison.differences:
+        address = split_address(one.figure)
+        metric, part = address.metric, address.part or ""
+        unit, pair = metric.unit, one.paired
+        figures = {
+            "difference": (pair.difference, unit),
+            "low": (pair.low, unit),
+            "high": (pair.high, unit),
+            "p_value": (pair.p_value, ""),
+            "pairs": (pair.count, ""),
+        }
+        for name, (figure, its_unit) in figures.items():
+            statistic = f"{address.statistic}.{name}" if address.statistic else name
+            yield f"{one.second} - {one.first}", metric.name, part, statistic, figure, its_unit
+
+
+def curve_report(evaluations: Sequence[Evaluation]) -> str:
+    """Return a table with the column ``d_mm``, and for each result ``NAME largest`` and ``NAME mean``.
+
+    Shares, 0 to 1, are of the frames due: those that a result missed count as not below D.
+
+    Raises:
+        UsageError: no result has a curve: they are no hands, or there is no truth with joints.
+    """
+    curves = {one.name: one.curve for one in evaluations if one.curve is not None}
+    if not curves:
+        names = ", ".join(one.name for one in evaluations)
+        raise UsageError("no curve: no result of a hand has a truth with joints", found=names)
+    columns = [next(iter(curves.values())).thresholds_mm]
+    columns += [shares for curve in curves.values() for shares in (curve.share, curve.mean_share)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)])
+    for row in np.stack(columns, axis=1).tolist():
+        writer.writerow([f"{row[0]:g}", *row[1:]])
+    return text.getvalue()

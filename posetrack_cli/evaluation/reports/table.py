@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from posetrack_cli.evaluation.evaluation import Evaluation, Value
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Statistics, Value
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, metric_of, place_of
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES, Statistics
+from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Group
 from posetrack_cli.losses import loss_line
 
 ABSENT = "-"
@@ -62,6 +62,10 @@ class Table:
     sections: tuple[Section, ...]
 
 
+RowsOf: TypeAlias = Callable[[str], list[Row]]
+"""Makes the rows of a metric or a part, by its address."""
+
+
 def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Table]:
     """Make the tables of results beside each other, in the catalogue's order, coverage always first.
 
@@ -73,7 +77,9 @@ def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Ta
         parts: also a row for every joint, finger, angle or point.
     """
     more = (thesis_table(evaluations), offsets_table(evaluations))
-    main = _of_one(evaluations[0], parts) if len(evaluations) == 1 else _of_several(evaluations, parts)
+    bases = [base for base in _bases(evaluations) if parts or "." not in base]
+    title, columns, rows = (_of_one if len(evaluations) == 1 else _of_several)(evaluations)
+    main = Table(title, columns, _sections((metric_of(base).group, rows(base)) for base in bases))
     return [main, *(table for table in more if table is not None)]
 
 
@@ -162,14 +168,19 @@ def mean_and_sd(mean: float, sd: float) -> str:
     return f"{shown(mean)} \u00b1 {shown(sd)}"
 
 
-def _of_one(evaluation: Evaluation, parts: bool) -> Table:
+def _of_one(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...], RowsOf]:
+    """Title, columns and the rows of an address of a table of the only result."""
+    (evaluation,) = evaluations
+
     def rows(base: str) -> list[Row]:
         return [_row(base, _statistics_cells(evaluation.metrics[base]))]
 
-    return Table(evaluation.name, ("mean/value", *SHOWN[1:]), _sections([evaluation], parts, rows))
+    return evaluation.name, ("mean/value", *SHOWN[1:]), rows
 
 
-def _of_several(evaluations: Sequence[Evaluation], parts: bool) -> Table:
+def _of_several(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...], RowsOf]:
+    """The same of a table of results beside each other."""
+
     def rows(base: str) -> list[Row]:
         values = [one.metrics.get(base) for one in evaluations]
         main = _row(base, tuple(_mean_cell(value) for value in values))
@@ -177,18 +188,15 @@ def _of_several(evaluations: Sequence[Evaluation], parts: bool) -> Table:
             return [main]
         return [main, Row(" / ".join(SPREAD), tuple(_spread_cell(value) for value in values), base, 1)]
 
-    return Table("Results", tuple(one.name for one in evaluations), _sections(evaluations, parts, rows))
+    return "Results", tuple(one.name for one in evaluations), rows
 
 
-def _sections(
-    evaluations: Sequence[Evaluation], parts: bool, rows: Callable[[str], list[Row]]
-) -> tuple[Section, ...]:
-    bases = [base for base in _bases(evaluations) if parts or "." not in base]
-    grouped = {
-        title: tuple(row for base in bases if metric_of(base).group == group for row in rows(base))
-        for group, title in GROUP_TITLES.items()
-    }
-    return tuple(Section(title, made) for title, made in grouped.items() if made)
+def _sections(grouped: Iterable[tuple[Group, list[Row]]]) -> tuple[Section, ...]:
+    """The rows of each group of metrics together, in the order of the groups."""
+    found: dict[Group, list[Row]] = {group: [] for group in GROUP_TITLES}
+    for group, rows in grouped:
+        found[group] += rows
+    return tuple(Section(GROUP_TITLES[group], tuple(rows)) for group, rows in found.items() if rows)
 
 
 def _bases(evaluations: Sequence[Evaluation]) -> list[str]:

@@ -9,7 +9,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.joint_offsets import JointOffsets, OffsetFrame, remove_joint_offsets
 from posetrack_cli.evaluation.metrics.hand_metrics import STATE_PARTS, WITHIN_MM, hand_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched
-from posetrack_cli.evaluation.metrics.metric import Metric, error, number
+from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
@@ -32,14 +32,14 @@ def _within(threshold_mm: int, which: str) -> Metric:
         f"is below {threshold_mm} mm."
     )
     if which == "mean":
-        return number(f"frames_mean_{name}", "accuracy", "higher", meaning)
+        return Metric(f"frames_mean_{name}", "", meaning, better="higher", scalar=True)
     spoken = f"frames within {threshold_mm} mm"
-    return number(f"frames_{name}", "accuracy", "higher", meaning, spoken=spoken)
+    return Metric(f"frames_{name}", "", meaning, better="higher", scalar=True, spoken=spoken)
 
 
 def _bias(axis: str, meaning: str) -> Metric:
     name = f"joint_bias_{f'{axis}_' if axis else ''}mm"
-    return Metric(name, "mm", meaning, "neither" if axis else "lower", "accuracy", "joint", scalar=True)
+    return Metric(name, "mm", meaning, part="joint", better="neither" if axis else "lower", scalar=True)
 
 
 def _without_offsets(
@@ -58,21 +58,21 @@ def _compared(result: Result, recording: Recording, which: str) -> Mapping[str, 
 
 
 _METRICS = (
-    error(
+    Metric(
         "joint_error_mm",
         "mm",
         "Distance between an estimated and the true joint, over frames and joints, lost frames included.",
         "joint",
     ),
-    error("joint_error_tracked_mm", "mm", "Joint error over the frames that are not lost."),
-    error(
+    Metric("joint_error_tracked_mm", "mm", "Joint error over the frames that are not lost."),
+    Metric(
         "finger_error_mm",
         "mm",
         "Joint error over the joints of one finger, or of all five: every joint but the wrist.",
         "finger",
     ),
-    error("fingertip_error_mm", "mm", "Joint error over the fingertips."),
-    error("largest_joint_error_mm", "mm", "Largest joint error of a frame, over frames."),
+    Metric("fingertip_error_mm", "mm", "Joint error over the fingertips."),
+    Metric("largest_joint_error_mm", "mm", "Largest joint error of a frame, over frames."),
     *(_within(threshold, "largest") for threshold in WITHIN_MM),
     *(_within(threshold, "mean") for threshold in WITHIN_MM),
     _bias("", "Length of a joint's mean error vector where tracked, over all joints the mean length."),
@@ -80,20 +80,20 @@ _METRICS = (
         _bias(axis, f"Mean of the joints' errors along the palm's {axis} axis, {towards}, where tracked.")
         for axis, towards in _PALM_AXES.items()
     ),
-    error(
+    Metric(
         "wrist_position_mm",
         "mm",
         "Distance between the estimated and the true wrist.",
         spoken="wrist position error",
     ),
-    error(
+    Metric(
         "wrist_rotation_deg",
         "deg",
         "Angle of the rotation between the estimated and the true hand, 0 to 180.",
         spoken="wrist rotation error",
     ),
-    error("angle_error_deg", "deg", "Absolute error of the finger angles, over frames and angles.", "angle"),
-    error(
+    Metric("angle_error_deg", "deg", "Absolute error of the finger angles, over frames and angles.", "angle"),
+    Metric(
         "angle_velocity_error_deg_s",
         "deg/s",
         "Absolute error of the finger angles' velocities, over frames and angles.",

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE, STATE_PARTS, head_metrics
-from posetrack_cli.evaluation.metrics.metric import error
+from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 
 _METRICS = (
-    error("x_mm", "mm", "Absolute error of the head's position along x, right.", spoken="x error"),
-    error("y_mm", "mm", "Absolute error of the head's position along y, down.", spoken="y error"),
-    error("z_mm", "mm", "Absolute error of the head's position along z, the depth.", spoken="z error"),
-    error("roll_deg", "deg", "Absolute error of the head's roll, about z.", spoken="roll error"),
-    error("pitch_deg", "deg", "Absolute error of the head's pitch, about x.", spoken="pitch error"),
-    error("yaw_deg", "deg", "Absolute error of the head's yaw, about y.", spoken="yaw error"),
-    error(
+    Metric("x_mm", "mm", "Absolute error of the head's position along x, right.", spoken="x error"),
+    Metric("y_mm", "mm", "Absolute error of the head's position along y, down.", spoken="y error"),
+    Metric("z_mm", "mm", "Absolute error of the head's position along z, the depth.", spoken="z error"),
+    Metric("roll_deg", "deg", "Absolute error of the head's roll, about z.", spoken="roll error"),
+    Metric("pitch_deg", "deg", "Absolute error of the head's pitch, about x.", spoken="pitch error"),
+    Metric("yaw_deg", "deg", "Absolute error of the head's yaw, about y.", spoken="yaw error"),
+    Metric(
         "position_mm",
         "mm",
         "Distance between the estimated and the true origin of the head.",
         spoken="position error",
     ),
-    error(
+    Metric(
         "rotation_deg",
         "deg",
         "Angle of the rotation between the estimated and the true head, 0 to 180.",
         spoken="rotation error",
     ),
-    error(
+    Metric(
         "point_error_mm",
         "mm",
         "Distance between an estimated and the true feature point in head coordinates, each by its own pose.",

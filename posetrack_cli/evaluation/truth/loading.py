@@ -12,8 +12,14 @@ from posetrack_cli.errors import TruthError, UsageError
 from posetrack_cli.evaluation.track import MOTION_FIELDS, Track, truth_of_columns
 from posetrack_cli.evaluation.truth.checks import check_point_names
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.evaluation.truth.odometry_track import ODOMETRY_SCHEMA, odometry_topic, odometry_track
-from posetrack_cli.evaluation.truth.points_topic import POINTS_SCHEMA_NAME, points_topic, points_track
+from posetrack_cli.evaluation.truth.topics import (
+    ODOMETRY_SCHEMA,
+    POINTS_SCHEMA_NAME,
+    odometry_topic,
+    odometry_track,
+    points_topic,
+    points_track,
+)
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import TRUTH_PREFIX

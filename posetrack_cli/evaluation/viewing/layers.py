@@ -11,8 +11,7 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.evaluation.association import associate, nearest_rows
 from posetrack_cli.evaluation.metrics.pose_errors import distances
-from posetrack_cli.evaluation.result_names import unique_names
-from posetrack_cli.evaluation.track import Track, track_of_result
+from posetrack_cli.evaluation.track import Track, track_of_result, unique_names
 from posetrack_cli.evaluation.truth.loading import load_truth
 from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, TONES, Colour
 from posetrack_cli.evaluation.viewing.drawing import Canvas, Drawer, Segments, Shown

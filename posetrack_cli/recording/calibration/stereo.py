@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -13,11 +13,10 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import epipolar_errors, relative_transform
 from posetrack_cli.geometry.triangulation import triangulate
-from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.calibration.boards import Board
 from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import CameraFit, fit_camera, place_cameras, shared_views
-from posetrack_cli.recording.calibration.views import CameraViews, find_views
+from posetrack_cli.recording.calibration.views import CameraViews
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.identity import shown_name
 
@@ -97,32 +96,19 @@ class StereoCalibration:
         return camera_file_text(self.cameras, [title, *self.lines()])
 
 
-def calibrate_stereo(
-    path: Path,
-    board: Board,
-    *,
-    names: Sequence[str] | None = None,
-    distortion: str = "four",
-    report: Callable[[int, int], None] = lambda done, total: None,
-    losses: LossLog | None = None,
-) -> StereoCalibration:
-    """Calibrate the cameras whose images of a board lie in the folders of a folder.
+def calibrate_stereo(views: Sequence[CameraViews], distortion: str = "four") -> StereoCalibration:
+    """Calibrate the cameras that saw a board.
 
     Every camera's intrinsics come from all its views, the places then from the views that two cameras share;
     with these to start from everything is adjusted together.
 
     Args:
-        path: has a folder of images per camera; images of one instant have the same name or number.
-        board: that they show.
-        names: of the cameras to use, the reference first; None for all.
+        views: of each camera (``find_views``), the reference first.
         distortion: ``none``, ``four`` (k1 k2 p1 p2), ``five`` (and k3) or ``eight`` (rational) coefficients.
-        report: told how many images of how many were looked at.
-        losses: gets images that cannot be decoded.
 
     Raises:
-        RecordingError: images cannot be read, or there are too few views of the board.
+        RecordingError: there are too few views of the board.
     """
-    views = find_views(path, board, names, report, losses)
     fitted = [fit_camera(own, distortion) for own in views]
     fits, used = [fit for fit, _ in fitted], [own for _, own in fitted]
     start = place_cameras([fit.camera for fit in fits], used)
@@ -137,7 +123,7 @@ def calibrate_stereo(
         for i, j in combinations(range(len(cameras)), 2)
         if (error := _pair_error(cameras[i], cameras[j], used[i], used[j]))
     ]
-    return StereoCalibration(board, cameras, tuple(fits), tuple(pairs))
+    return StereoCalibration(views[0].board, cameras, tuple(fits), tuple(pairs))
 
 
 def _pair_error(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> PairError | None:

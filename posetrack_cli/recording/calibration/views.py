@@ -9,11 +9,11 @@ from pathlib import Path
 from posetrack_cli.arrays import BoolArray
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.losses import LossLog
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.image_files import read_image
-from posetrack_cli.recording.image_folders import find_folders, instants
-from posetrack_cli.recording.stored import UnreadableImageError
+from posetrack_cli.recording.image_folders import CameraFolders, find_folders
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,62 +65,68 @@ def find_views(
     Raises:
         RecordingError: there are no images, or images of one camera differ in size.
     """
-    folders = _chosen(path, find_folders(path), names)
-    log = LossLog() if losses is None else losses
-    every = instants(path, folders)
-    finder, done = BoardFinder(board), 0
-    total = sum(len(images) for images in folders.values())
-    views = []
-    for name in folders:
-        camera = _Camera(name)
+    found = find_folders(path)
+    folders = found.of(_chosen(found, names))
+    log, done = LossLog() if losses is None else losses, 0
+    total = sum(len(images) for images in folders.by_name.values())
+    every, finder, views = folders.instants(), BoardFinder(board), []
+    for name in folders.by_name:
+        camera = _Camera(path / name, finder, log)
         for instant in every:
-            camera.add(finder, instant.get(name), log)
+            camera.add(instant.get(name))
             done += name in instant
             report(done, total)
-        views.append(camera.views(path, board))
+        width, height = camera.size()
+        boards = tuple(camera.boards)
+        views.append(CameraViews(name or "camera", board, width, height, camera.images, boards))
     return views
 
 
 class _Camera:
-    """Collects what one camera saw."""
+    """Collects what one camera saw.
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    Args:
+        folder: of its images.
+        finder: finds the board.
+        losses: gets images that cannot be decoded.
+
+    Attributes:
+        boards: of each instant.
+        images: how many there are.
+    """
+
+    def __init__(self, folder: Path, finder: BoardFinder, losses: LossLog) -> None:
+        self._folder, self._finder, self._losses = folder, finder, losses
         self._pixels: Grey | None = None
-        self._boards: list[FoundBoard | None] = []
-        self._images = 0
+        self.boards: list[FoundBoard | None] = []
+        self.images = 0
 
-    def add(self, finder: BoardFinder, image: Path | None, losses: LossLog) -> None:
+    def add(self, image: Path | None) -> None:
         """Look at the image of the next instant, None if there is none."""
-        self._images += image is not None
-        self._boards.append(None if image is None else self._found(finder, image, losses))
+        self.images += image is not None
+        self.boards.append(None if image is None else self._found(image))
 
-    def views(self, path: Path, board: Board) -> CameraViews:
-        """Return what was seen."""
+    def size(self) -> tuple[int, int]:
+        """Return width and height of its images, pixels."""
         if self._pixels is None:
-            raise RecordingError(
-                "no image can be decoded", where=path / self.name, found=f"{self._images} files"
-            )
-        width, height = self._pixels.width, self._pixels.height
-        boards = tuple(self._boards)
-        return CameraViews(self.name or "camera", board, width, height, self._images, boards)
+            raise RecordingError("no image can be decoded", where=self._folder, found=f"{self.images} files")
+        return self._pixels.width, self._pixels.height
 
-    def _found(self, finder: BoardFinder, image: Path, losses: LossLog) -> FoundBoard | None:
+    def _found(self, image: Path) -> FoundBoard | None:
         try:
             stored = decode_as_stored(read_image(image))
         except UnreadableImageError as error:
-            losses.add(f"image skipped, {error}", str(image))
+            self._losses.add(f"image skipped, {error}", str(image))
             return None
         if self._pixels is None:
             self._pixels = grey_like(stored, image)
-        return finder.find(self._pixels.from_stored(stored, image))
+        return self._finder.find(self._pixels.from_stored(stored, image))
 
 
-def _chosen(path: Path, folders: dict[str, list[Path]], names: Sequence[str] | None) -> dict[str, list[Path]]:
+def _chosen(folders: CameraFolders, names: Sequence[str] | None) -> Sequence[str]:
+    """The cameras that are named, all of them by default, left before right."""
     for name in names or ():
-        if name not in folders:
-            raise RecordingError(f"no folder '{name}'", where=path, hint=nearest_name(name, folders))
-    order = (
-        list(names) if names else sorted(folders, key=lambda name: (name != "left", name != "right", name))
-    )
-    return {name: folders[name] for name in order}
+        if name not in folders.by_name:
+            hint = nearest_name(name, folders.by_name)
+            raise RecordingError(f"no folder '{name}'", where=folders.path, hint=hint)
+    return names or sorted(folders.by_name, key=lambda name: (name != "left", name != "right", name))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from io import StringIO
 from pathlib import Path
 from typing import IO
 
@@ -12,10 +14,103 @@ import numpy as np
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
-from posetrack_cli.results.export.source import ExportSource, header_values
-from posetrack_cli.results.export.text_formats import csv_text, json_text, tum_text
+from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.export.source import (
+    ExportSource,
+    header_lines,
+    header_values,
+    point_axes,
+)
+from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
 from posetrack_cli.results.fields import BY_NAME
 from posetrack_cli.results.subject_kind import kind_of
+from posetrack_cli.text import printable, printable_json
+from posetrack_cli.units import METRES_PER_MM, NS_PER_S
+
+TUM_FIELDS = ("stamp_ns", "position", "quaternion")
+
+
+def csv_text(source: ExportSource) -> Iterator[str]:
+    """Yield a table with one row per frame, 1000 frames at a time.
+
+    Comments (``# ``) say what it is and what every column means; then comes one header row. Numbers are
+    written so that they come back to the last bit; a value that there is not is an empty cell.
+    """
+    subject, blocks = source.result.subject.name, source.begun_blocks()
+    groups = table_of(source.result.subject)
+    yield from _comments(header_lines(source))
+    yield from _comments(
+        [f"Euler angles: {kind_of(subject).euler_order}", f"points: {point_axes(subject)}", "columns:"]
+    )
+    yield from _comments(f"  {group.description}" for group in groups)
+    yield _csv_rows([[name for group in groups for name in group.names]])
+    for block in blocks:
+        yield _csv_rows(zip(*_cells(groups, block), strict=True))
+
+
+def tum_text(source: ExportSource) -> Iterator[str]:
+    """Yield the trajectory in TUM's format: ``timestamp tx ty tz qx qy qz qw``, seconds and metres.
+
+    It has neither status nor points. The pose is ``camera_T_object``, the object's place in camera axes.
+    """
+    blocks = source.begun_blocks(TUM_FIELDS)
+    yield from _comments(header_lines(source))
+    yield from _comments(["timestamp tx ty tz qx qy qz qw: s, m, unit quaternion"])
+    for block in blocks:
+        poses = np.hstack([METRES_PER_MM * block["position"], block["quaternion"]]).tolist()
+        for stamp, pose in zip(block["stamp_ns"].tolist(), poses, strict=True):
+            yield f"{stamp // NS_PER_S}.{stamp % NS_PER_S:09d} {' '.join(map(repr, pose))}\n"
+
+
+def json_text(source: ExportSource) -> Iterator[str]:
+    """Yield one object: ``header``, and ``columns``, a list of N values for each column of the table.
+
+    A value that there is not is null.
+    """
+    columns = source.columns()
+    header = printable_json(json.dumps(header_values(source), indent=1, ensure_ascii=False))
+    yield f'{{"header": {header},\n"columns": {{'
+    between = "\n"
+    for group in table_of(source.result.subject):
+        for name, values in zip(group.names, group.values(columns).T, strict=True):
+            key = printable_json(json.dumps(name, ensure_ascii=False))
+            yield f"{between}{key}: {json.dumps(_plain(values))}"
+            between = ",\n"
+    yield "\n}}\n"
+
+
+def _comments(lines: Iterable[str]) -> Iterator[str]:
+    for line in lines:
+        text = line if line == line.rstrip() and line.isprintable() else " ".join(line.split())
+        yield f"# {printable(text)}\n"
+
+
+def _csv_rows(rows: Iterable[Iterable[str]]) -> str:
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _cells(groups: tuple[ColumnGroup, ...], block: Columns) -> Iterator[list[str]]:
+    """Yield the cells of each column."""
+    for group in groups:
+        for values in group.values(block).T:
+            yield [_cell(value) for value in _plain(values)]
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return str(int(value)) if isinstance(value, bool) else str(value)
+
+
+def _plain(values: Values) -> list[object]:
+    """Return values as Python has them; str() of a float comes back to the same bits; None for NaN."""
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        return [None if value != value else value for value in values.tolist()]
+    plain: list[object] = values.tolist()
+    return plain
+
 
 TEXT_FORMATS: Mapping[str, Callable[[ExportSource], Iterator[str]]] = {
     "csv": csv_text,

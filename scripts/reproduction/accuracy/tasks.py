@@ -8,24 +8,22 @@ stopped goes on where it was. Recordings are deleted in the end: the same argume
 
 from __future__ import annotations
 
-import json
 import tempfile
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import click
-
-from posetrack_cli.errors import PosetrackError
-from reproduction.made import code_digest, command, is_made, mark_made
+from reproduction.made import code_digest, command
+from reproduction.task import EntrantsTask
 
 RECORDING, CALIBRATED = "{recording}", "{calibrated}"
 """In an entrant's arguments: the recording's path, and that of the hand calibrated on it."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """What one process does.
+class Task(EntrantsTask):
+    """A task about a hand; see ``EntrantsTask``.
 
     Attributes:
         name: what its files are called by.
@@ -37,64 +35,31 @@ class Task:
     recording: tuple[str, ...]
     entrants: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def result(self, folder: Path, entrant: str) -> Path:
+    def result(self, out: Path, entrant: str) -> Path:
         """Where an entrant's result lies."""
-        return folder / f"{self.name}-{entrant}.mcap"
+        return out / f"{self.name}-{entrant}.mcap"
 
-    @property
-    def text(self) -> str:
-        """As JSON."""
-        return json.dumps(asdict(self))
+    def facts(self, entrant: str) -> dict[str, object]:
+        """What a result depends on."""
+        return {"recording": self.recording, "arguments": self.entrants[entrant], "code": code_digest()}
 
-    @classmethod
-    def of_text(cls, text: str) -> Task:
-        """The task of a JSON text."""
-        values = json.loads(text)
-        entrants = {name: tuple(arguments) for name, arguments in values["entrants"].items()}
-        return cls(values["name"], tuple(values["recording"]), entrants)
-
-
-@click.command()
-@click.argument("task", type=Task.of_text)
-@click.argument("out", type=click.Path(path_type=Path))
-def main(task: Task, out: Path) -> None:
-    """Make the recording, track it by every entrant whose result is not there yet, delete it."""
-    run_task(task, out)
+    @contextmanager
+    def prepared(self, out: Path) -> Iterator[Callable[[str], None]]:
+        """Make the recording, and delete it in the end."""
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Path(folder) / f"{self.name}.mcap"
+            command(*self.recording, str(recording))
+            yield lambda entrant: _track(self.entrants[entrant], recording, self.result(out, entrant))
 
 
-def run_task(task: Task, out: Path) -> None:
-    """Track a task's recording by the entrants that are missing.
-
-    Raises:
-        PosetrackError: a command failed; what it said is on standard error.
-    """
-    missing = [entrant for entrant in task.entrants if not is_current(task, entrant, out)]
-    if not missing:
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / f"{task.name}.mcap"
-        command(*task.recording, str(recording))
-        failed = [entrant for entrant in missing if not _track(task, entrant, recording, out)]
-    if failed:
-        raise PosetrackError(f"{task.name}: failed: {', '.join(failed)}")
-
-
-def _track(task: Task, entrant: str, recording: Path, out: Path) -> bool:
-    """Track by one entrant; one that fails does not keep the others from it."""
-    result = task.result(out, entrant)
+def _track(arguments: tuple[str, ...], recording: Path, result: Path) -> None:
+    """Track by one entrant."""
     given = {RECORDING: str(recording), CALIBRATED: str(result.with_suffix(".toml"))}
-    arguments = task.entrants[entrant]
     used = [given.get(argument, argument) for argument in arguments]
-    try:
-        if CALIBRATED in arguments:
-            side = _side(arguments)
-            command("hand", "calibrate", str(recording), "-o", given[CALIBRATED], *side, "--overwrite")
-        command("hand", "run", str(recording), "-o", str(result), *used, "--overwrite")
-    except PosetrackError as error:
-        click.echo(str(error), err=True)
-        return False
-    mark_made(result, _facts(task, entrant))
-    return True
+    if CALIBRATED in arguments:
+        side = _side(arguments)
+        command("hand", "calibrate", str(recording), "-o", given[CALIBRATED], *side, "--overwrite")
+    command("hand", "run", str(recording), "-o", str(result), *used, "--overwrite")
 
 
 def _side(arguments: tuple[str, ...]) -> tuple[str, ...]:
@@ -105,15 +70,5 @@ def _side(arguments: tuple[str, ...]) -> tuple[str, ...]:
     return arguments[at : at + 2]
 
 
-def is_current(task: Task, entrant: str, out: Path) -> bool:
-    """Whether the result that the same code and arguments give is there."""
-    return is_made(task.result(out, entrant), _facts(task, entrant))
-
-
-def _facts(task: Task, entrant: str) -> dict[str, object]:
-    """What a result depends on."""
-    return {"recording": task.recording, "arguments": task.entrants[entrant], "code": code_digest()}
-
-
 if __name__ == "__main__":
-    main()
+    Task.command()()

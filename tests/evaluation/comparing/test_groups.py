@@ -14,7 +14,7 @@ from posetrack_cli.evaluation.comparing.comparison import UNCORRECTED
 from posetrack_cli.evaluation.comparing.groups import compare_groups, pair_by_recording
 from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.statistics import statistics
+from posetrack_cli.evaluation.evaluation import statistics
 from support.evaluation import hand_evaluation
 
 KEYS = st.lists(st.tuples(st.sampled_from("pqrst"), st.sampled_from("123")), unique=True, max_size=9)

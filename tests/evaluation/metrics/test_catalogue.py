@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES
 from posetrack_cli.evaluation.metrics.catalogue import (
     CATALOGUE,
     addresses,
@@ -13,7 +14,6 @@ from posetrack_cli.evaluation.metrics.catalogue import (
     split_address,
 )
 from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES
-from posetrack_cli.evaluation.statistics import STATISTIC_NAMES
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
 

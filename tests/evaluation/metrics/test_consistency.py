@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics, jitter
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from support.tracks import hand_track
 

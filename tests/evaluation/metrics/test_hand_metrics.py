@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.association import Pairs
+from posetrack_cli.evaluation.evaluation import Statistics, statistics
 from posetrack_cli.evaluation.metrics.catalogue import addresses
 from posetrack_cli.evaluation.metrics.hand_metrics import WITHIN_MM
-from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES

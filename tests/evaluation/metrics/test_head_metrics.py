@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.metrics.catalogue import addresses
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.evaluation import Value
+from posetrack_cli.evaluation.evaluation import Statistics, Value, statistics
 from posetrack_cli.evaluation.metrics.image_consistency import image_consistency, region_overlap, residual_mm
-from posetrack_cli.evaluation.statistics import Statistics, statistics
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.model import average_hand

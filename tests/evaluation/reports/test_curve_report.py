@@ -10,7 +10,7 @@ import pytest
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluation import Curve
-from posetrack_cli.evaluation.reports.csv_report import curve_report
+from posetrack_cli.evaluation.reports.report_files import curve_report
 from support.evaluation import hand_evaluation
 
 

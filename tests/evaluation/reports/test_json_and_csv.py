@@ -13,11 +13,10 @@ import pytest
 
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.comparing.groups import compare_groups
+from posetrack_cli.evaluation.evaluation import Statistics, statistics
 from posetrack_cli.evaluation.gates import check_gates, parse_gate
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables, shown_p
-from posetrack_cli.evaluation.reports.csv_report import HEADER, csv_report
-from posetrack_cli.evaluation.reports.json_report import FORMAT, json_report
-from posetrack_cli.evaluation.statistics import Statistics, statistics
+from posetrack_cli.evaluation.reports.report_files import FORMAT, HEADER, csv_report, json_report
 from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, tables
 from posetrack_cli.evaluation.reports.terminal import print_tables
-from posetrack_cli.evaluation.statistics import Statistics
 from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 

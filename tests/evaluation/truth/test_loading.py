@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from posetrack_cli.evaluation.statistics import Statistics
+from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth import csv_table
 from posetrack_cli.evaluation.truth.csv_table import read_header

@@ -17,7 +17,7 @@ from posetrack_cli.recording.calibration.boards import Board, FoundBoard
 from posetrack_cli.recording.calibration.joint import adjust
 from posetrack_cli.recording.calibration.solve import fit_camera, place_cameras
 from posetrack_cli.recording.calibration.stereo import StereoCalibration, calibrate_stereo
-from posetrack_cli.recording.calibration.views import CameraViews
+from posetrack_cli.recording.calibration.views import CameraViews, find_views
 from posetrack_cli.recording.camera_file import load_rig
 from support import boards as support
 
@@ -146,7 +146,7 @@ def rendered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="module")
 def measured(rendered: tuple[Path, Board]) -> StereoCalibration:
-    return calibrate_stereo(*rendered)
+    return calibrate_stereo(find_views(*rendered))
 
 
 def test_rendered_boards_give_the_cameras(measured: StereoCalibration) -> None:
@@ -190,7 +190,7 @@ def test_the_file_holds_the_cameras_and_the_errors(measured: StereoCalibration, 
 
 @pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
 def test_the_reference_is_the_first_that_is_named(rendered: tuple[Path, Board]) -> None:
-    found = calibrate_stereo(*rendered, names=["right", "left"], distortion="five")
+    found = calibrate_stereo(find_views(*rendered, names=["right", "left"]), "five")
     assert [camera.name for camera in found.cameras] == ["right", "left"]
     assert found.cameras[1].camera_T_reference[0][3] > 100.0
     assert len(found.cameras[0].distortion) == 5
@@ -211,7 +211,7 @@ def test_images_not_taken_at_once_are_doubted(tmp_path: Path, rendered: tuple[Pa
             source = folder / side / f"{(index + (side == 'right')) % VIEWS:03d}.png"
             if source.exists():
                 (tmp_path / side / f"{index:03d}.png").write_bytes(source.read_bytes())
-    found = calibrate_stereo(tmp_path, board)
+    found = calibrate_stereo(find_views(tmp_path, board))
     assert any("epipolar error" in doubt and "same instants" in doubt for doubt in found.doubts())
 
 
@@ -222,7 +222,7 @@ def test_too_few_views_are_told_with_what_may_be_wrong(rendered: tuple[Path, Boa
     with pytest.raises(
         RecordingError, match=r"too few images of camera 'left', found 0 of 9.*one more than inner"
     ):
-        calibrate_stereo(folder, other)
+        calibrate_stereo(find_views(folder, other))
 
 
 @pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
@@ -236,7 +236,7 @@ def test_cameras_that_never_see_the_board_together(tmp_path: Path, rendered: tup
     with pytest.raises(
         RecordingError, match=r"too few views of the board by camera 'right'.*found 1 together"
     ):
-        calibrate_stereo(tmp_path, board)
+        calibrate_stereo(find_views(tmp_path, board))
 
 
 @pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
@@ -245,9 +245,9 @@ def test_folders_that_are_not_there_and_images_that_differ_in_size(
 ) -> None:
     folder, board = rendered
     with pytest.raises(RecordingError, match="no folder 'rigth'; did you mean 'right'"):
-        calibrate_stereo(folder, board, names=["left", "rigth"])
+        find_views(folder, board, names=["left", "rigth"])
     (tmp_path / "left").mkdir()
     for index, size in enumerate([(40, 30), (50, 30)]):
         cv2.imwrite(str(tmp_path / "left" / f"{index}.png"), np.zeros(size, np.uint8))
     with pytest.raises(RecordingError, match="images differ in size"):
-        calibrate_stereo(tmp_path, board)
+        calibrate_stereo(find_views(tmp_path, board))
