@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.head.face.patches import PATCH
 from posetrack_cli.head.face.points import POINT_NORMALS
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
     WINDOW,
     TemplateSet,
@@ -37,13 +37,13 @@ def cameras():
 
 @pytest.fixture(scope="module")
 def templates(cameras):
-    return take_templates(textured_face().render(cameras, FACING, SHAPE), cameras, FACING, SHAPE)
+    return take_templates(RigImages(cameras, textured_face().render(cameras, FACING, SHAPE)), FACING, SHAPE)
 
 
 def patches_in(cameras, pose):
     """The face drawn at a pose, cut out upright where its points are."""
     images = textured_face().render(cameras, pose, SHAPE)
-    taken = take_templates(images, cameras, pose, SHAPE)
+    taken = take_templates(RigImages(cameras, images), pose, SHAPE)
     return warped(taken, taken.tangents)
 
 
@@ -79,10 +79,10 @@ def test_a_plane_seen_edge_on_has_no_warp(cameras, templates):
 
 def test_templates_without_image_or_near_its_edge_are_not_seen(cameras):
     images = textured_face().render(cameras, FACING, SHAPE)
-    assert not take_templates([images[0], None], cameras, FACING, SHAPE).seen[1].any()
+    assert not take_templates(RigImages(cameras, [images[0], None]), FACING, SHAPE).seen[1].any()
     pixels = project(cameras, FACING.points(SHAPE)).pixels
     pixels[0, 2], pixels[0, 5], pixels[1, 1] = [5.0, 100.0], [-500.0, 0.0], np.nan
-    templates = take_templates(images, cameras, FACING, SHAPE, pixels)
+    templates = take_templates(RigImages(cameras, images), FACING, SHAPE, pixels)
     assert templates.seen[0].tolist() == [True] * 5 + [False] + [True] * 4
     _, known = warped(templates, templates.tangents)
     assert not known[0, 2]  # a patch about it leaves the image
@@ -93,7 +93,7 @@ def test_templates_without_image_or_near_its_edge_are_not_seen(cameras):
 
 def test_an_image_smaller_than_a_window_shows_nothing(cameras):
     small = [np.zeros((WINDOW - 1, 640), np.uint8)] * 2
-    assert not take_templates(small, cameras, FACING, SHAPE).seen.any()
+    assert not take_templates(RigImages(cameras, small), FACING, SHAPE).seen.any()
 
 
 def test_template_images_are_rows_of_the_patch(templates):
@@ -106,7 +106,7 @@ def test_template_images_are_rows_of_the_patch(templates):
 def test_unwarped_intensities_are_those_of_the_image(cameras):
     images = textured_face().render(cameras, FACING, SHAPE)
     pixels = np.full((2, 10, 2), 300.5)
-    taken = unwarped(take_templates(images, cameras, FACING, SHAPE, pixels))
+    taken = unwarped(take_templates(RigImages(cameras, images), FACING, SHAPE, pixels))
     np.testing.assert_array_equal(taken[1, 6], images[1][292:310, 292:310])
 
 

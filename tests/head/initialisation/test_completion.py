@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.face.points import FEATURES
+from posetrack_cli.head.face.rig_images import CameraImage
 from posetrack_cli.head.initialisation.average_face import (
-    completed,
-    deviations,
-    relative_size,
-    without_outliers,
+    MeasuredFace,
 )
-from posetrack_cli.head.initialisation.views import CameraImage
 from support.rig import LEFT, turned_head
 
 EVERY = np.ones(10, bool)
@@ -22,21 +19,21 @@ VIEW = CameraImage(LEFT, np.zeros((480, 640), np.uint8))
 @pytest.mark.parametrize("size", [0.8, 1.0, 1.25])
 def test_an_average_face_of_any_size_deviates_in_nothing(size: float) -> None:
     points = turned_head().points(size * FEATURES)
-    assert relative_size(points, EVERY) == pytest.approx(size)
-    np.testing.assert_allclose(deviations(points, EVERY), 0.0, atol=1e-9)
+    assert MeasuredFace(points, EVERY).size == pytest.approx(size)
+    np.testing.assert_allclose(MeasuredFace(points, EVERY).deviations, 0.0, atol=1e-9)
 
 
 def test_points_matched_with_something_else_are_taken_away_and_no_others() -> None:
     rng = np.random.default_rng(5)
     points = turned_head().points(FEATURES + rng.normal(0.0, 1.0, FEATURES.shape))
     points[[2, 8]] += [[0.0, 0.0, 45.0], [5.0, 0.0, -60.0]]
-    kept = without_outliers(points, EVERY)
+    kept = MeasuredFace(points, EVERY).without_outliers().known
     np.testing.assert_array_equal(np.flatnonzero(~kept), [2, 8])
 
 
 def test_never_more_than_two_are_taken_away() -> None:
     points = np.random.default_rng(1).normal(0.0, 300.0, (10, 3))
-    assert without_outliers(points, EVERY).sum() == 8
+    assert MeasuredFace(points, EVERY).without_outliers().known.sum() == 8
 
 
 def test_an_unknown_point_gets_the_depth_of_an_average_face_on_its_ray() -> None:
@@ -45,4 +42,4 @@ def test_an_unknown_point_gets_the_depth_of_an_average_face_on_its_ray() -> None
     known = EVERY.copy()
     known[[1, 7]] = False
     broken = np.where(known[:, None], truth, 0.0)
-    np.testing.assert_allclose(completed(broken, known, VIEW, pixels), truth, atol=1e-6)
+    np.testing.assert_allclose(MeasuredFace(broken, known).completed(VIEW, pixels), truth, atol=1e-6)

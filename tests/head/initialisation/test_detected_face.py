@@ -9,23 +9,31 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import MonoInitialisationSettings
+from posetrack_cli.head.adjustment.adjuster import Adjuster
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import EYES
-from posetrack_cli.head.initialisation.detected_face import clicked_face, detect_face
+from posetrack_cli.head.initialisation.mono import MonoInitialiser, face_at
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
+from posetrack_cli.head.multilinear.face_model import load_face_model
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.sensor import make_cameras
 from support.initialisation_scenes import BLANK, PLAIN, Says, found, head
 
-SETTINGS = MonoInitialisationSettings()
+CONFIG = HeadMonoConfig()
 NEAR, FAR = head(x=-150.0), head(yaw=10.0, x=200.0, z=1000.0)
 
 
+def initialiser(camera, detector, choice=0):
+    adjuster = Adjuster(load_face_model(), camera, CONFIG.adjustment)
+    return MonoInitialiser(CONFIG, adjuster, detector, choice)
+
+
 def detect(faces, choice=0, near=None):
-    return detect_face(BLANK, 7, PLAIN, Says(faces), SETTINGS, choice, near)
+    return initialiser(PLAIN, Says(faces), choice).detect(Frame(0, 7, (BLANK,)), near)
 
 
 def test_a_face_is_told_with_its_pose_and_size():
@@ -73,7 +81,7 @@ def test_points_that_are_not_symmetric_are_refused():
 
 
 def test_clicked_points_are_believed():
-    face = clicked_face(found(NEAR).pixels, 5, PLAIN)
+    face = face_at(found(NEAR).pixels, 5, PLAIN)
     assert face.score == 1.0
     np.testing.assert_allclose(NEAR.difference(face.pose), 0.0, atol=1e-4)
 
@@ -81,7 +89,8 @@ def test_clicked_points_are_believed():
 def test_a_drawn_head_is_found(device: RenderingDevice) -> None:
     options = HeadSynthOptions(frames=1, identity=1, seed=1, cameras=1)
     frame = next(iter(synthesise(options, device=device)))
-    face = detect_face(frame.images[0], frame.stamp_ns, make_cameras(options)[0], FaceDetector(), SETTINGS)
+    made = Frame(0, frame.stamp_ns, (frame.images[0],))
+    face = initialiser(make_cameras(options)[0], FaceDetector()).detect(made)
     assert not isinstance(face, InitFailure)
     assert np.linalg.norm(frame.pose.position - face.pose.position) < 60.0  # a mean face's size tells depth
     pitch, yaw, roll = np.rad2deg(np.abs(frame.pose.difference(face.pose)[3:]))
@@ -105,11 +114,11 @@ def two_people(folder: Path) -> np.ndarray:
 def test_of_two_people_the_nearer_or_the_other_is_found(measured_data: Path) -> None:
     image = two_people(measured_data)
     camera = Camera(image.shape[1], 480, 1000.0, 1000.0, 320.0, 240.0)
-    detector = FaceDetector()
-    first, second = (detect_face(image, 0, camera, detector, SETTINGS, choice) for choice in (0, 1))
+    detector, frame = FaceDetector(), Frame(0, 0, (image,))
+    first, second = (initialiser(camera, detector, choice).detect(frame) for choice in (0, 1))
     assert not isinstance(first, InitFailure)
     assert not isinstance(second, InitFailure)
     assert first.pixels[EYES, 0].max() < 640 < second.pixels[EYES, 0].min()
-    again = detect_face(image, 0, camera, detector, SETTINGS, near=second.pixels + 3.0)
+    again = initialiser(camera, detector).detect(frame, near=second.pixels + 3.0)
     assert not isinstance(again, InitFailure)
     np.testing.assert_array_equal(again.pixels, second.pixels)

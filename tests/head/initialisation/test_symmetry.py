@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.head.face.points import FEATURES
-from posetrack_cli.head.initialisation.detected_face import LEFT, RIGHT, slope_deviation
+from posetrack_cli.head.initialisation.mono import LEFT, RIGHT, slope_deviation
 from support.initialisation_scenes import BENT, PLAIN, head, pixels_of
 
 turns = st.floats(-35.0, 35.0)

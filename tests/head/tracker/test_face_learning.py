@@ -38,11 +38,9 @@ def smile(strength_mm: float) -> np.ndarray:
     return shape
 
 
-def learnt(
-    face: FaceLearning, shapes: list[np.ndarray], settings: ModelSettings = AFTER_REST
-) -> FaceLearning:
+def learnt(face: FaceLearning, shapes: list[np.ndarray]) -> FaceLearning:
     for shape in shapes:
-        face = face.after(shape, EQUAL, pose(), SURE, settings)
+        face = face.after(shape, EQUAL, pose(), SURE)
     return face
 
 
@@ -50,9 +48,9 @@ def test_the_first_frames_average_the_shape() -> None:
     settings = ModelSettings(rigid_frames=120, mean_rate=0.1)
     rng = np.random.default_rng(0)
     shapes = [smile(float(strength)) for strength in rng.uniform(-4.0, 4.0, 10)]
-    face = learnt(new_face(MEAN_SHAPE, settings), shapes, settings)
+    face = learnt(new_face(MEAN_SHAPE, settings), shapes)
     np.testing.assert_allclose(face.model.mean, np.mean(shapes, axis=0), atol=ROUNDING)
-    later = learnt(face, [smile(8.0)], settings)
+    later = learnt(face, [smile(8.0)])
     np.testing.assert_allclose(later.model.mean, 0.9 * face.model.mean + 0.1 * smile(8.0), atol=ROUNDING)
     assert later.model.size == 0 and later.frames == 11
 
@@ -63,8 +61,8 @@ def test_what_the_pose_is_wrong_by_is_not_learnt(rigid_frames: int) -> None:
     turn = Rotation.from_euler("xyz", [3.0, -4.0, 2.0], degrees=True).as_matrix()
     shapes = [smile(float(strength)) for strength in (6.0, -6.0, 8.0)]
     moved = [shape @ turn.T + [1.0, -2.0, 3.0] for shape in shapes]
-    plain = learnt(new_face(MEAN_SHAPE, settings), shapes, settings)
-    turned = learnt(new_face(MEAN_SHAPE, settings), moved, settings)
+    plain = learnt(new_face(MEAN_SHAPE, settings), shapes)
+    turned = learnt(new_face(MEAN_SHAPE, settings), moved)
     np.testing.assert_allclose(turned.model.mean, plain.model.mean, atol=ROUNDING)
     np.testing.assert_allclose(turned.model.deviations, plain.model.deviations, atol=ROUNDING)
 
@@ -94,13 +92,13 @@ def test_other_frames_teach_nothing(shape: np.ndarray, yaw_deg: float, correlati
     correlations = SURE.copy()
     correlations[7] = correlation
     face = new_face(MEAN_SHAPE, AFTER_REST)
-    after = face.after(shape, EQUAL, pose(yaw_deg), correlations, AFTER_REST)
+    after = face.after(shape, EQUAL, pose(yaw_deg), correlations)
     assert after.statistics is face.statistics and after.frames == 1
 
 
 def test_a_rigid_face_learns_no_deformation() -> None:
     settings = ModelSettings(kind="rigid", rigid_frames=0)
-    face = learnt(new_face(MEAN_SHAPE, settings), [smile(10.0)] * 3, settings)
+    face = learnt(new_face(MEAN_SHAPE, settings), [smile(10.0)] * 3)
     assert face.model.size == 0
     np.testing.assert_array_equal(face.model.mean, MEAN_SHAPE)
 

@@ -10,6 +10,7 @@ import pytest
 
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.initialisation.search import Search
+from posetrack_cli.head.tracker.codecs import people_codec
 from posetrack_cli.head.tracker.mono_state import HEIGHT, WIDTH, MonoState, mono_codec
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import LayoutError
@@ -18,7 +19,7 @@ from support.codecs import assert_lawful
 from support.mono_cases import assert_same, random_detected, random_known, random_templates, random_track
 
 MODEL = random_model(0)
-CODEC = mono_codec(MODEL, AdjustmentSettings(average=6))
+CODEC = mono_codec(people_codec(MODEL, AdjustmentSettings(average=6)))
 STAMP = 1_700_000_000_123_456_789
 """ns, since 1970: more digits than a float64 has."""
 SEARCHED = Search(7, 0.31, Counter({"no face": 5, "no image": 2}))

@@ -11,7 +11,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import epipolar_errors
+from posetrack_cli.geometry.epipolar import CameraPair
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.recording.calibration.boards import Board, FoundBoard
 from posetrack_cli.recording.calibration.joint import adjust
@@ -168,7 +168,7 @@ def test_its_errors_are_what_independent_points_show(measured: StereoCalibration
     rig, errors = support.cameras(), []
     for pose in support.poses(6, seed=9):  # boards that it has not seen, true corners
         seen = [support.corner_pixels(measured.board, camera, pose) for camera in rig]
-        errors.append(epipolar_errors(*measured.cameras, *seen))
+        errors.append(CameraPair(*measured.cameras).epipolar_errors(*seen))
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2 * CORNER_PX
 
 
