@@ -16,7 +16,7 @@ from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
-from posetrack_cli.head.initialisation.stereo import StereoAttempt, StereoInitialisation
+from posetrack_cli.head.initialisation.stereo import StereoAttempt, StereoInitialisation, pose_and_shape
 from support.rig import LEFT, face_pixels, right_camera, turned_head
 
 CAMERAS = (LEFT, right_camera(0.17))
@@ -155,3 +155,27 @@ def test_clicked_points_start_where_found_ones_do(person: Person) -> None:
     assert isinstance(by_click, StereoInitialisation)
     assert isinstance(found, StereoInitialisation)
     assert np.linalg.norm(found.pose.position - by_click.pose.position) < 3.0
+
+
+# The head's frame from its points
+
+
+def test_an_average_faces_pose_is_found_exactly() -> None:
+    truth = turned_head(0.3, -0.2)
+    pose, shape = pose_and_shape(truth.points(FEATURES))
+    np.testing.assert_allclose(truth.difference(pose), 0.0, atol=1e-9)
+    np.testing.assert_allclose(shape, FEATURES, atol=1e-9)
+
+
+def test_pose_and_shape_give_the_points_back() -> None:
+    points = turned_head().points(FEATURES) + np.random.default_rng(3).normal(0.0, 4.0, FEATURES.shape)
+    pose, shape = pose_and_shape(points)
+    np.testing.assert_allclose(pose.points(shape), points, atol=1e-9)
+    np.testing.assert_allclose(shape[:4].mean(axis=0), 0.0, atol=1e-9)
+
+
+def test_a_larger_head_has_the_same_pose() -> None:
+    truth = turned_head()
+    pose, shape = pose_and_shape(truth.points(1.2 * FEATURES))
+    np.testing.assert_allclose(truth.difference(pose), 0.0, atol=1e-9)
+    np.testing.assert_allclose(shape, 1.2 * FEATURES, atol=1e-9)
