@@ -68,13 +68,13 @@ class TrackMonitor:
         """Return the record after a frame that shows fingers worth so much at the hand's place."""
         return replace(self, fingers_mm=max(bonus_mm, self.fingers_mm - _FORGOTTEN_MM))
 
-    def leaves_for(self, cost_mm: float, doubt_mm: float, settings: StatusSettings) -> TrackMonitor:
-        """Return the record after a hand was found elsewhere that leaves so much doubt.
+    def leaves_for(self, here_mm: float, there_mm: float, settings: StatusSettings) -> TrackMonitor:
+        """Return the record after a hand was found elsewhere, with the doubts that both places leave.
 
         A track is left for one that has been better for ``leave_after_frames`` searches in a row, no sooner:
         what is better in a single frame is mostly the other end of the same arm.
         """
-        better = doubt_mm < cost_mm - self.fingers_mm - settings.better_mm
+        better = there_mm < here_mm - settings.better_mm
         return replace(self, elsewhere=self.elsewhere + 1 if better else 0)
 
     def postpones_search(self, cost_mm: float, settings: StatusSettings) -> bool:

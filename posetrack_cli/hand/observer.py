@@ -132,7 +132,7 @@ class Observer:
         segment: bool,
         with_arm: bool = False,
     ) -> None:
-        self._config, self._anatomy, self._camera = config, anatomy, camera
+        self._config, self.anatomy, self._camera = config, anatomy, camera
         self._segment, self._with_arm = segment, with_arm
         self.sampler = PixelSampler(camera)
 
@@ -144,7 +144,7 @@ class Observer:
             predicted: (22,).
             log_girth: of the forearm, as far as it is known.
         """
-        hand = PredictedHand.of(self._anatomy, predicted)
+        hand = PredictedHand.of(self.anatomy, predicted)
         window = window_around(hand.joints, self._camera, self._config.observation)
         if not self._segment:
             return everything(self.sampler.sample(depth, window), window)
@@ -169,7 +169,7 @@ class Observer:
             pose: as estimated.
             is_known: whether frames before it did: it then shows none only if nothing is left of one.
         """
-        hand = PredictedHand.of(self._anatomy, pose)
+        hand = PredictedHand.of(self.anatomy, pose)
         outline = outline_of(depth, self.sampler, self._camera, hand)
         return outline.contrast >= LEAST_CONTRAST or (is_known and outline.broken >= LEAST_BROKEN)
 
@@ -186,7 +186,7 @@ class Observer:
             offset = points_of(tile, window, self._camera) - detection.wrist
             beyond = (offset @ detection.arm < 0.0) & (np.linalg.norm(offset, axis=2) < _FOREARM_MM)
             beyond &= labels == Label.OTHER
-            near = is_forearm(offset[beyond], -detection.arm, self._anatomy.scale)
+            near = is_forearm(offset[beyond], -detection.arm, self.anatomy.scale)
             labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
         wrist = detection.palm if detection.wrist is None else detection.wrist
         return self._observation(Segmentation(window, tile, labels, wrist, detection.arm), 0.0)

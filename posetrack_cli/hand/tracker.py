@@ -14,7 +14,7 @@ from posetrack_cli.filtering.model import Dynamics, FilterModel, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
-from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, fingers_bonus
+from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
@@ -233,7 +233,8 @@ class HandTracker:
             if there is None or self._is_near(there.pose, here):
                 found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
             else:
-                monitor = monitor.leaves_for(fits.cost, there.doubt, settings)
+                doubt = fits.cost - monitor.fingers_mm + depth_doubt(here[2])
+                monitor = monitor.leaves_for(doubt, there.doubt, settings)
                 if monitor.elsewhere >= settings.leave_after_frames:
                     return self._restarted(finder, there, monitor, frame, rng)
         seen = seen._replace(state=replace(state, monitor=monitor))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.calibration import before_run
-from posetrack_cli.hand.calibration.before_run import find_hand
+from posetrack_cli.hand.calibration.before_run import MOST_ASKED, find_hand
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.shape import SHAPE_SIZE, HandShape
@@ -59,7 +61,7 @@ def test_a_side_that_is_given_stays(seen: tuple[str, Path]) -> None:
 def test_without_a_hand_a_right_one_is_expected_and_that_is_said(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(before_run, "detect", lambda *arguments: [])
+    monkeypatch.setattr(Acquisition, "detect", lambda *arguments: [])
     found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
     assert found.config.hand.side == "right"
     assert "no hand" in found.line and "--hand-side" in found.line
@@ -70,13 +72,35 @@ def test_after_the_last_frame_nothing_is_looked_at(seen: tuple[str, Path]) -> No
     assert found.config.hand.side == "right" and "no hand" in found.line
 
 
-def test_costs_that_hardly_differ_are_said_to(
+def say_costs(
+    monkeypatch: pytest.MonkeyPatch, right: Sequence[float], left: Sequence[float]
+) -> dict[str, Iterator[float]]:
+    """Let frames cost as told, in order, for hands of either side."""
+    told = {"right": iter(right), "left": iter(left)}
+    monkeypatch.setattr(Acquisition, "best_cost", lambda self, depth: next(told[self.observer.anatomy.side]))
+    monkeypatch.setattr(before_run, "ASKED_EVERY", 1)
+    return told
+
+
+def test_costs_that_hardly_differ_are_said_to_with_a_probability(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    costs = {"right": 5.0, "left": 4.8}
-    monkeypatch.setattr(before_run, "_mean_cost", lambda frames, config, camera, side, seed: costs[side])
+    """1.8 mm in all are two units of log odds: 1 / (1 + e^-2) = .88."""
+    say_costs(monkeypatch, [5.0] * MOST_ASKED, [3.2] + [5.0] * (MOST_ASKED - 1))
     found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
-    assert found.config.hand.side == "left" and "hardly" in found.line
+    assert found.config.hand.side == "left"
+    assert found.line == "a left hand, but hardly so (probability 0.88); --hand-side tells"
+
+
+def test_frames_are_asked_until_they_agree_and_none_decides_alone(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A first frame that errs, by however much, is outvoted by those after it; those never asked do not count."""
+    right, left = [30.0, 5.0, 5.0, 5.0, 5.0], [5.0, 8.0, 8.0, 8.0, 8.0]
+    told = say_costs(monkeypatch, [*right, 0.0], [*left, 50.0])
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    assert found.config.hand.side == "right" and found.line == "a right hand"
+    assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
 def test_a_calibrated_hand_is_what_is_tracked(

@@ -37,7 +37,7 @@ _COST_PER_LOG_ODDS, _MOST_A_FRAME = 0.9, 3.0
 
 Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the
 cheaper one in four of five; 0.7 mm would be likeliest if frames erred independently."""
-_CLEAR_LOG_ODDS, _MOST_ASKED = 4.0, 16
+CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
 
 
@@ -95,13 +95,13 @@ def _side_of(recording: Recording, config: HandConfig, start: int) -> tuple[str,
         costs = [finders[side].best_cost(frame.depth) for side in SIDES]
         log_odds += float(np.clip((costs[1] - costs[0]) / _COST_PER_LOG_ODDS, -_MOST_A_FRAME, _MOST_A_FRAME))
         asked += 1
-        if abs(log_odds) >= _CLEAR_LOG_ODDS or asked == _MOST_ASKED:
+        if abs(log_odds) >= CLEAR_LOG_ODDS or asked == MOST_ASKED:
             break
     if not asked:
         return SIDES[0], f"no hand in the first {LOOKED_AT_S:g} s, taken for a right one; --hand-side tells"
     side = SIDES[0] if log_odds >= 0.0 else SIDES[1]
     probability = 1.0 / (1.0 + np.exp(-abs(log_odds)))
-    if abs(log_odds) < _CLEAR_LOG_ODDS:
+    if abs(log_odds) < CLEAR_LOG_ODDS:
         return side, f"a {side} hand, but hardly so (probability {probability:.2f}); --hand-side tells"
     return side, f"a {side} hand"
 
