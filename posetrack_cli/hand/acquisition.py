@@ -240,6 +240,8 @@ class Acquisition:
         again = self.observer.observe(depth, first.pose)  # with the wrist where the fit has it
         if again.target_pixels == 0:
             return first
+        if again.reversed:
+            return None
         second = self._best(again, first.pose[None])
         if second.cost <= self._config.status.sure_mm:
             return second

@@ -17,7 +17,7 @@ from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 FOREARM_NUMBERS = ("forearm_x", "forearm_y", "forearm_z", "forearm_girth")
-"""What a result's estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a
+"""What estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a
 factor on that which the hand's wrist lets expect; not known where none is explained."""
 SEEN_MM = 80.0
 """How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""

@@ -35,12 +35,16 @@ class Observation:
         target_pixels: how many there are.
         arm: (4,) the forearm as it is expected to go on behind the wrist: unit direction towards the elbow,
             camera axes, and the logarithm of its girth's factor; direction 0 where none is explained.
+        wrist: (3,) where hand and forearm are expected to meet, mm.
+        reversed: whether the limb goes on where fingers are expected, and ends where the forearm is.
     """
 
     window: Window
     image: Float32Array
     target_pixels: int
     arm: FloatArray = field(default_factory=NO_ARM.copy)
+    wrist: FloatArray = field(default_factory=NO_ARM[:3].copy)
+    reversed: bool = False
 
 
 class PixelSampler:

@@ -21,7 +21,7 @@ from posetrack_cli.hand.segmentation import Detection, Label, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
 from posetrack_cli.hand.segmentation.arm import is_forearm
 from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette, silhouette_of
-from posetrack_cli.hand.segmentation.region import thin_mm2
+from posetrack_cli.hand.segmentation.region import thin_mask
 from posetrack_cli.hand.segmentation.surfaces import pixel_mm, points_of, without_pinholes
 from posetrack_cli.rendering.window import Window
 
@@ -156,10 +156,16 @@ class Observer:
         return found.observation_with_arm(log_girth) if self._with_arm else found.observation
 
     def fingers_mm2(self, observation: Observation) -> float:
-        """How much of an observation's target is as thin as fingers are, mm^2 (``Detection.fingers_mm2``)."""
+        """How much of the hand before its forearm is as thin as fingers, mm^2 (``Detection.fingers_mm2``)."""
         target = observation.image > 0
-        depth = float(np.median(observation.image[target])) if target.any() else 0.0
-        return thin_mm2(target, float(pixel_mm(depth, observation.window, self._camera)))
+        if not target.any():
+            return 0.0
+        depth = float(np.median(observation.image[target]))
+        thin = thin_mask(target, float(pixel_mm(depth, observation.window, self._camera)))
+        offset = points_of(observation.image, observation.window, self._camera) - observation.wrist
+        before = thin & (offset @ observation.arm[:3] <= 0.0)  # all of it where no forearm is seen
+        apart = pixel_mm(observation.image[before], observation.window, self._camera)
+        return float(np.square(apart).sum())
 
     def shows_hand(self, depth: ImageArray, pose: FloatArray, *, is_known: bool) -> bool:
         """Whether a frame shows the outline of a hand in a pose (22,), however well its surface fits.

@@ -156,8 +156,12 @@ class HandTracker:
             None if seen.observation is None else self.scorer.costs(posterior.pose[None], seen.observation)
         )
         cost = None if scores is None else float(scores[0])
-        shown = cost is not None and self._observer.shows_hand(
-            frame.depth, posterior.pose, is_known=seen.state.monitor.is_believed
+        shown = (
+            cost is not None
+            and not (seen.observation is not None and seen.observation.reversed)
+            and self._observer.shows_hand(
+                frame.depth, posterior.pose, is_known=seen.state.monitor.is_believed
+            )
         )
         confidence = self._confidence(cost) if shown else 0.0
         monitor = self._monitored(seen, cost if shown else None, confidence)

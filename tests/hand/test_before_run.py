@@ -95,7 +95,7 @@ def test_costs_that_hardly_differ_are_said_to_with_a_probability(
 def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A first frame that errs, by however much, is outvoted by those after it; those never asked do not count."""
+    """A first frame that errs, by however much, is outvoted by those after it."""
     right, left = [30.0, 5.0, 5.0, 5.0, 5.0], [5.0, 8.0, 8.0, 8.0, 8.0]
     told = say_costs(monkeypatch, [*right, 0.0], [*left, 50.0])
     found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)

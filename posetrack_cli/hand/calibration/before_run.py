@@ -5,9 +5,9 @@ It depends on the recording, the configuration and the seed alone, so a run that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, takewhile
 
 import numpy as np
@@ -24,6 +24,7 @@ from posetrack_cli.hand.calibration.calibrate import (
 )
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.model import hand_maker
+from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.shape import SHAPE_NAMES
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
@@ -39,6 +40,11 @@ Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average 
 cheaper one in four of five; 0.7 mm would be likeliest if frames erred independently."""
 CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
+_RATIO, _STEPS = 1.16, (-2, -1, 0, 1, 2)
+"""Of sizes that are tried, and how many such steps from the one that is configured: 0.74 to 1.35 of it."""
+_FRAMES_FOR_SIZE = 3
+_QUICK = {"fitted": 16, "refined": 2, "scattered": 4}
+"""A search that only compares costs may miss the last tenths of a millimetre."""
 
 
 @dataclass(frozen=True)
@@ -79,35 +85,126 @@ def find_hand(
         options = CalibrationOptions(given, seed=seed, start=start)
         found = calibrate(recording, config, options, report)
         return HandFound(_with_shape(config, found), _shape_line(found))
-    if config.hand.side != "auto":
+    if config.hand.side == "auto":
+        return _hand_of(recording, config, start, SIDES)
+    if not _is_size_open(config):
         return HandFound(config)
-    side, line = _side_of(recording, config, start)
-    return HandFound(_with_hand(config, {"side": side}), line)
+    found = _hand_of(recording, config, start, (config.hand.side,))
+    return found if found.config.hand.scale != config.hand.scale else HandFound(config)
 
 
-def _side_of(recording: Recording, config: HandConfig, start: int) -> tuple[str, str]:
-    """The side of a hand, and a line that tells it: frames are asked until they agree clearly enough."""
-    finders = {side: _finder(config, recording.cameras[0], side) for side in SIDES}
-    log_odds, asked = 0.0, 0
+def _hand_of(recording: Recording, config: HandConfig, start: int, sides: Sequence[str]) -> HandFound:
+    """The hand's side and size as they are cheapest; frames are asked until they agree clearly enough."""
+    trial = _Trial(config, recording.cameras[0], sides)
     for frame in _early_frames(recording, start):
-        if not finders[SIDES[0]].detect(frame.depth):
-            continue
-        costs = [finders[side].best_cost(frame.depth) for side in SIDES]
-        log_odds += float(np.clip((costs[1] - costs[0]) / _COST_PER_LOG_ODDS, -_MOST_A_FRAME, _MOST_A_FRAME))
-        asked += 1
-        if abs(log_odds) >= CLEAR_LOG_ODDS or asked == MOST_ASKED:
+        trial.ask(frame)
+        if trial.is_clear:
             break
-    if not asked:
-        return SIDES[0], f"no hand in the first {LOOKED_AT_S:g} s, taken for a right one; --hand-side tells"
-    side = SIDES[0] if log_odds >= 0.0 else SIDES[1]
-    probability = 1.0 / (1.0 + np.exp(-abs(log_odds)))
-    if abs(log_odds) < CLEAR_LOG_ODDS:
-        return side, f"a {side} hand, but hardly so (probability {probability:.2f}); --hand-side tells"
-    return side, f"a {side} hand"
+    if not trial.asked:
+        line = f"no hand in the first {LOOKED_AT_S:g} s, taken for a {sides[0]} one; --hand-side tells"
+        return HandFound(_with_hand(config, {"side": sides[0]}), line)
+    side, scale = trial.side, trial.scale
+    line = f"a {side} hand"
+    if scale != config.hand.scale:
+        line += f" of scale {scale:.2f}"
+    if len(sides) > 1 and not trial.is_sure_of_side:
+        line += f", but hardly so (probability {trial.probability:.2f}); --hand-side tells"
+    return HandFound(_with_hand(config, {"side": side, "scale": scale}), line)
 
 
-def _finder(config: HandConfig, camera: Camera, side: str) -> Acquisition:
-    return Acquisition(config, hand_maker(config.hand.mesh)(side, config.hand.shape), camera)
+def _is_size_open(config: HandConfig) -> bool:
+    """Whether nobody has told the hand's size, and the tracker fits frames, which a wrong size misleads."""
+    told = config.hand.mesh is not None or "scale" in config.hand.model_fields_set
+    return not told and PROPOSALS.find(config.filter.proposal).fits_frames and config.filter.kind != "pso"
+
+
+class _Trial:
+    """What frames cost for hands of several sides and sizes.
+
+    A hand that fits well is of the size that is configured, and no other is tried. Else the sizes are a ratio
+    of ``_RATIO`` apart; after a first frame only those about the cheapest are tried further.
+
+    Args:
+        config: of the hand and the search.
+        camera: of the depth images.
+        sides: to be tried.
+    """
+
+    def __init__(self, config: HandConfig, camera: Camera, sides: Sequence[str]) -> None:
+        quick = config.acquisition.model_copy(update=_QUICK)
+        self._config, self._camera = config.model_copy(update={"acquisition": quick}), camera
+        self._sides, self.asked, self._log_odds = sides, 0, 0.0
+        own = config.hand.scale
+        self._scales = tuple(own * _RATIO**k for k in _STEPS) if _is_size_open(config) else (own,)
+        self._tried: Sequence[int] = ()
+        self._costs = np.zeros((len(sides), len(self._scales)))
+        self._finders: dict[tuple[int, int], Acquisition] = {}
+
+    def ask(self, frame: Frame) -> None:
+        """Add what a frame costs, if there may be a hand in it."""
+        own = len(self._scales) // 2
+        if not self._finder(0, own).detect(frame.depth):
+            return
+        costs = np.full(self._costs.shape, np.inf)
+        costs[:, own] = [self._finder(s, own).best_cost(frame.depth) for s in range(len(self._sides))]
+        if not self._tried:
+            fits = costs[:, own].min() <= self._config.status.sure_mm
+            self._tried = (own,) if fits else range(len(self._scales))
+        for k in self._tried:
+            if k != own:
+                costs[:, k] = [self._finder(s, k).best_cost(frame.depth) for s in range(len(self._sides))]
+        costs = np.where(np.isfinite(costs), costs, self._config.observation.clamp_mm)
+        self._costs += costs
+        self.asked += 1
+        self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
+        if len(self._sides) > 1:
+            difference = float(costs[1].min() - costs[0].min()) / _COST_PER_LOG_ODDS
+            self._log_odds += float(np.clip(difference, -_MOST_A_FRAME, _MOST_A_FRAME))
+
+    @property
+    def _best(self) -> tuple[int, int]:
+        """Which side, and which size of it, costs least so far."""
+        side = 0 if len(self._sides) == 1 or self._log_odds >= 0.0 else 1
+        return side, int(np.argmin(self._costs[side]))
+
+    @property
+    def side(self) -> str:
+        """The likelier side."""
+        return self._sides[self._best[0]]
+
+    @property
+    def probability(self) -> float:
+        """Of that side."""
+        return float(1.0 / (1.0 + np.exp(-abs(self._log_odds))))
+
+    @property
+    def is_sure_of_side(self) -> bool:
+        """Whether frames agree on the side."""
+        return len(self._sides) == 1 or abs(self._log_odds) >= CLEAR_LOG_ODDS
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether no further frame has to be asked."""
+        enough = self.asked >= (_FRAMES_FOR_SIZE if len(self._tried) > 1 else 1)
+        return self.asked >= MOST_ASKED or (enough and self.is_sure_of_side)
+
+    @property
+    def scale(self) -> float:
+        """The size at the vertex of the parabola through the least cost and those beside it."""
+        side, k = self._best
+        if not 0 < k < len(self._scales) - 1 or not len(self._tried) > 1:
+            return self._scales[k]
+        before, here, after = self._costs[side, k - 1 : k + 2]
+        shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-9)
+        return round(float(self._scales[k] * _RATIO ** np.clip(shift, -0.5, 0.5)), 3)
+
+    def _finder(self, side: int, k: int) -> Acquisition:
+        """What searches with a hand of one side and size."""
+        if (side, k) not in self._finders:
+            shape = replace(self._config.hand.shape, scale=self._scales[k])
+            hand = hand_maker(self._config.hand.mesh)(self._sides[side], shape)
+            self._finders[side, k] = Acquisition(self._config, hand, self._camera)
+        return self._finders[side, k]
 
 
 def _early_frames(recording: Recording, start: int) -> Iterator[Frame]:

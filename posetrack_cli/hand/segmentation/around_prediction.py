@@ -47,6 +47,7 @@ class Segmentation:
         labels: (h, w) uint8, of ``Label``.
         wrist: (3,) where the forearm begins, on its axis, camera axes, mm.
         arm: (3,) unit vector from the elbow to the wrist, camera axes; None where no forearm is seen.
+        reversed: whether the limb goes on where fingers are expected, and ends where the forearm is.
     """
 
     window: Window
@@ -54,6 +55,7 @@ class Segmentation:
     labels: ImageArray
     wrist: FloatArray
     arm: FloatArray | None
+    reversed: bool = False
 
     def is_labelled(self, label: Label) -> BoolArray:
         """(h, w) which pixels carry a label."""
@@ -75,7 +77,8 @@ class Segmentation:
         target = self.is_labelled(Label.HAND) | self.is_labelled(Label.FOREARM)
         image = np.where(target, self.depth, -self.depth)
         image[self.is_labelled(Label.BEYOND)] = IGNORED
-        return Observation(self.window, image, int(np.count_nonzero(target)), np.append(-self.arm, log_girth))
+        arm, count = np.append(-self.arm, log_girth), int(np.count_nonzero(target))
+        return Observation(self.window, image, count, arm, self.wrist, self.reversed)
 
 
 def segment(
@@ -104,9 +107,9 @@ def segment(
     margin = min(max(margin, 0), window.width)
     wide = _widened(window, margin)
     tile = sampler.sample(depth, wide)
-    labels, arm = _labels(View.of(tile, wide, camera), predicted, settings)
+    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, settings)
     inner = np.s_[margin : margin + window.height, margin : margin + window.width]
-    return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction)
+    return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction, is_reversed)
 
 
 def _widened(window: Window, margin: int) -> Window:
@@ -120,11 +123,34 @@ def _widened(window: Window, margin: int) -> Window:
     )
 
 
-def _labels(view: View, predicted: PredictedHand, settings: SegmentationSettings) -> tuple[ImageArray, Arm]:
+_WAY_OUT_MM, _PAST_WRIST_MM = 25.0, 40.0
+"""What leads out of a view is an arm if it is as wide, and so far beyond the wrist; of a hand of scale 1."""
+
+
+def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
+    """Whether a limb leads out of the view, or of the image, on the fingers' side alone."""
+    assert arm.direction is not None
+    window, camera = view.window, view.camera
+    rows, columns = window.rows(), window.columns()
+    inside = np.zeros(limb.shape, dtype=np.bool_)
+    inner_rows = (rows >= window.step) & (rows < camera.height - window.step)
+    inner_columns = (columns >= window.step) & (columns < camera.width - window.step)
+    inside[1:-1, 1:-1] = np.outer(inner_rows, inner_columns)[1:-1, 1:-1]
+    leaves = limb & ~inside
+    along = (view.points[leaves].astype(np.float64) - arm.wrist) @ arm.direction
+    width = view.apart[leaves]
+    towards_fingers = float(width[along > _PAST_WRIST_MM * scale].sum())
+    towards_elbow = float(width[along < 0.0].sum())
+    return towards_fingers > _WAY_OUT_MM * scale and towards_elbow == 0.0
+
+
+def _labels(
+    view: View, predicted: PredictedHand, settings: SegmentationSettings
+) -> tuple[ImageArray, Arm, bool]:
     labels = np.where(view.depth > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
     silhouette = silhouette_of(predicted.joints, predicted.scale, view.window, view.camera)
     if silhouette is None:
-        return labels, Arm(predicted.wrist, predicted.towards_elbow, None)
+        return labels, Arm(predicted.wrist, predicted.towards_elbow, None), False
     limb, hand = _limb(view, silhouette, predicted, settings)
     arm = arm_of(view, limb, hand, silhouette, predicted, settings)
     labels[hand] = Label.HAND
@@ -133,7 +159,7 @@ def _labels(view: View, predicted: PredictedHand, settings: SegmentationSettings
         offset = view.points[beyond].astype(np.float64) - predicted.wrist
         near = is_forearm(offset, -arm.direction, predicted.scale)
         labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
-    return labels, arm
+    return labels, arm, arm.direction is not None and _goes_on(view, limb, arm, predicted.scale)
 
 
 def _limb(

@@ -12,7 +12,7 @@ from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.observation import PixelSampler
 from posetrack_cli.hand.segmentation.arm import BIN_MM, extents, slice_areas
 from posetrack_cli.hand.segmentation.palms import Surfaces, palm_pixels, surfaces_of
-from posetrack_cli.hand.segmentation.region import Region, arm_exit, likeness, region_around, thin_mm2
+from posetrack_cli.hand.segmentation.region import Region, arm_exit, likeness, region_around, thin_mask
 from posetrack_cli.rendering.window import Window
 
 _APART_MM, _MOST_ACROSS = 3.5, 240
@@ -187,7 +187,7 @@ def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:
     mask = np.zeros(surfaces.depth.shape, dtype=np.bool_)
     mask[region.rows, region.columns] = hand
     extent = float(np.linalg.norm(region.points[hand] - region.palm, axis=1).max(initial=0.0))
-    apart = float(np.median(surfaces.pixel_mm[region.rows, region.columns][hand])) if hand.any() else 0.0
+    apart = float(np.median(surfaces.pixel_mm[region.rows, region.columns][hand])) if hand.any() else 1.0
     return Detection(
         surfaces.window,
         mask,
@@ -197,7 +197,7 @@ def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:
         candidate.arm,
         extent,
         candidate.score,
-        thin_mm2(hand, apart),
+        float(np.count_nonzero(thin_mask(hand, apart))) * apart**2,
     )
 
 

@@ -157,17 +157,16 @@ _THICK_MM = 16.0
 """No finger takes in a disc of this radius, all arms do."""
 
 
-def thin_mm2(mask: BoolArray, pixel_mm: float) -> float:
-    """How much of a mask (h, w) no disc of ``_THICK_MM`` inside it covers, mm^2: fingers, and the rim."""
-    if pixel_mm <= 0.0:
-        return 0.0
+def thin_mask(mask: BoolArray, pixel_mm: float) -> BoolArray:
+    """What of a mask (h, w) no disc of ``_THICK_MM`` inside it covers: fingers, and the rim."""
     radius = _THICK_MM / pixel_mm
     reach = int(np.ceil(radius))
     rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = (rows**2 + columns**2 <= radius**2 + 0.5).astype(np.uint8)
     whole = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     thick = cv2.morphologyEx(whole, cv2.MORPH_OPEN, disc)
-    return float(np.count_nonzero(whole > thick)) * pixel_mm**2
+    thin: BoolArray = whole > thick
+    return thin
 
 
 _FINGER_MM, _OF_DISC = 36.0, 0.8
