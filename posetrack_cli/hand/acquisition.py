@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Protocol
@@ -205,12 +206,19 @@ class Acquisition:
         Args:
             depth: (height, width) mm.
         """
-        fitting = [one for one in self._likely(depth) if one.cost <= self._settings.accept_mm]
+        fitting = [
+            one for one in self._likely(depth, self.detect(depth)) if one.cost <= self._settings.accept_mm
+        ]
         return min(fitting, key=lambda one: one.doubt, default=None)
 
-    def best_cost(self, depth: ImageArray) -> float:
-        """Return what the place most like a hand costs, mm; the most there is where no place is like one."""
-        best = min(self._likely(depth), key=lambda one: one.doubt, default=None)
+    def best_cost(self, depth: ImageArray, places: Sequence[Detection]) -> float:
+        """Return what the place most like a hand costs, mm; the most there is where no place is like one.
+
+        Args:
+            depth: (height, width) mm.
+            places: of ``detect``.
+        """
+        best = min(self._likely(depth, places), key=lambda one: one.doubt, default=None)
         worst = self._config.observation.clamp_mm
         return worst if best is None else min(best.cost, worst)
 
@@ -218,11 +226,11 @@ class Acquisition:
         """Return the places in a whole image that may be hands."""
         return detect(depth, self._camera, self._config.detection, self.observer.sampler)
 
-    def _likely(self, depth: ImageArray) -> list[Candidate]:
+    def _likely(self, depth: ImageArray, places: Sequence[Detection]) -> list[Candidate]:
         """What is fitted to places that may be hands, but those that no cost could make the likeliest."""
-        places = [(_doubt_of(detection), detection) for detection in self.detect(depth)]
-        least = min((doubt for doubt, _ in places), default=0.0)
-        near = [(doubt, place) for doubt, place in places if doubt < least + _HOPELESS_MM]
+        doubts = [_doubt_of(place) for place in places]
+        least = min(doubts, default=0.0)
+        near = [(d, place) for d, place in zip(doubts, places, strict=True) if d < least + _HOPELESS_MM]
         found = ((doubt, self._fitted(depth, place)) for doubt, place in near)
         return [replace(one, doubt=one.cost + doubt) for doubt, one in found if one is not None]
 

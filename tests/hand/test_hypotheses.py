@@ -23,7 +23,7 @@ HALF_STEP = np.deg2rad(15.0)  # of the turns about the hand's length
 
 def detection(arm: FloatArray | None, palm: FloatArray = PALM) -> Detection:
     wrist = None if arm is None else palm - 50.0 * arm
-    return Detection(Window(0, 0, 1, 4, 4), np.ones((4, 4), bool), palm, 30.0, wrist, arm, 100.0, 1.0)
+    return Detection(Window(0, 0, 1, 4, 4), np.ones((4, 4), bool), palm, 30.0, wrist, arm, 100.0, 1.0, 0.0)
 
 
 def palms(poses: FloatArray, anatomy: HandAnatomy) -> FloatArray:

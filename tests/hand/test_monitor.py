@@ -139,3 +139,28 @@ def test_a_search_that_was_to_come_late_comes_at_once_when_fits_get_worse() -> N
     assert not late.postpones_search(35.0, SETTINGS)  # above 1.5 x 12 + 2
     assert soon.postpones_search(35.0, SETTINGS)  # the last search of a bad track was a moment ago
     assert not replace(soon, wait=0).postpones_search(12.0, SETTINGS)
+
+
+def test_a_track_is_left_for_another_place_after_so_many_searches_in_a_row_and_not_before() -> None:
+    """A single frame in which the elbow looks better moves nothing; one in which it does not begins anew."""
+    monitor, better, worse = TrackMonitor(usual_mm=8.0), (9.0, 6.9), (9.0, 7.1)  # by 2.1 and by 1.9 mm
+    for here, there in [better] * 4 + [worse] + [better] * 4:
+        monitor = monitor.leaves_for(here, there, SETTINGS)
+        assert monitor.elsewhere < SETTINGS.leave_after_frames
+        if monitor.elsewhere:
+            waiting = replace(monitor, wait=3)
+            assert not waiting.postpones_search(8.0, SETTINGS)  # what may be better is looked at every frame
+    assert monitor.leaves_for(*better, SETTINGS).elsewhere == SETTINGS.leave_after_frames
+    assert monitor.after_restart(7.0).elsewhere == 0
+
+
+def test_fingers_that_were_seen_are_forgotten_slowly() -> None:
+    """A fist is no doubt for some seconds after an open hand; fingers count at once."""
+    monitor = TrackMonitor().after_fingers(4.5)
+    assert monitor.fingers_mm == 4.5
+    for _ in range(30):
+        monitor = monitor.after_fingers(-3.0)
+    assert 3.5 < monitor.fingers_mm < 4.5
+    for _ in range(1000):
+        monitor = monitor.after_fingers(-3.0)
+    assert monitor.fingers_mm == -3.0

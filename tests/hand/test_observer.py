@@ -7,7 +7,9 @@ import pytest
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.forearm import SEEN_MM
 from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.observation import IGNORED, Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.rendering.port import RenderingDevice
@@ -36,7 +38,7 @@ def detection(wrist: FloatArray | None) -> Detection:
     window = Window(1, 2, STEP, KINECT.width // STEP, KINECT.height // STEP)
     mask = coarse(window.rows()[:, None], window.columns()[None])
     arm = None if wrist is None else ARM
-    return Detection(window, mask, PALM, 45.0, wrist, arm, 60.0, 1.0)
+    return Detection(window, mask, PALM, 45.0, wrist, arm, 60.0, 1.0, 0.0)
 
 
 def limb() -> np.ndarray:
@@ -99,7 +101,9 @@ def test_a_mask_at_the_image_s_edge_is_cut_like_the_image() -> None:
     mask[:10, :10] = True
     palm = KINECT.points_from_pixels(np.array([16.0, 16.0]), np.asarray(600.0))
     depth = np.full((KINECT.height, KINECT.width), 600.0, dtype=np.float32)
-    found = observer().observe_detection(depth, Detection(window, mask, palm, 30.0, None, None, 60.0, 1.0))
+    found = observer().observe_detection(
+        depth, Detection(window, mask, palm, 30.0, None, None, 60.0, 1.0, 0.0)
+    )
     outside = (found.window.rows()[:, None] < 0) | (found.window.columns()[None] < 0)
     assert outside.any()
     np.testing.assert_array_equal(found.image[outside], 0.0)
@@ -129,3 +133,48 @@ def test_a_detection_s_window_agrees_with_the_one_around_its_pose(device: Render
     drawn = observer().sampler.sample(depth, seen.window) < WALL_MM
     assert np.count_nonzero((seen.image > 0) & drawn) > 0.8 * drawn.sum()
     assert not ((seen.image > 0) & ~drawn).any()
+
+
+def test_a_detected_forearm_is_a_target_near_the_wrist_where_it_is_explained() -> None:
+    """Up to ``SEEN_MM`` behind the wrist; beyond, nothing of the limb counts."""
+    wrist, depth = PALM + np.array([0.0, 55.0, 0.0]), limb()
+    with_arm = Observer(HandConfig(), ANATOMY, KINECT, segment=True, with_arm=True)
+    found = with_arm.observe_detection(depth, detection(wrist))
+    window = found.window
+    tile = with_arm.sampler.sample(depth, window)
+    x = PALM[2] * (window.columns()[None] - KINECT.cx) / KINECT.fx - wrist[0]
+    y = PALM[2] * (window.rows()[:, None] - KINECT.cy) / KINECT.fy - wrist[1]
+    arm = (tile == PALM[2]) & (np.abs(x) < 25.0)
+    near, far = (arm & (y > low) & (y < high) for low, high in ((2.0, SEEN_MM - 2.0), (SEEN_MM + 2.0, 140.0)))
+    assert near.sum() > 100
+    np.testing.assert_array_equal(found.image[near], PALM[2])
+    np.testing.assert_array_equal(found.image[far], IGNORED)
+    np.testing.assert_allclose(found.arm, [0.0, 1.0, 0.0, 0.0])
+    cut = observer().observe_detection(depth, detection(wrist))
+    hand = cut.image > 0
+    np.testing.assert_array_equal(found.image[hand], cut.image[hand])
+    assert found.target_pixels == np.count_nonzero(found.image > 0) > cut.target_pixels
+
+
+def test_fingers_count_before_the_wrist_alone() -> None:
+    """Three strips 12 mm wide are thin, a disc of 45 mm is not; on the forearm's side they are no fingers."""
+    window = Window(0, 0, 2, 64, 64)
+    image = np.full((64, 64), -2000.0, dtype=np.float32)
+    apart = 2.0 * 600.0 / KINECT.fx
+    strips = np.zeros((64, 64), dtype=bool)
+    for column in (20, 30, 40):
+        strips[2:20, column : column + round(12.0 / apart)] = True
+    rows, columns = np.mgrid[:64, :64]
+    image[strips | (np.hypot(rows - 34, columns - 32) * apart < 45.0)] = 600.0
+    wrist = KINECT.points_from_pixels(np.array([64.0, 100.0]), np.asarray(600.0))
+    targets = int(np.count_nonzero(image > 0))
+    area = np.count_nonzero(strips & (image > 0)) * apart**2
+    up, down = np.array([0.0, -1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0])
+    fingers = [
+        observer().fingers_mm2(Observation(window, image, targets, arm, wrist))
+        for arm in (down, up, 0.0 * up)
+    ]
+    assert 0.7 * area < fingers[0] < 1.3 * area  # of a strip's end some is the disc's
+    assert fingers[1] < 0.2 * area  # the disc's rim
+    assert fingers[2] == pytest.approx(fingers[0] + fingers[1], rel=0.1)  # without a forearm all counts
+    assert observer().fingers_mm2(Observation(window, np.zeros_like(image), 0)) == 0.0

@@ -42,9 +42,10 @@ CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
 _RATIO, _STEPS = 1.16, (-2, -1, 0, 1, 2)
 """Of sizes that are tried, and how many such steps from the one that is configured: 0.74 to 1.35 of it."""
-_FRAMES_FOR_SIZE = 3
+_FRAMES_FOR_SIZE, _OWN_MM, _SAME_SIZE = 3, 4.0, 0.03
+"""Frames that tell a size; at what cost a hand is of the size that is configured, or how near to it."""
 _QUICK = {"fitted": 16, "refined": 2, "scattered": 4}
-"""A search that only compares costs may miss the last tenths of a millimetre."""
+"""A search for another size may miss the last tenths of a millimetre, and looks at nothing twice."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,9 @@ class _Trial:
 
     def __init__(self, config: HandConfig, camera: Camera, sides: Sequence[str]) -> None:
         quick = config.acquisition.model_copy(update=_QUICK)
-        self._config, self._camera = config.model_copy(update={"acquisition": quick}), camera
+        never = config.status.model_copy(update={"sure_mm": config.observation.clamp_mm})
+        self._quick = config.model_copy(update={"acquisition": quick, "status": never})
+        self._config, self._camera = config, camera
         self._sides, self.asked, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
         self._scales = tuple(own * _RATIO**k for k in _STEPS) if _is_size_open(config) else (own,)
@@ -143,16 +146,22 @@ class _Trial:
     def ask(self, frame: Frame) -> None:
         """Add what a frame costs, if there may be a hand in it."""
         own = len(self._scales) // 2
-        if not self._finder(0, own).detect(frame.depth):
+        places = self._finder(0, own).detect(frame.depth)
+        if not places:
             return
+
+        def of_all_sides(k: int) -> list[float]:
+            sides = range(len(self._sides))
+            return [self._finder(side, k).best_cost(frame.depth, places) for side in sides]
+
         costs = np.full(self._costs.shape, np.inf)
-        costs[:, own] = [self._finder(s, own).best_cost(frame.depth) for s in range(len(self._sides))]
+        costs[:, own] = of_all_sides(own)
         if not self._tried:
-            fits = costs[:, own].min() <= self._config.status.sure_mm
+            fits = costs[:, own].min() <= _OWN_MM
             self._tried = (own,) if fits else range(len(self._scales))
         for k in self._tried:
             if k != own:
-                costs[:, k] = [self._finder(s, k).best_cost(frame.depth) for s in range(len(self._sides))]
+                costs[:, k] = of_all_sides(k)
         costs = np.where(np.isfinite(costs), costs, self._config.observation.clamp_mm)
         self._costs += costs
         self.asked += 1
@@ -196,14 +205,17 @@ class _Trial:
             return self._scales[k]
         before, here, after = self._costs[side, k - 1 : k + 2]
         shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-9)
-        return round(float(self._scales[k] * _RATIO ** np.clip(shift, -0.5, 0.5)), 3)
+        found = round(float(self._scales[k] * _RATIO ** np.clip(shift, -0.5, 0.5)), 3)
+        own = self._config.hand.scale
+        return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
     def _finder(self, side: int, k: int) -> Acquisition:
         """What searches with a hand of one side and size."""
         if (side, k) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = hand_maker(self._config.hand.mesh)(self._sides[side], shape)
-            self._finders[side, k] = Acquisition(self._config, hand, self._camera)
+            config = self._config if k == len(self._scales) // 2 else self._quick
+            self._finders[side, k] = Acquisition(config, hand, self._camera)
         return self._finders[side, k]
 
 
