@@ -89,7 +89,7 @@ def test_costs_that_hardly_differ_are_said_to_with_a_probability(
 ) -> None:
     """1.8 mm in all are two units of log odds: 1 / (1 + e^-2) = .88."""
     say_costs(monkeypatch, [5.0] * MOST_ASKED, [3.2] + [5.0] * (MOST_ASKED - 1))
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0, seed=0)
     assert found.config.hand.side == "left"
     assert found.line == "a left hand, but hardly so (probability 0.88); --hand-side tells"
 
@@ -100,9 +100,24 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     """A first frame that errs, by however much, is outvoted by those after it."""
     right, left = [30.0, 5.0, 5.0, 5.0, 5.0], [5.0, 8.0, 8.0, 8.0, 8.0]
     told = say_costs(monkeypatch, [*right, 0.0], [*left, 50.0])
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0, seed=0)
     assert found.config.hand.side == "right" and found.line == "a right hand"
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
+
+
+def test_a_hand_of_another_size_is_found_with_it_and_one_that_is_told_is_not_asked_for(
+    tmp_path: Path,
+) -> None:
+    """A hand three quarters as large as expected: its size to 7 per cent, half a step between those tried."""
+    path = tmp_path / "small.mcap"
+    write_synthetic(SynthOptions(seed=3, frames=FRAMES, side="right", scale=0.78), path)
+    found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
+    assert found.config.hand.side == "right"
+    assert found.config.hand.scale == pytest.approx(0.78, rel=0.07)
+    assert f"of scale {found.config.hand.scale:.2f}" in found.line
+    of_side = find_hand(open_path(path), with_hand(side="right"), start=0, seed=0)
+    assert of_side.config.hand.scale == pytest.approx(0.78, rel=0.07)
+    assert find_hand(open_path(path), with_hand(scale=1.0), start=0, seed=0).config.hand.scale == 1.0
 
 
 def test_a_calibrated_hand_is_what_is_tracked(
