@@ -16,6 +16,7 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
+from posetrack_cli.hand.confidence import probability
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.kinematics import joint_positions
@@ -35,6 +36,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
+PROBABLY = 0.5  # what is less probable is not said to be tracked
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -113,6 +115,7 @@ class HandTracker:
         self._finder = finder if self._proposal.fits_frames else None
         plausible = finder is not None and self._proposal.looks_at_frames
         self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
+        self._is_calibrated = self._finder is not None and config.observation.cost == "mixture"
         self._space, self.dynamics = HandSpace(), dynamics(config)
         resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self._model = FilterModel(self.dynamics, self._space, resampling, self._proposal.sampling)
@@ -139,9 +142,10 @@ class HandTracker:
     def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
         """Advance by one frame; the state given is left as it is.
 
-        The confidence is 1 - D / c_max of the estimate's own cost D, and 0 where the frame shows no
-        outline of a hand there, which is lost at once; after frames of low confidence a hand is lost if it
-        was never seen, or after several. **[ours]** No gap counts for longer than
+        The confidence is the probability that the estimate is right (``hand.confidence``), of other proposals
+        and costs 1 - D / c_max of the estimate's own cost D; and 0 where the frame shows no outline of a hand
+        there, which is lost at once, as is what is probably wrong. After frames of a high D a hand is lost if
+        it was never seen, or after several. **[ours]** No gap counts for longer than
         ``gap_max_s``, whether frames are missing or have nothing to compare with: the velocity's random walk
         would else spread the hand over metres. Particles then stay where they are until something is seen.
 
@@ -163,8 +167,9 @@ class HandTracker:
                 frame.depth, posterior.pose, is_known=seen.state.monitor.is_believed
             )
         )
-        confidence = self._confidence(cost) if shown else 0.0
-        monitor = self._monitored(seen, cost if shown else None, confidence)
+        quality = self._quality(cost) if shown else 0.0
+        confidence = self._confidence(cost, quality, posterior)
+        monitor = self._monitored(seen, cost if shown else None, quality)
         unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
         new_state = HandState(
@@ -181,12 +186,13 @@ class HandTracker:
         modes = None if seen.fits is None else seen.fits.modes
         new_state = replace(new_state, modes=modes, observation=seen.observation)
         again = seen.restarted and state.monitor.found
-        status = Status.TRACKING if shown and monitor.is_believed else Status.LOST
+        believed = shown and monitor.is_believed and not (self._is_calibrated and confidence < PROBABLY)
+        status = Status.TRACKING if believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
         arm = NO_ARM if seen.observation is None else seen.observation.arm
-        told = {"evaluations": _evaluations(seen, drawn), "numbers": forearm_numbers(arm)}
-        return new_state, replace(estimate, **told)
+        evaluations = _evaluations(seen, drawn)
+        return new_state, replace(estimate, evaluations=evaluations, numbers=forearm_numbers(arm))
 
     def _observe(
         self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator
@@ -285,16 +291,23 @@ class HandTracker:
         fits = finder.local_fitter.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
         return FrameObservation(state, dt, replace(observation, arm=fits.arm), fits, restarted=True)
 
-    def _confidence(self, cost: float | None) -> float:
+    def _quality(self, cost: float | None) -> float:
+        """The share of the most that a pose can cost, c_max, that an estimate does not."""
         return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
 
-    def _monitored(self, seen: FrameObservation, cost: float | None, confidence: float) -> TrackMonitor:
+    def _confidence(self, cost: float | None, quality: float, posterior: Posterior) -> float:
+        """The probability that an estimate is right, where that is known of the tracker; else its quality."""
+        if not quality or cost is None or not self._is_calibrated:
+            return quality
+        return probability(cost, posterior.pose_variance)
+
+    def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:
         """The record of the track's quality after a frame."""
         monitor, settings = seen.state.monitor, self.config.status
         if cost is None:
             return monitor.after_miss(settings)
         fitted = cost if seen.fits is None else seen.fits.cost
-        return monitor.after_fit(fitted, confidence, settings)
+        return monitor.after_fit(fitted, quality, settings)
 
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""

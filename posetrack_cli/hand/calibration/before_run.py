@@ -12,6 +12,7 @@ from itertools import chain, takewhile
 
 import numpy as np
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
@@ -44,6 +45,10 @@ _RATIO, _STEPS = 1.16, (-2, -1, 0, 1, 2)
 """Of sizes that are tried, and how many such steps from the one that is configured: 0.74 to 1.35 of it."""
 _FRAMES_FOR_SIZE, _OWN_MM, _SAME_SIZE = 3, 4.0, 0.03
 """Frames that tell a size; at what cost a hand is of the size that is configured, or how near to it."""
+_SIZE_SD = (0.08, 0.15)
+"""Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
+larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
+sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4)."""
 _QUICK = {"fitted": 16, "refined": 2, "scattered": 4}
 """A search for another size may miss the last tenths of a millimetre, and looks at nothing twice."""
 
@@ -90,8 +95,8 @@ def find_hand(
         return _hand_of(recording, config, start, SIDES)
     if not _is_size_open(config):
         return HandFound(config)
-    found = _hand_of(recording, config, start, (config.hand.side,))
-    return found if found.config.hand.scale != config.hand.scale else HandFound(config)
+    sized = _hand_of(recording, config, start, (config.hand.side,))
+    return sized if sized.config.hand.scale != config.hand.scale else HandFound(config)
 
 
 def _hand_of(recording: Recording, config: HandConfig, start: int, sides: Sequence[str]) -> HandFound:
@@ -174,7 +179,14 @@ class _Trial:
     def _best(self) -> tuple[int, int]:
         """Which side, and which size of it, costs least so far."""
         side = 0 if len(self._sides) == 1 or self._log_odds >= 0.0 else 1
-        return side, int(np.argmin(self._costs[side]))
+        return side, int(np.argmin(self._doubts[side]))
+
+    @property
+    def _doubts(self) -> FloatArray:
+        """What sides and sizes (S, K) cost, and what speaks against the sizes beforehand."""
+        off = np.log(np.array(self._scales) / self._config.hand.scale)
+        unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))
+        return np.asarray(self._costs + self.asked * unusual)
 
     @property
     def side(self) -> str:
@@ -203,7 +215,7 @@ class _Trial:
         side, k = self._best
         if not 0 < k < len(self._scales) - 1 or not len(self._tried) > 1:
             return self._scales[k]
-        before, here, after = self._costs[side, k - 1 : k + 2]
+        before, here, after = self._doubts[side, k - 1 : k + 2]
         shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-9)
         found = round(float(self._scales[k] * _RATIO ** np.clip(shift, -0.5, 0.5)), 3)
         own = self._config.hand.scale
