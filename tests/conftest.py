@@ -15,7 +15,15 @@ from support.numpy_renderer import NumpyDevice
 
 pytest_plugins = ["support.recordings"]
 
-LONGEST = ("tests/hostile/", "cli/test_hand_run.py", "hand/test_calibration.py")
+LONGEST = (
+    "tests/hostile/",
+    "cli/test_hand_run.py",
+    "hand/test_calibration.py",
+    "cli/test_head_mono.py",
+    "hand/test_recovery.py",
+    "cli/test_hand_calibrate.py",
+    "recording/calibration/test_stereo.py",
+)
 """Begun first, in this order; all others as they are found."""
 
 # The same examples in every run: a red run means a change. HYPOTHESIS_PROFILE=random looks for new ones.

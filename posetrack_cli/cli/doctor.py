@@ -102,7 +102,7 @@ def _scoring_times(device: RenderingDevice, particles: int) -> dict[int, float]:
     from posetrack_cli.hand.kinematics import skinning_transforms
     from posetrack_cli.hand.mesh import hand_mesh
     from posetrack_cli.hand.start import scattered_poses
-    from posetrack_cli.rendering.benchmark import scoring_milliseconds
+    from posetrack_cli.rendering.devices import scoring_milliseconds
 
     anatomy = make_anatomy()
     transforms = skinning_transforms(anatomy, scattered_poses(anatomy, particles, np.random.default_rng(0)))

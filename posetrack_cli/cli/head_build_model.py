@@ -14,8 +14,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 if TYPE_CHECKING:
     from posetrack_cli.arrays import FloatArray
     from posetrack_cli.head.multilinear.face_model import FaceModel
-    from posetrack_cli.head.multilinear.learning import LearnedModel
-    from posetrack_cli.head.multilinear.observed_face import ObservedFace
+    from posetrack_cli.head.multilinear.learning import LearnedModel, ObservedFace
 
 
 @click.command("build-model", short_help="Learn a face model for head mono from stereo results.")
@@ -64,8 +63,7 @@ def head_build_model(
     Use it with posetrack head mono RECORDING --face-model FACE.npz.
     """
     from posetrack_cli.head.multilinear.face_model import save_face_model
-    from posetrack_cli.head.multilinear.learning import learn_model
-    from posetrack_cli.head.multilinear.observed_face import read_face
+    from posetrack_cli.head.multilinear.learning import learn_model, read_face
 
     _check_outputs(results, output, picture, overwrite=overwrite)
     faces = [read_face(path) for path in results]

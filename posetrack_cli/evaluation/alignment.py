@@ -16,7 +16,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.poses import in_object
+from posetrack_cli.geometry.rigid import in_object
 
 IDENTITY_NOTE = "no constant offset removed: no frame has a truth"
 

@@ -30,9 +30,9 @@ from posetrack_cli.filtering.step import (
     Weighing,
     choose_ancestors,
     equal_log_weights,
+    pose_moments,
     propose,
     scatter,
-    summarise,
     velocity_moments,
     weigh,
 )
@@ -175,8 +175,30 @@ class FilterState(ABC):
     def _posterior(
         self, space: StateSpace, weighing: Weighing, *, resampled: bool, weights: FloatArray | None = None
     ) -> Posterior:
-        velocity = self._velocity(weighing.weights if weights is None else weights)
-        return summarise(space, self.poses, velocity, weighing, resampled=resampled, weights=weights)
+        """Put the posterior together before resampling, (62)-(63).
+
+        Args:
+            space: the poses' space.
+            weighing: weights of the poses.
+            resampled: whether the next state is resampled.
+            weights: (N,) for means and variances, if not those of the weighing.
+        """
+        moments = weighing.weights if weights is None else weights
+        pose, pose_variance = pose_moments(space, self.poses, moments)
+        none = np.zeros_like(pose_variance), np.zeros_like(pose_variance)
+        velocity, velocity_variance = self._velocity(moments) or none
+        best = int(np.argmax(weighing.weights))
+        return Posterior(
+            pose=pose,
+            pose_variance=pose_variance,
+            velocity=velocity,
+            velocity_variance=velocity_variance,
+            effective_sample_size=weighing.effective_sample_size,
+            log_evidence=weighing.log_evidence,
+            resampled=resampled,
+            best=best,
+            best_pose=self.poses[best].copy(),
+        )
 
     def _resampled(self, chosen: IntArray) -> FilterState:
         """The chosen particles, equally weighted."""
@@ -257,8 +279,7 @@ class MarginalState(FilterState):
 
     def _motion(self, dt: float, model: FilterModel) -> Motion:
         dynamics = model.dynamics
-        noise = dynamics.pose_noise, dynamics.velocity_noise
-        gain = velocity_gain(self.velocity_variance, *noise, dt, dynamics.discretisation)
+        gain = velocity_gain(self.velocity_variance, dynamics.over(dt), dt)
         sampled = dt * dynamics.pose_noise if model.sampling == "paper" else gain.increment_variance
         return Motion(dt * self.velocities, gain.increment_variance, sampled, gain)
 

@@ -150,7 +150,7 @@ def predicted(belief: StateGaussian, dt: float, dynamics: Dynamics, space: State
     """Return the belief dt seconds later; at dt = 0 as it is."""
     if dt <= 0.0:
         return belief
-    F, Q = constant_velocity(dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
+    F, Q = constant_velocity(dynamics.over(dt), dt)
     pose = space.retract(belief.pose[None], dt * belief.velocity[None])[0]
     return StateGaussian(pose, belief.velocity, F @ belief.covariance @ F.T + Q)
 

@@ -138,8 +138,7 @@ def smooth_gaussian(
     Raises:
         FilterError: dt is not > 0.
     """
-    noise = dynamics.pose_noise, dynamics.velocity_noise
-    F, Q = constant_velocity(*noise, dt, dynamics.discretisation)
+    F, Q = constant_velocity(dynamics.over(dt), dt)
     here = Gaussian(
         np.concatenate([np.zeros_like(filtered.velocity), filtered.velocity]), filtered.covariance
     )
@@ -193,8 +192,7 @@ def earlier_message(message: BackwardMessage, dt: float, dynamics: Dynamics) -> 
     """
     if dt <= 0.0:
         return message
-    noise = dynamics.pose_noise, dynamics.velocity_noise
-    F, Q = constant_velocity(*noise, dt, dynamics.discretisation)
+    F, Q = constant_velocity(dynamics.over(dt), dt)
     L = message.information
     back = np.linalg.solve((np.eye(len(L)) + L @ Q).T, F).T
     information = back @ L @ F

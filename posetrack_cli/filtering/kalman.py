@@ -85,16 +85,10 @@ def step_noise(
     return StepNoise(dt * pose_noise + wander, dt**2 / 2.0 * velocity_noise, dt * velocity_noise)
 
 
-def velocity_gain(
-    variance: FloatArray,
-    pose_noise: FloatArray,
-    velocity_noise: FloatArray,
-    dt: float,
-    discretisation: str = "exact",
-) -> VelocityGain:
+def velocity_gain(variance: FloatArray, noise: StepNoise, dt: float) -> VelocityGain:
     """Return (55)-(57) for diagonal matrices.
 
-    With (A, B, C) = var w^n, cov(w^n, w^l), var w^l of `step_noise`:
+    With (A, B, C) = var w^n, cov(w^n, w^l), var w^l:
 
         N = dt^2 P + A                                     (55)
         L = (dt P + B) / N                                 (56)  **[fix]** printed: P / N, without dt
@@ -106,9 +100,10 @@ def velocity_gain(
 
     Args:
         variance: (D,) P, the velocity's variance before the step, (u/s)^2.
-        pose_noise, velocity_noise, dt, discretisation: as in `step_noise`.
+        noise: of the step.
+        dt: its length, s.
     """
-    A, B, C = step_noise(pose_noise, velocity_noise, dt, discretisation)
+    A, B, C = noise
     N = dt**2 * variance + A
     moves = N >= SMALLEST_VARIANCE
     divisor = np.where(moves, N, 1.0)
@@ -117,15 +112,12 @@ def velocity_gain(
     return VelocityGain(N, gain, np.where(moves, after, variance + C))
 
 
-def constant_velocity(
-    pose_noise: FloatArray, velocity_noise: FloatArray, dt: float, discretisation: str = "exact"
-) -> tuple[FloatArray, FloatArray]:
+def constant_velocity(noise: StepNoise, dt: float) -> tuple[FloatArray, FloatArray]:
     """Return transition F and noise Q, each (2D, 2D), of the joint state (pose, velocity) over dt seconds.
 
-    F = [[1, dt], [0, 1]], Q = [[A, B], [B, C]] in D x D blocks; arguments as in `step_noise`.
+    F = [[1, dt], [0, 1]], Q = [[A, B], [B, C]] in D x D blocks, of the noise of such a step.
     """
-    noise = step_noise(pose_noise, velocity_noise, dt, discretisation)
-    identity = np.eye(pose_noise.size)
+    identity = np.eye(noise.pose.size)
     F = np.block([[identity, dt * identity], [np.zeros_like(identity), identity]])
     pose, cross, velocity = (np.diag(part) for part in noise)
     return F, np.block([[pose, cross], [cross, velocity]])

@@ -15,7 +15,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import nearest_name
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.kalman import Discretisation, check_discretisation
+from posetrack_cli.filtering.kalman import Discretisation, StepNoise, check_discretisation, step_noise
 from posetrack_cli.filtering.resampling import Resampling
 
 LogLikelihood: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -99,6 +99,10 @@ class Dynamics:
             raise FilterError(
                 "noises do not match", found=f"{self.pose_noise.shape} and {self.velocity_noise.shape}"
             )
+
+    def over(self, dt: float) -> StepNoise:
+        """Return the noise of a step of dt seconds; FilterError unless dt is > 0."""
+        return step_noise(self.pose_noise, self.velocity_noise, dt, self.discretisation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from particle i at t with a probability proportional to
     w_i N(z_i; dt v_i, N) exp((lambda v'_i - Omega v'_i^2 / 2) / (1 + Omega P'))
 
 with z_i = x_{t+1} (-) x_i, v'_i = v_i + L (z_i - dt v_i), and N, L, P' of (55)-(57). One frame earlier, with
-A, B, C of `step_noise`, a = 1 - dt B / A, b = B / A and r = 1 / (1 + Omega (C - B^2 / A)),
+A, B, C of `StepNoise`, a = 1 - dt B / A, b = B / A and r = 1 / (1 + Omega (C - B^2 / A)),
 
     Omega <- dt^2 / A + a^2 r Omega            lambda <- dt z / A + a r (lambda - Omega b z)
 
@@ -27,9 +27,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.filtering.errors import FilterError, check_time_step
+from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.filters import FilterState, MarginalState
-from posetrack_cli.filtering.kalman import VelocityGain, step_noise, velocity_gain
+from posetrack_cli.filtering.kalman import StepNoise, VelocityGain, velocity_gain
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import precisions
 from posetrack_cli.filtering.resampling import resample
@@ -87,81 +87,48 @@ class ParticleSmoother:
         """Nothing is needed of what was remembered before; see `Smoother`."""
 
     def begin(self, last: Memory) -> Smoothed:
-        """Draw the trajectories' ends; see `Smoother`."""
-        self._later, smoothed = begin_backward(MarginalState(**last), self._count, self._space, self._rng)
-        return smoothed
+        """Draw the trajectories' ends; there smoothed and filtered are the same. See `Smoother`.
+
+        Raises:
+            FilterError: less than one trajectory.
+        """
+        state = MarginalState(**last)
+        weights = normalise(state.log_weights)[0]
+        poses = state.poses[resample("systematic", weights, self._rng, self._count)]
+        nothing = np.zeros((self._count, state.velocity_variance.size))
+        velocity = velocity_moments(state.velocities, state.velocity_variance, weights)
+        self._later = Trajectories(poses, nothing[0], nothing)
+        return Smoothed(*pose_moments(self._space, state.poses, weights), *velocity)
 
     def back(self, memory: Memory, dt: float) -> Smoothed:
-        """Continue them to the frame before; see `Smoother`."""
-        if self._later is None:
+        """Continue the trajectories to the frame before; see `Smoother`.
+
+        Raises:
+            FilterError: dt is not > 0, or no particle of the frame can have been before any of the next.
+        """
+        later = self._later
+        if later is None:
             raise FilterError("a backward pass begins with the last frame")
-        state, dynamics = MarginalState(**memory), self._dynamics
-        self._later, smoothed = backward_step(state, self._later, dt, dynamics, self._space, self._rng)
+        state, noise = MarginalState(**memory), self._dynamics.over(dt)
+        P = state.velocity_variance
+        gain = velocity_gain(P, noise, dt)
+        increments = self._space.local(state.poses, later.poses[:, None])
+        shares = _shares(state, later, increments, dt, gain, self._space)
+        information, vectors = _velocity_before(later, increments, dt, noise, gain)
+        weights = shares.mean(axis=0)
+        variance = P / (1.0 + P * information)
+        means = (state.velocities + P * vectors) / (1.0 + P * information)
+        pairs = shares.ravel() / len(shares)
+        velocity = velocity_moments(means.reshape(pairs.size, -1), variance, pairs)
+        smoothed = Smoothed(*pose_moments(self._space, state.poses, weights), *velocity)
+        chosen = _choose(shares, self._rng)
+        rows = np.arange(len(chosen))
+        self._later = Trajectories(state.poses[chosen], information, vectors[rows, chosen])
         return smoothed
 
     def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
         """Return what came of the later frame; see `Smoother`."""
         return later
-
-
-def begin_backward(
-    last: MarginalState, count: int, space: StateSpace, rng: np.random.Generator
-) -> tuple[Trajectories, Smoothed]:
-    """Draw the trajectories' ends from the filter's last state; there smoothed and filtered are the same.
-
-    Args:
-        last: the filter after the last frame.
-        count: M.
-        space: the poses' space.
-        rng: source of randomness.
-
-    Raises:
-        FilterError: count < 1.
-    """
-    weights = normalise(last.log_weights)[0]
-    poses = last.poses[resample("systematic", weights, rng, count)]
-    nothing = np.zeros((count, last.velocity_variance.size))
-    velocity = velocity_moments(last.velocities, last.velocity_variance, weights)
-    smoothed = Smoothed(*pose_moments(space, last.poses, weights), *velocity)
-    return Trajectories(poses, nothing[0], nothing), smoothed
-
-
-def backward_step(
-    state: MarginalState,
-    later: Trajectories,
-    dt: float,
-    dynamics: Dynamics,
-    space: StateSpace,
-    rng: np.random.Generator,
-) -> tuple[Trajectories, Smoothed]:
-    """Continue trajectories to the frame before.
-
-    Args:
-        state: the filter after that frame.
-        later: the trajectories from the next frame on.
-        dt: time between the two, s, as the filter was given it.
-        dynamics: those of the filter.
-        space: the poses' space.
-        rng: source of randomness.
-
-    Raises:
-        FilterError: dt is not > 0, or no particle of the frame can have been before any of the next.
-    """
-    check_time_step(dt)
-    P = state.velocity_variance
-    gain = velocity_gain(P, dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
-    increments = space.local(state.poses, later.poses[:, None])
-    shares = _shares(state, later, increments, dt, gain, space)
-    information, vectors = _velocity_before(later, increments, dt, dynamics, gain)
-    weights = shares.mean(axis=0)
-    variance = P / (1.0 + P * information)
-    means = (state.velocities + P * vectors) / (1.0 + P * information)
-    pairs = shares.ravel() / len(shares)
-    velocity = velocity_moments(means.reshape(pairs.size, -1), variance, pairs)
-    smoothed = Smoothed(*pose_moments(space, state.poses, weights), *velocity)
-    chosen = _choose(shares, rng)
-    rows = np.arange(len(chosen))
-    return Trajectories(state.poses[chosen], information, vectors[rows, chosen]), smoothed
 
 
 def _shares(
@@ -189,10 +156,10 @@ def _shares(
 
 
 def _velocity_before(
-    later: Trajectories, increments: FloatArray, dt: float, dynamics: Dynamics, gain: VelocityGain
+    later: Trajectories, increments: FloatArray, dt: float, noise: StepNoise, gain: VelocityGain
 ) -> tuple[FloatArray, FloatArray]:
     """Return Omega (D,) and, for each pair, lambda (M, N, D) one frame earlier."""
-    A, B, C = step_noise(dynamics.pose_noise, dynamics.velocity_noise, dt, dynamics.discretisation)
+    A, B, C = noise
     frozen = gain.increment_variance <= 0.0
     A = np.where(frozen, 1.0, np.maximum(A, SMALLEST_SHARE * gain.increment_variance))
     told = np.where(frozen, 0.0, dt / A)

@@ -225,39 +225,3 @@ def velocity_moments(
     """
     mean = weights @ velocities
     return mean, variance + weights @ np.square(velocities - mean)
-
-
-def summarise(
-    space: StateSpace,
-    poses: FloatArray,
-    velocity: tuple[FloatArray, FloatArray] | None,
-    weighing: Weighing,
-    resampled: bool,
-    weights: FloatArray | None = None,
-) -> Posterior:
-    """Put the posterior together from particles and their weights, before resampling (62)-(63).
-
-    Args:
-        space: the poses' space.
-        poses: (N, S).
-        velocity: mean and variance, each (D,); None for a filter without velocity.
-        weighing: weights of the poses.
-        resampled: whether the next state is resampled.
-        weights: (N,) for mean and variance of the pose, if not those of the weighing.
-    """
-    moments = weighing.weights if weights is None else weights
-    pose, pose_variance = pose_moments(space, poses, moments)
-    if velocity is None:
-        velocity = np.zeros_like(pose_variance), np.zeros_like(pose_variance)
-    best = int(np.argmax(weighing.weights))
-    return Posterior(
-        pose=pose,
-        pose_variance=pose_variance,
-        velocity=velocity[0],
-        velocity_variance=velocity[1],
-        effective_sample_size=weighing.effective_sample_size,
-        log_evidence=weighing.log_evidence,
-        resampled=resampled,
-        best=best,
-        best_pose=poses[best].copy(),
-    )

@@ -45,16 +45,11 @@ def normalise(log_weights: FloatArray) -> tuple[FloatArray, float]:
     return weights, largest + math.log(total)
 
 
-def effective_sample_size(log_weights: FloatArray) -> float:
-    """Return 1 / sum_i w_i^2 of the normalised weights: N when all are equal, 1 when one has everything.
-
-    Kong, Liu and Wong 1994. Args and errors as in `normalise`.
-    """
-    return effective_count(normalise(log_weights)[0])
-
-
 def effective_count(weights: FloatArray) -> float:
-    """Return 1 / sum_i w_i^2 of weights (N,) that sum to 1 already."""
+    """Return 1 / sum_i w_i^2 of weights (N,) that sum to 1: N when all are equal, 1 when one has everything.
+
+    The effective sample size of Kong, Liu and Wong 1994.
+    """
     return 1.0 / float(weights @ weights)
 
 

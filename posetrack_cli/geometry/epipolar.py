@@ -10,8 +10,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import composed, inverse
 from posetrack_cli.geometry.projection import normalised_from_pixels, undistorted_pixels
+from posetrack_cli.geometry.rigid import composed, inverse
 
 CLEARLY_BETTER = 3.0
 """Exchanged images fit clearly better if their epipolar error is so many times smaller."""
@@ -19,25 +19,54 @@ EPIPOLAR_LIMIT_PX = 2.0
 """What careless clicks and a fair calibration stay below: smaller errors are no reason to doubt an order."""
 
 
-def relative_transform(first: Camera, second: Camera) -> tuple[FloatArray, FloatArray]:
-    """Return R (3, 3) and t (3,) mm with p_second = R p_first + t."""
-    transform = composed(np.array(second.camera_T_reference), inverse(np.array(first.camera_T_reference)))
-    return transform[:, :3], transform[:, 3]
+@dataclass(frozen=True)
+class CameraPair:
+    """Two calibrated cameras.
 
+    Attributes:
+        first, second: with their places.
+    """
 
-def essential_matrix(first: Camera, second: Camera) -> FloatArray:
-    """Return E = [t]x R (3, 3): p2^T E p1 = 0 for normalised coordinates (x, y, 1) of one point."""
-    rotation, (x, y, z) = relative_transform(first, second)
-    matrix: FloatArray = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
-    return matrix
+    first: Camera
+    second: Camera
 
+    @property
+    def transform(self) -> tuple[FloatArray, FloatArray]:
+        """R (3, 3) and t (3,) mm with p_second = R p_first + t."""
+        back = inverse(np.array(self.first.camera_T_reference))
+        transform = composed(np.array(self.second.camera_T_reference), back)
+        return transform[:, :3], transform[:, 3]
 
-def fundamental_matrix(first: Camera, second: Camera) -> FloatArray:
-    """Return F (3, 3): u_second^T F u_first = 0 for undistorted pixels (u, v, 1) of one point."""
-    matrix: FloatArray = (
-        np.linalg.inv(second.matrix).T @ essential_matrix(first, second) @ np.linalg.inv(first.matrix)
-    )
-    return matrix
+    @property
+    def fundamental(self) -> FloatArray:
+        """F (3, 3): u_second^T F u_first = 0 for undistorted pixels (u, v, 1) of one point.
+
+        E = [t]x R between them is the same for normalised coordinates: p2^T E p1 = 0.
+        """
+        rotation, (x, y, z) = self.transform
+        essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
+        inverses = np.linalg.inv(self.second.matrix).T, np.linalg.inv(self.first.matrix)
+        matrix: FloatArray = inverses[0] @ essential @ inverses[1]
+        return matrix
+
+    def epipolar_errors(self, pixels: FloatArray, others: FloatArray) -> FloatArray:
+        """Return Sampson's distances (...) of distorted pixels (..., 2) in the first and the second image."""
+        flat = undistorted_pixels(self.first, pixels), undistorted_pixels(self.second, others)
+        return sampson_distance(self.fundamental, *flat)
+
+    def in_front(self, pixels: FloatArray, others: FloatArray) -> BoolArray:
+        """Return whether the rays of pixels (..., 2) in both images come nearest in front of both cameras.
+
+        The depths z1, z2 minimise |R z1 r1 + t - z2 r2|^2.
+        """
+        rotation, t = self.transform
+        one = _homogeneous(normalised_from_pixels(self.first, pixels)) @ rotation.T
+        two = _homogeneous(normalised_from_pixels(self.second, others))
+        aa, bb, ab = np.sum(one * one, -1), np.sum(two * two, -1), np.sum(one * two, -1)
+        at, bt = one @ t, two @ t
+        determinant = aa * bb - ab * ab  # never negative; signs suffice
+        in_front: BoolArray = (ab * bt - bb * at > 0.0) & (aa * bt - ab * at > 0.0) & (determinant > 0.0)
+        return in_front
 
 
 def sampson_distance(fundamental: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
@@ -46,7 +75,7 @@ def sampson_distance(fundamental: FloatArray, first: FloatArray, second: FloatAr
     d = |u2^T F u1| / sqrt((F u1)_1^2 + (F u1)_2^2 + (F^T u2)_1^2 + (F^T u2)_2^2).
 
     Args:
-        fundamental: (3, 3) of ``fundamental_matrix``.
+        fundamental: (3, 3) of ``CameraPair``.
         first, second: (..., 2) undistorted pixels of one point in either image.
     """
     one, two = _homogeneous(first), _homogeneous(second)
@@ -55,29 +84,6 @@ def sampson_distance(fundamental: FloatArray, first: FloatArray, second: FloatAr
     squares = np.sum(line_two[..., :2] ** 2 + line_one[..., :2] ** 2, axis=-1)
     distance: FloatArray = product / np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
     return distance
-
-
-def epipolar_errors(first: Camera, second: Camera, pixels: FloatArray, others: FloatArray) -> FloatArray:
-    """Return Sampson's distances (...) of distorted pixels (..., 2) in the first and in the second image."""
-    fundamental = fundamental_matrix(first, second)
-    return sampson_distance(
-        fundamental, undistorted_pixels(first, pixels), undistorted_pixels(second, others)
-    )
-
-
-def in_front_of_both(first: Camera, second: Camera, pixels: FloatArray, others: FloatArray) -> BoolArray:
-    """Return whether the rays of pixels (..., 2) in two images come nearest in front of both cameras.
-
-    The depths z1, z2 minimise |R z1 r1 + t - z2 r2|^2.
-    """
-    rotation, t = relative_transform(first, second)
-    one = _homogeneous(normalised_from_pixels(first, pixels)) @ rotation.T
-    two = _homogeneous(normalised_from_pixels(second, others))
-    aa, bb, ab = np.sum(one * one, -1), np.sum(two * two, -1), np.sum(one * two, -1)
-    at, bt = one @ t, two @ t
-    determinant = aa * bb - ab * ab  # never negative; signs suffice
-    in_front: BoolArray = (ab * bt - bb * at > 0.0) & (aa * bt - ab * at > 0.0) & (determinant > 0.0)
-    return in_front
 
 
 @dataclass(frozen=True)
@@ -104,11 +110,11 @@ def order_fit(cameras: Sequence[Camera], pixels: FloatArray, order: tuple[int, .
     """Return how points (C, K, 2), NaN where not found, fit if camera c sees image ``order[c]``."""
     errors, in_front = [], []
     for i, j in combinations(range(len(cameras)), 2):
-        pair = cameras[i], cameras[j]
+        pair = CameraPair(cameras[i], cameras[j])
         first, second = pixels[order[i]], pixels[order[j]]
         found = np.isfinite(first).all(axis=-1) & np.isfinite(second).all(axis=-1)
-        errors.append(epipolar_errors(*pair, first[found], second[found]))
-        in_front.append(in_front_of_both(*pair, first[found], second[found]))
+        errors.append(pair.epipolar_errors(first[found], second[found]))
+        in_front.append(pair.in_front(first[found], second[found]))
     every = np.concatenate(errors)
     if not every.size:
         return OrderFit(order, np.inf, 0.0)

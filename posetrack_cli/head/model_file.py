@@ -16,12 +16,11 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.files import read_input, write_output
+from posetrack_cli.files import read_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.npz import read_npz
-from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
@@ -44,16 +43,6 @@ def model_bytes(
     stream = BytesIO()
     np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
-
-
-def save_model(path: Path, data: bytes) -> None:
-    """Write a model file, whole or not at all.
-
-    Raises:
-        ResultError: it cannot be written.
-    """
-    with whole_or_nothing(path) as part:
-        write_output(part, data)
 
 
 def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
@@ -87,8 +76,12 @@ def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
 
 
 def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
+    from posetrack_cli.results.reader import read_result
+
     try:
-        contents = read_npz(_bytes(path))
+        is_result = is_mcap(path)
+        data = read_result(path).attachment(ATTACHMENT) if is_result else read_input(path, limits.MODEL_BYTES)
+        contents = read_npz(data)
         header = json.loads(str(contents[_HEADER]))
         _check(header)
     except PosetrackError:
@@ -112,12 +105,6 @@ def _check(header: Any) -> None:
         raise ValueError("other feature points")
     if not isinstance(header["tracker"], str) or not isinstance(header["cameras"], list):
         raise ValueError("a header without tracker and cameras")
-
-
-def _bytes(path: Path) -> bytes:
-    from posetrack_cli.results.reader import read_result
-
-    return read_result(path).attachment(ATTACHMENT) if is_mcap(path) else read_input(path, limits.MODEL_BYTES)
 
 
 def unusable(found: object, expected: str) -> ResultError:

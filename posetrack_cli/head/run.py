@@ -12,9 +12,9 @@ import numpy as np
 
 from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.files import real_path
-from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes, save_model
-from posetrack_cli.outputs import check_output, check_target, part_path, state_path
+from posetrack_cli.files import real_path, write_output
+from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
+from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
@@ -119,7 +119,8 @@ class HeadRun(TwoPassRun):
         data = model_bytes(self.learned_by(state), self._recording.cameras, self._name)
         writer.attach(ATTACHMENT, MEDIA_TYPE, data)
         if self._options.save_model is not None:
-            save_model(self._options.save_model, data)
+            with whole_or_nothing(self._options.save_model) as part:
+                write_output(part, data)
         return {"passes": str(self._options.passes)}
 
     def remarks(self, state: Any) -> tuple[str, ...]:

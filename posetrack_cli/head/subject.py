@@ -45,7 +45,7 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
 
 
 def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
-    """Return the names of the M = B + 3 + K further numbers, in the order of ``StereoDiagnostics.array``."""
+    """Return the names of the M = B + 3 + K numbers, in the order of ``StereoDiagnostics.numbers``."""
     return (
         *(f"eigenvalue_{b + 1}_mm2" for b in range(components)),
         "contribution_ratio",
@@ -74,7 +74,7 @@ class StereoDiagnostics:
     score: float = np.nan
     weights: FloatArray | None = None
 
-    def array(self, components: int) -> FloatArray:
+    def numbers(self, components: int) -> FloatArray:
         """Return the (M,) numbers for B components, in the order of ``stereo_diagnostic_names``."""
         known = np.asarray(self.eigenvalues, dtype=float)[:components]
         eigenvalues = np.pad(known, (0, components - len(known)), constant_values=np.nan)
@@ -89,7 +89,7 @@ def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
 
 
 def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
-    """Return the names of the M = 2 S' + 4 + K further numbers, in the order of ``MonoDiagnostics.array``."""
+    """Return the names of the M = 2 S' + 4 + K numbers, in the order of ``MonoDiagnostics.numbers``."""
     return (
         *(f"identity_{s + 1}" for s in range(identities)),
         *(f"identity_spread_{s + 1}" for s in range(identities)),
@@ -123,7 +123,7 @@ class MonoDiagnostics:
     score: float = np.nan
     weights: FloatArray | None = None
 
-    def array(self) -> FloatArray:
+    def numbers(self) -> FloatArray:
         """Return the (M,) numbers, in the order of ``mono_diagnostic_names``."""
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
         single = (float(self.person), float(self.adjusted_frames), self.rms_px, self.score)

@@ -17,7 +17,7 @@ from posetrack_cli.configuration import Settings, expected_words
 from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import inverse, placed, relative_to, rotation_from_rows
+from posetrack_cli.geometry.rigid import inverse, placed, relative_to, rotation_from_rows
 from posetrack_cli.recording.base import CAMERA_EXAMPLE, CAMERA_FILE_NAME, not_calibrated
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.pixels import Window

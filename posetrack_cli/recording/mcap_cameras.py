@@ -12,7 +12,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import placed, relative_to, rotation_from_rows
+from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
 from posetrack_cli.recording.base import TRUTH_PREFIX, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey

@@ -11,7 +11,7 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.extrinsics import composed, inverse
+from posetrack_cli.geometry.rigid import composed, inverse
 from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
 from posetrack_cli.mcap.decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.mcap.stream import McapItem

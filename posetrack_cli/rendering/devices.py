@@ -1,11 +1,19 @@
-"""Which device draws: the one place that knows an implementation of the port."""
+"""Which device draws: the one place that knows an implementation of the port; and how fast one scores."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.sums import Comparison
+from posetrack_cli.rendering.window import Window
 
 
 def open_device(index: int | None = None) -> RenderingDevice:
@@ -30,3 +38,29 @@ def device_or_default(device: RenderingDevice | None) -> Iterator[RenderingDevic
         return
     with closing(open_device()) as opened:
         yield opened
+
+
+KINECT2 = Camera(512, 424, 365.0, 365.0, 255.5, 211.5, name="kinect2")
+
+
+def median_milliseconds(work: Callable[[], object], repeats: int, warm_up: int = 2) -> float:
+    """The median wall-clock time of some work, ms."""
+    times = []
+    for k in range(warm_up + repeats):
+        began = time.perf_counter()
+        work()
+        if k >= warm_up:
+            times.append(time.perf_counter() - began)
+    return 1e3 * float(np.median(times))
+
+
+def scoring_milliseconds(
+    device: RenderingDevice, mesh: SkinnedMesh, transforms: Float32Array, tile: int, step: int, repeats: int
+) -> float:
+    """Median time to draw and reduce all poses (N, B, 3, 4) in a Kinect v2's window, ms."""
+    renderer = device.depth_renderer(mesh, (tile, tile), len(transforms))
+    window = Window.around(np.array([KINECT2.cx, KINECT2.cy]), tile, step)
+    observed = renderer.depth(transforms[:1], KINECT2, window)[0]
+    return median_milliseconds(
+        lambda: renderer.sums(transforms, KINECT2, window, Comparison(observed, 40.0)), repeats
+    )

@@ -146,52 +146,57 @@ def read_glb(path: Path) -> Gltf:
         UsageError: no such file, another kind of file, a truncated one, or one that needs an extension.
     """
     try:
-        data = read_input(path, limits.MESH_BYTES)
+        container = _Container(path, read_input(path, limits.MESH_BYTES))
     except OSError as error:
         raise UsageError("cannot be read", where=path, found=error.strerror or error) from error
-    _check_header(path, data)
-    chunks = dict(_chunks(path, data))
-    gltf = Gltf(path, _parsed(path, chunks.get(_JSON, b"")), chunks.get(_BIN, b""))
+    container.check_header()
+    chunks = dict(container.chunks())
+    gltf = Gltf(path, container.parsed(chunks.get(_JSON, b"")), chunks.get(_BIN, b""))
     with damage_named(path):
         _check_needs(gltf)
     return gltf
 
 
-def _check_header(path: Path, data: bytes) -> None:
-    expected = "a binary glTF 2.0 file (.glb)"
-    if len(data) < 12 or data[:4] != _MAGIC:
-        hint = "export it as one binary file" if data.lstrip()[:1] == b"{" else ""
-        raise UsageError("not a GLB file", where=path, expected=expected, hint=hint)
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise UsageError("glTF of another version", where=path, found=version, expected=expected)
-    if length > len(data):
-        found = f"{len(data)} of {length} bytes"
-        raise UsageError("GLB file is truncated", where=path, found=found, hint="copy it again")
+class _Container(NamedTuple):
+    """The bytes of a GLB file."""
 
+    path: Path
+    data: bytes
 
-def _chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """The chunks' kinds and bytes, the last of a kind first: only the first of each counts."""
-    found, position = [], 12
-    while position + 8 <= len(data):
-        length, kind = struct.unpack_from("<I4s", data, position)
-        chunk = data[position + 8 : position + 8 + length]
-        if len(chunk) < length:
-            where = kind.decode("ascii", "replace").rstrip("\0")
-            raise UsageError(f"GLB file is truncated in its {where} part", where=path, hint="copy it again")
-        found.append((kind, chunk))
-        position += 8 + length
-    yield from reversed(found)
+    def check_header(self) -> None:
+        path, data, expected = self.path, self.data, "a binary glTF 2.0 file (.glb)"
+        if len(data) < 12 or data[:4] != _MAGIC:
+            hint = "export it as one binary file" if data.lstrip()[:1] == b"{" else ""
+            raise UsageError("not a GLB file", where=path, expected=expected, hint=hint)
+        version, length = struct.unpack_from("<II", data, 4)
+        if version != 2:
+            raise UsageError("glTF of another version", where=path, found=version, expected=expected)
+        if length > len(data):
+            found = f"{len(data)} of {length} bytes"
+            raise UsageError("GLB file is truncated", where=path, found=found, hint="copy it again")
 
+    def chunks(self) -> Iterator[tuple[bytes, bytes]]:
+        """The chunks' kinds and bytes, the last of a kind first: only the first of each counts."""
+        found, position, data = [], 12, self.data
+        while position + 8 <= len(data):
+            length, kind = struct.unpack_from("<I4s", data, position)
+            chunk = data[position + 8 : position + 8 + length]
+            if len(chunk) < length:
+                what = f"GLB file is truncated in its {kind.decode('ascii', 'replace').rstrip(chr(0))} part"
+                raise UsageError(what, where=self.path, hint="copy it again")
+            found.append((kind, chunk))
+            position += 8 + length
+        yield from reversed(found)
 
-def _parsed(path: Path, text: bytes) -> dict[str, Any]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise UsageError("GLB file without readable JSON", where=path, found=error) from error
-    if not isinstance(content, dict):
-        raise UsageError("GLB file without a JSON object", where=path, found=type(content).__name__)
-    return content
+    def parsed(self, text: bytes) -> dict[str, Any]:
+        try:
+            content = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise UsageError("GLB file without readable JSON", where=self.path, found=error) from error
+        if not isinstance(content, dict):
+            found = type(content).__name__
+            raise UsageError("GLB file without a JSON object", where=self.path, found=found)
+        return content
 
 
 def _check_needs(gltf: Gltf) -> None:

@@ -151,9 +151,3 @@ def smoothing(triangles: IntArray, steps: int) -> Smoothing:
     control = np.linalg.inv(loop_limit_matrix(triangles, count))
     limit = loop_limit_matrix(fine.triangles, len(fine.vertices))
     return Smoothing(limit @ (fine.weights @ control), fine.weights, fine.triangles)
-
-
-def smoothed_through(mesh: SkinnedMesh, steps: int) -> SkinnedMesh:
-    """Subdivide so that the smooth surface passes through the given vertices."""
-    smooth = smoothing(mesh.triangles, steps)
-    return SkinnedMesh(smooth.through @ mesh.vertices, smooth.blend @ mesh.weights, smooth.triangles)

@@ -14,7 +14,7 @@ from google.protobuf.message import Message
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import inverse
+from posetrack_cli.geometry.rigid import inverse
 from posetrack_cli.geometry.rotations import matrices_from_quaternions, quaternions_from_matrices
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.units import METRES_PER_MM

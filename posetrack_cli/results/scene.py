@@ -158,7 +158,7 @@ AXIS_MM = 60.0
 AXIS_COLOURS = ((1.0, 0.2, 0.2, 1.0), (0.2, 0.85, 0.2, 1.0), (0.25, 0.45, 1.0, 1.0))
 """Of x, y, z: red, green, blue."""
 POINT_COLOUR = (1.0, 0.9, 0.2, 1.0)
-POINT_PX, LINE_PX, AXIS_PX = 5.0, 1.5, 2.5
+POINT_PX, DRAWN_LINE_PX, AXIS_PX = 5.0, 1.5, 2.5
 
 _Rgba = tuple[float, float, float, float]
 
@@ -178,7 +178,7 @@ def image_annotations(estimate: Estimate, subject: Subject, camera: Camera) -> I
     share = LOST_ALPHA if estimate.status is Status.LOST else 1.0
     draw = _Drawing(message, pixels, seen, share)
     origin = len(estimate.points)
-    draw.lines(subject.lines, (subject.colour,) * len(subject.lines), LINE_PX)
+    draw.lines(subject.lines, (subject.colour,) * len(subject.lines), DRAWN_LINE_PX)
     draw.lines([(origin, origin + 1 + axis) for axis in range(3)], AXIS_COLOURS, AXIS_PX)
     draw.dots(origin)
     return message

@@ -20,13 +20,12 @@ from posetrack_cli.configuration import load_settings
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.initialisation.detected_face import DetectedFace, detect_face
-from posetrack_cli.head.initialisation.mono import initialise
+from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialiser
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import mono_subject
@@ -97,18 +96,19 @@ def tracking_rows(times: Mapping[str, Sequence[float]]) -> Iterator[Row]:
 def beginning(camera: Camera, frames: Sequence[Frame]) -> Iterator[Row]:
     """The search for a face in one frame, and what follows once it was detected in n."""
     config, model = HeadMonoConfig(), load_face_model(None)
-    detector, found, searching = FaceDetector(config.start.detection), [], []
+    adjuster = Adjuster(model, camera, config.adjustment)
+    initialiser = MonoInitialiser(config, adjuster, FaceDetector(config.start.detection))
+    found, searching = [], []
     for frame in frames:
-        (image,) = frame.images
-        if image is None:
+        if frame.images[0] is None:
             continue
         began = time.perf_counter()
-        face = detect_face(image, frame.stamp_ns, camera, detector, config.start)
+        face = initialiser.detect(frame)
         searching.append(time.perf_counter() - began)
         if isinstance(face, DetectedFace):
             found.append(face)
     chosen = found[: config.start.frames]
-    times = [seconds_of(lambda: initialise(chosen, camera, model, config)) for _ in range(BEGINNINGS)]
+    times = [seconds_of(lambda: initialiser.initialise(chosen)) for _ in range(BEGINNINGS)]
     yield Row("head mono, search for a face in one frame", median_ms(searching[1:]), "ms")
     count = len(chosen)
     yield Row(f"head mono, start after detection in {count} frames", median_ms(times[1:]), "ms", START_MS)
@@ -119,11 +119,12 @@ def adjusting(camera: Camera, repeats: int) -> Iterator[Row]:
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
     person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
     views = {count: seen_views(model, camera, count) for count in VIEWS}
+    adjuster = Adjuster(model, camera, settings)
     times: dict[int, list[float]] = {count: [] for count in VIEWS}
     for repeat in range(repeats + 1):
         for count in VIEWS:
             began = time.perf_counter()
-            found = adjust(views[count], person, model, camera, settings, iterations=settings.iterations)
+            found = adjuster.adjust(views[count], person, iterations=settings.iterations)
             if repeat:
                 times[count].append((time.perf_counter() - began) / max(found.iterations, 1))
     yield from adjusting_rows(times, 2 * settings.iterations)

@@ -15,7 +15,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.start import scattered_poses
-from posetrack_cli.rendering.benchmark import scoring_milliseconds
+from posetrack_cli.rendering.devices import scoring_milliseconds
 from posetrack_cli.rendering.port import RenderingDevice
 from stepping import Walker
 

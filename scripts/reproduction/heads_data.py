@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import placed
+from posetrack_cli.geometry.rigid import placed
 from posetrack_cli.recording import camera_file
 
 

@@ -24,7 +24,7 @@ DRAWING = (
     "geometry/camera.py",
     "geometry/distortion.py",
     "geometry/kernels.py",
-    "geometry/poses.py",
+    "geometry/rigid.py",
     "geometry/rotations.py",
     "rendering/port.py",
     "rendering/gl/device.py",

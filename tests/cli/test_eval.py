@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.outputs import part_path
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
 from support.eval_command import CAMERA, truth_message, write_result
-from support.evaluation import hand_track
+from support.tracks import hand_track
 
 TESTS = Path(__file__).parents[1]
 PASSES, FAILS = "joint_error_mm.mean > 1000", "joint_error_mm.mean > 0.001"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
+from posetrack_cli.hand.calibration import calibrate as calibrate_module
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.shape import SHAPE_NAMES
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
@@ -24,6 +26,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("calibrate") / "hand.mcap"
     write_synthetic(SynthOptions(frames=20, seed=4, speed=2.0, **asdict(hand_of_seed(4))), path)
     return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_trials() -> Iterator[None]:
+    """What the right side and size are to be told by is little here; ``hand/test_calibration`` takes all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrate_module, "TRIAL_FRAMES", 2)
+        yield
 
 
 def calibrate(recording: Path, output: Path, *more: str) -> int:

@@ -342,7 +342,7 @@ def test_an_empty_result_and_one_of_a_single_frame(
 
 
 def test_ctrl_c_leaves_a_video_of_what_was_drawn(tmp_path: Path) -> None:
-    recording = make_recording(tmp_path / "long.mcap", 60)
+    recording = make_recording(tmp_path / "long.mcap", 40)
     result = make_result(tmp_path / "result.mcap", open_recording(recording))
     out, part = tmp_path / "v.mp4", tmp_path / "v.part.mp4"
     arguments = ["view", str(result), "-o", str(out), "--scale", "4"]
@@ -354,5 +354,5 @@ def test_ctrl_c_leaves_a_video_of_what_was_drawn(tmp_path: Path) -> None:
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
     drawn = len(pictures_of(out))
-    assert 0 < drawn < 60 and f"interrupted after {drawn} of 60 frames: {out}" in said
+    assert 0 < drawn < 40 and f"interrupted after {drawn} of 40 frames: {out}" in said
     assert not part.exists()

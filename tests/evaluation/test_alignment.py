@@ -18,7 +18,8 @@ from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
-from support.metrics import all_pairs, random_hand, random_head
+from support.metrics import all_pairs
+from support.tracks import random_hand, random_head
 
 FRAMES = 40
 ROUNDING = 1e-9

@@ -19,8 +19,9 @@ from posetrack_cli.evaluation.html.packing import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import ReportPage
 from support.browser import console_lines, open_browser, requested, set_features, set_width
-from support.evaluation import FRAME_NS, hand_evaluation
+from support.evaluation import hand_evaluation
 from support.html import NASTY, head_evaluation, picture, shortened, without_truth
+from support.tracks import FRAME_NS
 
 FRAMES = 120
 PIXEL = 0.1

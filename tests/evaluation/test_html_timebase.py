@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.html.timebase import (
 )
 from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics
 from posetrack_cli.evaluation.track import Track
-from support.evaluation import hand_track
+from support.tracks import hand_track
 
 SECOND = 1_000_000_000
 

@@ -24,7 +24,8 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_NAMES, JOINT_PARENTS, make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
-from support.metrics import all_pairs, random_hand
+from support.metrics import all_pairs
+from support.tracks import random_hand
 
 ANATOMY = make_anatomy()
 SINGLE = 1e-4

@@ -19,6 +19,7 @@ from posetrack_cli.filtering.kalman import (
     constant_velocity,
     kalman_predict,
     kalman_update,
+    step_noise,
     velocity_gain,
 )
 from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
@@ -62,7 +63,8 @@ class World:
         if not self.moving:
             return np.eye(self.dimension), dt * POSE_NOISE * np.eye(self.dimension)
         dynamics = self.dynamics
-        return constant_velocity(dynamics.pose_noise, dynamics.velocity_noise, dt, self.discretisation)
+        noise = step_noise(dynamics.pose_noise, dynamics.velocity_noise, dt, self.discretisation)
+        return constant_velocity(noise, dt)
 
     @property
     def sensor(self) -> np.ndarray:
@@ -165,9 +167,8 @@ class World:
         """P of (57) after each step, (T, D): the part of the velocity's variance that no particle carries."""
         P, dynamics, variances = np.full(self.dimension, START_VELOCITY_SD**2), self.dynamics, []
         for dt in self.steps:
-            P = velocity_gain(
-                P, dynamics.pose_noise, dynamics.velocity_noise, dt, self.discretisation
-            ).variance
+            noise = step_noise(dynamics.pose_noise, dynamics.velocity_noise, dt, self.discretisation)
+            P = velocity_gain(P, noise, dt).variance
             variances.append(P)
         return np.array(variances)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -137,6 +139,7 @@ def fits(
     return LikelihoodModes(TOPS[chosen], np.zeros((len(chosen), 2)), information, heights[chosen])
 
 
+@cache
 def true_moments() -> tuple[float, np.ndarray, float]:
     """Mass of the bent finger, mean pose and log evidence after one frame, by the sum over a fine grid."""
     side = np.linspace(-1.5, 3.0, 1501)

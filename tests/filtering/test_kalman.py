@@ -42,10 +42,10 @@ def test_gain_is_the_regression_of_velocity_on_the_increment(
     discretisation: str, P: np.ndarray, Qn: np.ndarray, Ql: np.ndarray, dt: float
 ) -> None:
     """Pose known exactly before and after the step: a Kalman update with R = 0 must give L, N and P'."""
-    F, Q = constant_velocity(Qn, Ql, dt, discretisation)
+    F, Q = constant_velocity(step_noise(Qn, Ql, dt, discretisation), dt)
     predicted = kalman_predict(Gaussian(np.zeros(6), joint(np.zeros(3), P)), F, Q).covariance
     N, cross, velocity = np.diag(predicted)[:3], np.diag(predicted[3:, :3]), np.diag(predicted)[3:]
-    gain = velocity_gain(P, Qn, Ql, dt, discretisation)
+    gain = velocity_gain(P, step_noise(Qn, Ql, dt, discretisation), dt)
     np.testing.assert_allclose(gain.increment_variance, N, rtol=ROUNDING)
     np.testing.assert_allclose(gain.gain, cross / N, rtol=ROUNDING)
     np.testing.assert_allclose(
@@ -60,7 +60,7 @@ def test_euler_is_the_corrected_recursion_as_written(
 ) -> None:
     N = dt**2 * P + dt * Qn
     L = dt * P / N
-    gain = velocity_gain(P, Qn, Ql, dt, "euler")
+    gain = velocity_gain(P, step_noise(Qn, Ql, dt, "euler"), dt)
     np.testing.assert_allclose(gain.increment_variance, N, rtol=ROUNDING)
     np.testing.assert_allclose(gain.gain, L, rtol=ROUNDING)
     np.testing.assert_allclose(
@@ -89,7 +89,7 @@ def test_gain_as_printed_makes_the_variance_negative(P: float, steps: int) -> No
 def test_variance_stays_between_zero_and_what_was_there(
     discretisation: str, P: np.ndarray, Qn: np.ndarray, Ql: np.ndarray, dt: float
 ) -> None:
-    gain = velocity_gain(P, Qn, Ql, dt, discretisation)
+    gain = velocity_gain(P, step_noise(Qn, Ql, dt, discretisation), dt)
     assert np.all(gain.variance >= 0.0)
     assert np.all(gain.variance <= (P + dt * Ql) * (1.0 + 1e-12))
     assert np.all(np.isfinite(gain.gain))
@@ -99,14 +99,14 @@ def test_variance_stays_between_zero_and_what_was_there(
 @both
 def test_frozen_component_has_no_gain_and_stays_frozen(discretisation: str) -> None:
     zero = np.zeros(2)
-    gain = velocity_gain(zero, np.array([0.0, 4.0]), zero, 0.1, discretisation)
+    gain = velocity_gain(zero, step_noise(np.array([0.0, 4.0]), zero, 0.1, discretisation), 0.1)
     np.testing.assert_array_equal(gain.gain, zero)
     np.testing.assert_array_equal(gain.variance, zero)
     np.testing.assert_allclose(gain.increment_variance, [0.0, 0.4])
 
 
 def test_without_pose_noise_the_increment_is_the_velocity() -> None:
-    gain = velocity_gain(np.array([9.0]), np.zeros(1), np.array([5.0]), 0.1, "euler")
+    gain = velocity_gain(np.array([9.0]), step_noise(np.zeros(1), np.array([5.0]), 0.1, "euler"), 0.1)
     np.testing.assert_allclose(gain.gain, [10.0])  # 1 / dt
     np.testing.assert_allclose(gain.variance, [0.5])  # only what the velocity wanders in the step
 
@@ -114,19 +114,19 @@ def test_without_pose_noise_the_increment_is_the_velocity() -> None:
 @relaxed
 @given(Qn=positive, Ql=positive, dt=time_steps, parts=st.integers(2, 5))
 def test_exact_steps_compose(Qn: np.ndarray, Ql: np.ndarray, dt: float, parts: int) -> None:
-    F, Q = constant_velocity(Qn, Ql, dt, "exact")
+    F, Q = constant_velocity(step_noise(Qn, Ql, dt, "exact"), dt)
     transition, noise = np.eye(6), np.zeros((6, 6))
     for _ in range(parts):
         transition, noise = F @ transition, F @ noise @ F.T + Q
-    whole_F, whole_Q = constant_velocity(Qn, Ql, parts * dt, "exact")
+    whole_F, whole_Q = constant_velocity(step_noise(Qn, Ql, parts * dt, "exact"), parts * dt)
     np.testing.assert_allclose(transition, whole_F, rtol=1e-12)
     np.testing.assert_allclose(noise, whole_Q, rtol=1e-12)
 
 
 def test_euler_steps_miss_by_the_velocity_s_wander() -> None:
     Qn, Ql, dt = np.array([4.0]), np.array([400.0]), 1.0 / 30.0
-    F, Q = constant_velocity(Qn, Ql, dt, "euler")
-    _, whole = constant_velocity(Qn, Ql, 2 * dt, "euler")
+    F, Q = constant_velocity(step_noise(Qn, Ql, dt, "euler"), dt)
+    _, whole = constant_velocity(step_noise(Qn, Ql, 2 * dt, "euler"), 2 * dt)
     missing = F @ Q @ F.T + Q - whole
     np.testing.assert_allclose(missing, Ql[0] * np.array([[dt**3, dt**2], [dt**2, 0.0]]), atol=1e-12)
 
@@ -139,8 +139,8 @@ def test_two_marginal_steps_are_one_of_twice_the_time(
     """Particles (x, v) and their shared P together have the same Gaussian either way (total variance)."""
 
     def step(carried: np.ndarray, P: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        gain = velocity_gain(P, Qn, Ql, dt)
-        F, _ = constant_velocity(Qn, Ql, dt)
+        gain = velocity_gain(P, step_noise(Qn, Ql, dt), dt)
+        F, _ = constant_velocity(step_noise(Qn, Ql, dt), dt)
         spread = np.vstack([np.eye(3), np.diag(gain.gain)])  # an innovation moves pose and mean velocity
         return F @ carried @ F.T + spread @ np.diag(gain.increment_variance) @ spread.T, gain.variance
 
@@ -153,7 +153,7 @@ def test_two_marginal_steps_are_one_of_twice_the_time(
 def test_kalman_equals_the_joint_gaussian_solved_directly() -> None:
     """Condition the Gaussian of all states and observations at once, and compare last state and evidence."""
     rng = np.random.default_rng(0)
-    F, Q = constant_velocity(np.array([4.0, 1.0]), np.array([30.0, 9.0]), 0.2)
+    F, Q = constant_velocity(step_noise(np.array([4.0, 1.0]), np.array([30.0, 9.0]), 0.2), 0.2)
     H, R = rng.standard_normal((3, 4)), np.diag([1.0, 0.5, 2.0])
     start = Gaussian(rng.standard_normal(4), np.diag([1.0, 2.0, 3.0, 4.0]))
     observations = rng.standard_normal((4, 3))
@@ -192,4 +192,4 @@ def test_time_must_move_forward(dt: float) -> None:
 
 def test_unknown_discretisation_names_the_nearest() -> None:
     with pytest.raises(FilterError, match="did you mean 'euler'"):
-        velocity_gain(np.ones(1), np.ones(1), np.ones(1), 0.1, "eular")
+        step_noise(np.ones(1), np.ones(1), 0.1, "eular")

@@ -39,7 +39,7 @@ def covariance_of(state: MarginalState) -> np.ndarray:
 
 
 def expected_covariance(dynamics: Dynamics) -> np.ndarray:
-    F, Q = constant_velocity(dynamics.pose_noise, dynamics.velocity_noise, 2 * DT, "exact")
+    F, Q = constant_velocity(dynamics.over(2 * DT), 2 * DT)
     start = Gaussian(np.zeros(4), np.diag(np.r_[SD, VELOCITY_SD] ** 2))
     return kalman_predict(start, F, Q).covariance
 

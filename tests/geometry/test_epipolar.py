@@ -11,12 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import (
+    CameraPair,
     better_order,
-    epipolar_errors,
-    fundamental_matrix,
-    in_front_of_both,
     order_fit,
-    relative_transform,
     sampson_distance,
 )
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
@@ -48,7 +45,7 @@ def seen(cameras: list[Camera], points: np.ndarray) -> np.ndarray:
 
 def test_relative_transform_goes_from_first_to_second() -> None:
     third = placed(LEFT, (3.0, 12.0, -2.0), (90.0, -4.0, 10.0))
-    rotation, t = relative_transform(RIGHT, third)
+    rotation, t = CameraPair(RIGHT, third).transform
     points = head_points()
     np.testing.assert_allclose(
         in_camera_axes(RIGHT, points) @ rotation.T + t, in_camera_axes(third, points), atol=1e-9
@@ -58,14 +55,14 @@ def test_relative_transform_goes_from_first_to_second() -> None:
 def test_every_point_lies_on_the_epipolar_line_that_opencv_draws() -> None:
     cameras = [replace(LEFT, distortion=()), replace(RIGHT, distortion=())]
     first, second = seen(cameras, head_points())
-    lines = cv2.computeCorrespondEpilines(first[:, None], 1, fundamental_matrix(*cameras))[:, 0]
+    lines = cv2.computeCorrespondEpilines(first[:, None], 1, CameraPair(*cameras).fundamental)[:, 0]
     np.testing.assert_allclose(np.sum(lines[:, :2] * second, axis=-1) + lines[:, 2], 0.0, atol=ROUNDING_PX)
 
 
 def test_distortion_is_undone_before_the_epipolar_error() -> None:
     first, second = seen([LEFT, RIGHT], head_points())
-    np.testing.assert_allclose(epipolar_errors(LEFT, RIGHT, first, second), 0.0, atol=ROUNDING_PX)
-    straight = sampson_distance(fundamental_matrix(LEFT, RIGHT), first, second)
+    np.testing.assert_allclose(CameraPair(LEFT, RIGHT).epipolar_errors(first, second), 0.0, atol=ROUNDING_PX)
+    straight = sampson_distance(CameraPair(LEFT, RIGHT).fundamental, first, second)
     assert straight.max() > 0.1, "as if there were no distortion: an error"
 
 
@@ -73,7 +70,7 @@ def test_sampson_distance_is_opencv_s() -> None:
     cameras = [replace(LEFT, distortion=()), replace(RIGHT, distortion=())]
     first, second = seen(cameras, head_points(8))
     second = second + np.random.default_rng(4).normal(0, 2, second.shape)
-    fundamental = fundamental_matrix(*cameras)
+    fundamental = CameraPair(*cameras).fundamental
     expected = [
         cv2.sampsonDistance(np.append(a, 1.0), np.append(b, 1.0), fundamental) ** 0.5
         for a, b in zip(first, second, strict=True)
@@ -85,7 +82,7 @@ def test_sampson_distance_is_to_first_order_the_distance_to_the_nearest_true_pai
     cameras = [replace(LEFT, distortion=()), replace(RIGHT, distortion=())]
     first, second = seen(cameras, head_points(20))
     second = second + np.array([0.0, 0.5])
-    fundamental = fundamental_matrix(*cameras)
+    fundamental = CameraPair(*cameras).fundamental
     moved = cv2.correctMatches(fundamental, first[None], second[None])
     exact = np.sqrt(np.sum((moved[0][0] - first) ** 2 + (moved[1][0] - second) ** 2, axis=-1))
     np.testing.assert_allclose(sampson_distance(fundamental, first, second), exact, rtol=1e-3)
@@ -93,10 +90,10 @@ def test_sampson_distance_is_to_first_order_the_distance_to_the_nearest_true_pai
 
 def test_rays_meet_in_front_of_both_cameras_or_not() -> None:
     first, second = seen([LEFT, RIGHT], head_points())
-    assert in_front_of_both(LEFT, RIGHT, first, second).all()
+    assert CameraPair(LEFT, RIGHT).in_front(first, second).all()
     a, b = seen([PLAIN, PARALLEL], head_points())
-    assert in_front_of_both(PLAIN, PARALLEL, a, b).all()
-    assert not in_front_of_both(PLAIN, PARALLEL, b, a).any(), "with images exchanged depth is negative"
+    assert CameraPair(PLAIN, PARALLEL).in_front(a, b).all()
+    assert not CameraPair(PLAIN, PARALLEL).in_front(b, a).any(), "with images exchanged depth is negative"
 
 
 @pytest.mark.parametrize("cameras", [[LEFT, RIGHT], [PLAIN, PARALLEL]], ids=["toed in", "parallel"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.geometry.poses import in_camera, in_object
+from posetrack_cli.geometry.rigid import in_camera, in_object
 
 MM = 1e-9
 """Far above a few roundings of 1000 mm (1e-12), far below what matters."""

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import fundamental_matrix
+from posetrack_cli.geometry.epipolar import CameraPair
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
 from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
 
@@ -52,7 +52,7 @@ def test_two_views_against_opencv() -> None:
     pixels = seen(pair, head_points()) + np.random.default_rng(4).normal(0, 0.3, (2, 30, 2))
     matrices = [own.matrix @ np.array(own.camera_T_reference) for own in pair]
     # OpenCV's optimal correction, then its linear method, is the two-view maximum likelihood solution
-    fundamental = fundamental_matrix(*pair)
+    fundamental = CameraPair(*pair).fundamental
     corrected = cv2.correctMatches(fundamental, pixels[0][None], pixels[1][None])
     homogeneous = cv2.triangulatePoints(*matrices, corrected[0][0].T, corrected[1][0].T)
     expected = (homogeneous[:3] / homogeneous[3]).T

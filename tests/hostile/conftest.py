@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pytest
@@ -10,7 +11,8 @@ from hostile.seeds import Seeds, make_seeds
 
 @pytest.fixture(scope="session")
 def pool() -> Iterator[Pool]:
-    with Pool() as opened:
+    """Two servers; one where other processes run tests beside this one, as each server imports everything."""
+    with Pool(1 if "PYTEST_XDIST_WORKER" in os.environ else 2) as opened:
         yield opened
 
 

@@ -11,7 +11,7 @@ from hostile.running import Pool
 from hostile.seeds import Seeds
 from hostile.targets import TARGETS
 
-EXAMPLES = {"states": 10, "models": 10, "configurations": 8, "meshes": 4}
+EXAMPLES = {"states": 8, "models": 10, "configurations": 8, "meshes": 3}
 USUAL = 16
 """Cases of a target; those that track take longer, so they are fewer."""
 SLACK = 3.0

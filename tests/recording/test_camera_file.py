@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import IN_PLACE, Camera
-from posetrack_cli.geometry.extrinsics import placed
+from posetrack_cli.geometry.rigid import placed
 from posetrack_cli.recording.camera_file import camera_file_text, load_rig
 from support import images as support
 

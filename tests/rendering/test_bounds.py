@@ -11,8 +11,7 @@ from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.rendering.gl.bounds import BoneSpheres
-from posetrack_cli.rendering.gl.tiled import NEAR_MM
+from posetrack_cli.rendering.gl.tiled import NEAR_MM, BoneSpheres
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 

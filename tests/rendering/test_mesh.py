@@ -13,7 +13,7 @@ from posetrack_cli.rendering.mesh import (
     joined,
     loop_limit_matrix,
     loop_subdivided,
-    smoothed_through,
+    smoothing,
 )
 from support.rendering import octahedron, rigid, sphere
 
@@ -100,6 +100,11 @@ def test_the_limit_does_not_depend_on_how_often_one_subdivides_first() -> None:
     fine = loop_subdivided(loop_subdivided(mesh))
     again = loop_limit_matrix(fine.triangles, len(fine.vertices)) @ fine.vertices
     np.testing.assert_allclose(again[:6], limit, atol=ROUNDING)
+
+
+def smoothed_through(mesh: SkinnedMesh, steps: int) -> SkinnedMesh:
+    smooth = smoothing(mesh.triangles, steps)
+    return SkinnedMesh(smooth.through @ mesh.vertices, smooth.blend @ mesh.weights, smooth.triangles)
 
 
 @pytest.mark.parametrize("steps", [0, 1, 2])

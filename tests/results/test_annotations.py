@@ -80,6 +80,13 @@ def test_a_lost_face_is_faint() -> None:
         assert {entity.lines[0].color.a, *(ball.color.a for ball in entity.spheres)} == {share}
 
 
+def test_lines_are_thicker_in_space_than_on_images() -> None:
+    lines, axes, dots = image_annotations(estimate(), SUBJECT, CAMERA).points
+    (entity,) = line_scene(estimate(), SUBJECT).entities
+    assert [lines.thickness, axes.thickness, dots.thickness] == [1.5, 2.5, 5.0]
+    assert entity.lines[0].thickness == 2.0
+
+
 def test_the_scene_holds_the_points_in_metres() -> None:
     made = estimate()
     (entity,) = line_scene(made, SUBJECT).entities

@@ -25,7 +25,7 @@ from benchmarking.recordings import link_recording, there_and_back, write_hand_r
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.multilinear.face_model import load_face_model
@@ -202,7 +202,7 @@ def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
     camera = make_cameras(HeadSynthOptions(frames=1))[0]
     views = one_camera.seen_views(model, camera, 5)
     person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
-    found = adjust(views, person, model, camera, settings, iterations=10, wide=True)
+    found = Adjuster(model, camera, settings).adjust(views, person, iterations=10, wide=True)
     assert np.sqrt(np.mean(found.residuals**2)) < 3.0 * one_camera.NOISE_PX
     start = [
         np.linalg.norm(pixels_from_points(camera, v.pose.points(model.mean))[0] - v.pixels, axis=1)
@@ -259,7 +259,7 @@ def test_a_walker_steps_and_counts_lost_frames() -> None:
 
 @pytest.mark.parametrize("learnt", [0, 2, 5])
 def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
-    numbers = StereoDiagnostics(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).array(5)
+    numbers = StereoDiagnostics(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).numbers(5)
     assert deformations_of(replace(nothing_seen(), numbers=numbers)) == learnt
     assert deformations_of(None) == 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ from support.cvar import annotated, make_folder
 HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 FILE_DIGITS = 5e-4
 """The annotation has three decimals."""
+REAL = 80
+"""Real frames that are looked at, of some three hundred."""
 
 
 @pytest.mark.parametrize("width", [320, 321])
@@ -71,7 +74,13 @@ def test_damaged_annotations_are_named(tmp_path: Path) -> None:
 
 def test_real_joints_lie_on_the_hand(tmp_path: Path, measured_data: Path) -> None:
     """Behind the visible surface by 0 to 40 mm at most joints: so units, axes and order are right."""
-    out = cvar.convert(measured_data / "cvar-hand" / "P1", tmp_path / "P1.mcap")
+    source, part = measured_data / "cvar-hand" / "P1", tmp_path / "P1"
+    part.mkdir()
+    for path in sorted(source.glob("*_depth.png"))[:REAL]:
+        shutil.copy(path, part)
+    rows = (source / "joint.txt").read_text().splitlines(keepends=True)
+    (part / "joint.txt").write_text("".join([f"{REAL}\n", *rows[1 : REAL + 1]]))
+    out = cvar.convert(part, tmp_path / "P1.mcap")
     recording, truth = open_recording(out), points_track(out, HAND, "truth", LossLog())
     camera, behind = recording.cameras[0], []
     assert truth.points is not None

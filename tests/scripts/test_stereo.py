@@ -168,7 +168,7 @@ def estimate(index: int, status: Status, shift: float = 0.0) -> Estimate:
         points=moved.points(points),
         effective_sample_size=None,
         resampled=False,
-        numbers=StereoDiagnostics(np.zeros(0), 0.25 if index > 3 else np.nan).array(0),
+        numbers=StereoDiagnostics(np.zeros(0), 0.25 if index > 3 else np.nan).numbers(0),
         milliseconds=5.0,
     )
 

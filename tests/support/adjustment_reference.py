@@ -9,7 +9,7 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import normalised_from_pixels
-from posetrack_cli.head.adjustment.preparation import make_problem, make_start, offset_deviations
+from posetrack_cli.head.adjustment.adjuster import Adjuster, offset_deviations
 from posetrack_cli.head.adjustment.solver.problem import Part, Problem, Unknowns
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
@@ -28,12 +28,16 @@ class Case:
     settings: AdjustmentSettings
 
     @property
+    def adjuster(self) -> Adjuster:
+        return Adjuster(self.model, self.camera, self.settings)
+
+    @property
     def problem(self) -> Problem:
-        return make_problem(self.views, self.model, self.camera, self.settings)
+        return self.adjuster.problem(self.views)
 
     @property
     def start(self) -> Unknowns:
-        return make_start(self.views, self.person, self.model, self.problem)
+        return self.adjuster.start(self.views, self.person)
 
     @property
     def everything(self) -> Part:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import placed
+from posetrack_cli.geometry.rigid import placed
 from posetrack_cli.recording.calibration.boards import Board
 
 FINE = 3

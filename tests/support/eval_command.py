@@ -22,7 +22,7 @@ from posetrack_cli.results import (
     Subject,
     estimate_to_json,
 )
-from support.evaluation import hand_track
+from support.tracks import hand_track
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 SUBJECT = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)

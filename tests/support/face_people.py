@@ -103,5 +103,5 @@ def _estimate(index: int, status: Status, shape: np.ndarray, weights: np.ndarray
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=StereoDiagnostics(np.zeros(0), weights=weights).array(0),
+        numbers=StereoDiagnostics(np.zeros(0), weights=weights).numbers(0),
     )

@@ -99,7 +99,7 @@ class FakeTracker:
             points=pose.points(MEAN_SHAPE + state.mean),
             effective_sample_size=None,
             resampled=False,
-            numbers=StereoDiagnostics(np.array([4.0]), ratio, state.seen, 0.8).array(COMPONENTS),
+            numbers=StereoDiagnostics(np.array([4.0]), ratio, state.seen, 0.8).numbers(COMPONENTS),
         )
 
     def learned(self, state: FakeState) -> dict[str, np.ndarray[Any, Any]]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import placed
+from posetrack_cli.geometry.rigid import placed
 from posetrack_cli.recording.camera_file import camera_file_text
 
 WIDTH, HEIGHT = 32, 24

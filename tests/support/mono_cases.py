@@ -12,7 +12,7 @@ from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointVi
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.templates import WINDOW, TemplateSet
-from posetrack_cli.head.initialisation.detected_face import DetectedFace
+from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.filter import HeadParticles
 from posetrack_cli.head.tracker.frame_tracker import TrackState

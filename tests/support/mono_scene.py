@@ -13,7 +13,7 @@ from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import mono_subject
@@ -78,7 +78,8 @@ class Scene:
     def __post_init__(self) -> None:
         clicked = None if self.clicked is None else ClickedPoints(Path("clicked.csv"), self.clicked[None])
         with patch.object(mono, "FaceDetector", lambda settings: self.told):
-            self.tracker = mono.mono_tracker(self.config, CAMERA, MODEL, clicked=clicked, known=self.known)
+            people = mono.MonoPeople(self.config, CAMERA, MODEL, clicked=clicked, known=self.known)
+            self.tracker = mono.HeadTracker(people)
 
     def frame(self, index: int, blank: bool = False) -> Frame:
         (image,) = self.face.render((CAMERA,), pose_at(index), SHAPE, noise=NOISE, seed=index)

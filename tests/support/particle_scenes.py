@@ -8,8 +8,7 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.pose import HeadPose, ShapeModel
 from posetrack_cli.head.particles.scores import PatchObservation
 
 SPOT = 48

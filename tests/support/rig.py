@@ -9,7 +9,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import canonical
 from posetrack_cli.head.face.points import FEATURES
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.initialisation.views import CameraImage
+from posetrack_cli.head.face.rig_images import CameraImage
 
 LEFT = Camera(640, 480, 900.0, 900.0, 320.0, 240.0, name="left")
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from posetrack_cli.head.config import HeadStereoConfig
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.head.tracker.stereo import StereoTracker, stereo_tracker
+from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.head.tracker.stereo import StereoFace, StereoTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.fields import check_estimate
@@ -56,7 +57,7 @@ class Scene:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def __post_init__(self) -> None:
-        self.tracker = stereo_tracker(self.config, CAMERAS, self.told)
+        self.tracker = HeadTracker(StereoFace(self.config, CAMERAS, self.told))
 
     def frame(self, index: int, seen: tuple[bool, ...] = (True, True), blank: bool = False) -> Frame:
         images = self.face.render(CAMERAS, pose_at(index), SHAPE, noise=NOISE, seed=index)

@@ -13,7 +13,7 @@ from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
-from support.metrics import random_quaternions
+from support.tracks import random_quaternions
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5, name="camera")
 HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)

@@ -11,7 +11,7 @@ from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.evaluation.metrics.covariance_metrics import POSE_AXES, covariance_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, common_columns
 from posetrack_cli.evaluation.metrics.velocity_metrics import velocity_metrics
-from posetrack_cli.geometry.poses import in_object
+from posetrack_cli.geometry.rigid import in_object
 
 HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 """Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""

@@ -14,7 +14,7 @@ from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import check_point_names, unit_quaternions
 from posetrack_cli.evaluation.truth.csv_table import NS_PER_UNIT, CsvHeader, CsvTable, read_header, read_table
-from posetrack_cli.geometry.poses import in_camera
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.export.table import (
     ANGULAR_VELOCITY,

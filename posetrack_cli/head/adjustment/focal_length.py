@@ -18,12 +18,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
-from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.tracker.person import KnownPerson
 
 WIDEST = 2.0
@@ -64,13 +61,7 @@ class FocalCheck:
 
 
 def fit_focal_length(
-    views: Sequence[PointView],
-    person: PersonParameters,
-    model: FaceModel,
-    camera: Camera,
-    settings: AdjustmentSettings,
-    *,
-    iterations: int = 15,
+    views: Sequence[PointView], person: PersonParameters, adjuster: Adjuster, *, iterations: int = 15
 ) -> FocalCheck:
     """Return which common factor on fx and fy lets the adjusted cost be least.
 
@@ -79,13 +70,11 @@ def fit_focal_length(
     Args:
         views: 20 to 60 that show the face from many sides and at several distances.
         person: start.
-        model: what faces are like.
-        camera: whose focal length is doubted.
-        settings: of the adjustment.
+        adjuster: with the camera whose focal length is doubted.
         iterations: of each stage of each adjustment.
     """
-    fits = _Fits(model, camera, settings, iterations)
-    fits.known[0] = adjust(views, person, model, camera, settings, iterations=2 * iterations, wide=True)
+    fits = _Fits(adjuster, iterations)
+    fits.known[0] = adjuster.adjust(views, person, iterations=2 * iterations, wide=True)
     for i in range(COARSE, ENDS + 1, COARSE):
         fits.fit(i - COARSE, i)
         fits.fit(COARSE - i, -i)
@@ -102,9 +91,7 @@ def fit_focal_length(
 class _Fits:
     """Adjustments by the logarithm of the factor, in steps of ``STEP``."""
 
-    model: FaceModel
-    camera: Camera
-    settings: AdjustmentSettings
+    adjuster: Adjuster
     iterations: int
     known: dict[int, Adjusted] = field(default_factory=dict)
 
@@ -140,10 +127,10 @@ class _Fits:
         """Start from views as large in the image, so farther by the factor."""
         start, factor = self.known[near], float(np.exp(STEP * at))
         views = [_farther(view, float(np.exp(STEP * (at - near)))) for view in start.views]
-        camera = replace(self.camera, fx=self.camera.fx * factor, fy=self.camera.fy * factor)
-        return adjust(
-            views, start.person, self.model, camera, self.settings, iterations=self.iterations, wide=True
-        )
+        camera = self.adjuster.camera
+        camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+        adjuster = replace(self.adjuster, camera=camera)
+        return adjuster.adjust(views, start.person, iterations=self.iterations, wide=True)
 
 
 def _farther(view: PointView, factor: float) -> PointView:
@@ -172,25 +159,21 @@ VIEWS = 40
 """So many views of different directions can tell that a focal length is wrong; fewer are not asked."""
 
 
-def focal_length_check(
-    person: KnownPerson, model: FaceModel, camera: Camera, scale: float, settings: AdjustmentSettings
-) -> tuple[str, ...]:
+def focal_length_check(person: KnownPerson, adjuster: Adjuster, scale: float) -> tuple[str, ...]:
     """Return a line that says that another focal length fits better, nothing where that is not clear.
 
     Args:
         person: with an album of views.
-        model: of faces.
-        camera: that saw them, on images reduced by ``scale``.
+        adjuster: with the camera that saw them, on images reduced by ``scale``.
         scale: of them.
-        settings: of the adjustment.
     """
     views = person.album.sample(VIEWS)
-    if settings.when != "always" or len(views) < VIEWS:
+    if adjuster.settings.when != "always" or len(views) < VIEWS:
         return ()
-    check = fit_focal_length(views, person.person, model, camera, settings)
+    check = fit_focal_length(views, person.person, adjuster)
     if not check.is_clear:
         return ()
-    focal = camera.fx / scale
+    focal = adjuster.camera.fx / scale
     return (
         f"focal length {focal:.0f} px, but the points fit {check.factor * focal:.0f} px better: are the "
         "intrinsics right? z and scale depend on them",

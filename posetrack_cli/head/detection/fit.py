@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.head.detection.patch import MIDDLE, PIXELS_PER_MM
+from posetrack_cli.head.detection.responses import MIDDLE, PIXELS_PER_MM
 from posetrack_cli.head.face.points import FEATURES, FITTED, MOUTH
 
 IN_CAMERA = np.array([1.0, -1.0, -1.0])

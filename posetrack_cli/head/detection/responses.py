@@ -1,4 +1,4 @@
-"""Maps over a face's patch of how much each place looks like each of the ten points **[ours]**.
+"""A face's surroundings, upright and of one size, and maps of what in them looks like its points **[ours]**.
 
 Corners are found by the structure tensor's smaller eigenvalue (thesis, 3.2). On a face that alone is not
 enough - the iris is the strongest corner of all - so it is joined with drawn templates: a dark wedge that
@@ -9,13 +9,75 @@ opens to one side (a lid's or the lips' corner), a dark bar that ends (a brow's 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, ImageArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+
+PIXELS_PER_MM = 60.0 / 63.0
+"""An average face's eyes are 63 mm and 60 pixels apart in a patch."""
+WIDTH = HEIGHT = 220
+MIDDLE = np.array([110.0, 75.0])
+"""Where in a patch the middle between the eyes should lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class FacePatch:
+    """A piece of an image of standard size.
+
+    Attributes:
+        grey: (HEIGHT, WIDTH) uint8.
+        patch_T_image: (2, 3) similarity from pixels of the image to pixels of the patch.
+    """
+
+    grey: ImageArray
+    patch_T_image: FloatArray
+
+    @property
+    def scale(self) -> float:
+        """Patch pixels per image pixel."""
+        return float(np.hypot(*self.patch_T_image[0, :2]))
+
+    @property
+    def roll(self) -> float:
+        """Rad, how far the image was turned to make it upright."""
+        return float(np.arctan2(self.patch_T_image[0, 1], self.patch_T_image[0, 0]))
+
+    def from_image(self, pixels: FloatArray) -> FloatArray:
+        """Return pixels (..., 2) of the image as pixels of the patch."""
+        moved: FloatArray = pixels @ self.patch_T_image[:, :2].T + self.patch_T_image[:, 2]
+        return moved
+
+    def to_image(self, pixels: FloatArray) -> FloatArray:
+        """Return pixels (..., 2) of the patch as pixels of the image."""
+        inverse = np.linalg.inv(self.patch_T_image[:, :2])
+        moved: FloatArray = (pixels - self.patch_T_image[:, 2]) @ inverse.T
+        return moved
+
+
+def cut_patch(image: ImageArray, middle: FloatArray, pixels_per_mm: float, roll: float) -> FacePatch:
+    """Cut the patch of a face whose eyes' middle (2,), scale and roll (rad, clockwise) are about known."""
+    scale = PIXELS_PER_MM / pixels_per_mm
+    cos, sin = scale * np.cos(roll), scale * np.sin(roll)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    transform = np.column_stack([turn, MIDDLE - turn @ middle])
+    grey = _smoothed(image, scale)
+    patch = cv2.warpAffine(
+        grey, transform, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return FacePatch(patch, transform)
+
+
+def _smoothed(image: ImageArray, scale: float) -> ImageArray:
+    """Blur an image that is to be made smaller, so that no detail aliases."""
+    if scale >= 0.7:
+        return image
+    return cv2.GaussianBlur(image, (0, 0), 0.5 * np.sqrt(1.0 / scale**2 - 1.0))
+
 
 SMOOTHING = 0.7
 # How much a wedge's response loses where the opposite wedge fits too: inside a line both do.
@@ -27,7 +89,7 @@ FULL = 0.995
 def response_maps(grey: ImageArray) -> Float32Array:
     """Return (K + 1, height, width) in 0..1: how well each pixel of an upright patch fits each feature.
 
-    The features are the ten points and the nose's base, as in ``features.FITTED``.
+    The features are the ten points and the nose's base, as in ``face.points.FITTED``.
     """
     smooth = _blurred(grey.astype(np.float32), SMOOTHING)
     opening_right, opening_left = _end_stopped(_matched(smooth, wedge(1)), _matched(smooth, wedge(-1)))
@@ -42,9 +104,9 @@ def response_maps(grey: ImageArray) -> Float32Array:
 
 
 @cache
-def wedge(side: int, half_width: int = 7, half_height: int = 5, slope: float = 0.2) -> Float32Array:
+def wedge(side: int) -> Float32Array:
     """Return a dark wedge on white, its tip in the middle, that opens to the right (side 1) or left (-1)."""
-    return _drawn(half_width, half_height, lambda x, y: (side * x > 0) & (abs(y) < slope * side * x + 1.0))
+    return _drawn(7, 5, lambda x, y: (side * x > 0) & (abs(y) < 0.2 * side * x + 1.0))
 
 
 @cache

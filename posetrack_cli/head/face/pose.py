@@ -1,4 +1,4 @@
-"""A head's pose ``camera_T_head`` and how small changes of it are counted.
+"""A head's pose ``camera_T_head``, how small changes of it are counted, and how its face deforms.
 
 The camera is the recording's reference camera (x right, y down, z forward). A tangent vector has six entries:
 translation in camera axes, mm, then a rotation vector w in camera axes, rad, about the head's origin:
@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.poses import in_camera
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import (
     canonical,
     conjugate,
@@ -61,3 +61,33 @@ class HeadPose:
         """Return the tangent vector (6,) that takes this pose to the other."""
         turn = logarithm(multiply(other.quaternion, conjugate(self.quaternion)))
         return np.concatenate([other.position - self.position, turn])
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeModel:
+    """Mean shape and deformation directions of one face.
+
+    Attributes:
+        mean: (K, 3) neutral shape in the head's frame, mm.
+        basis: (K, 3, B) orthonormal directions of deformation; B = 0 is a rigid face.
+        deviations: (B,) mu, standard deviation of each coefficient, mm, descending.
+    """
+
+    mean: FloatArray
+    basis: FloatArray
+    deviations: FloatArray
+
+    @property
+    def size(self) -> int:
+        """B, the number of deformation coefficients."""
+        return len(self.deviations)
+
+    def shapes(self, coefficients: FloatArray) -> FloatArray:
+        """Return the shapes (..., K, 3), mm, of deformation coefficients (..., B), mm."""
+        shapes: FloatArray = self.mean + np.tensordot(coefficients, self.basis, axes=(-1, -1))
+        return shapes
+
+
+def rigid_model(mean: FloatArray) -> ShapeModel:
+    """Return the model of a face (K, 3) that does not deform."""
+    return ShapeModel(mean, np.zeros((*mean.shape, 0)), np.zeros(0))

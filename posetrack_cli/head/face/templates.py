@@ -16,11 +16,10 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.compiled import kernel
-from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.points import POINT_NORMALS
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.projection import Projection, project
+from posetrack_cli.head.face.rig_images import Projection, RigImages, project
 
 WINDOW = 48
 """Side of what is kept about a point, pixels: a patch at up to twice its size and turned."""
@@ -48,27 +47,22 @@ class TemplateSet:
 
 
 def take_templates(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    pose: HeadPose,
-    shape: FloatArray,
-    pixels: FloatArray | None = None,
+    images: RigImages, pose: HeadPose, shape: FloatArray, pixels: FloatArray | None = None
 ) -> TemplateSet:
     """Return the templates of a frame.
 
     Args:
-        images: grey, uint8, one a camera; None where a camera gave none.
-        cameras: of the recording.
+        images: of all cameras of the recording.
         pose: of the head.
         shape: (K, 3) points in the head's frame, mm.
         pixels: (C, K, 2) where the points are; without, where pose and shape put them.
     """
-    projection = project(cameras, pose.points(shape))
+    projection = project(images.cameras, pose.points(shape))
     pixels = projection.pixels if pixels is None else pixels
     windows = np.zeros((*pixels.shape[:2], WINDOW, WINDOW), dtype=np.uint8)
     corners = np.zeros(pixels.shape)
     seen = np.zeros(pixels.shape[:2], dtype=bool)
-    for c, image in enumerate(images):
+    for c, image in enumerate(images.images):
         if image is not None:
             corners[c], seen[c] = _cut(image, pixels[c], windows[c])
     seen &= projection.in_front

@@ -8,6 +8,7 @@ on the same lines either way; but exchanged, they see it hollow.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -16,10 +17,10 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import better_order
 from posetrack_cli.geometry.projection import in_camera_axes
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.triangulation import triangulate
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
-from posetrack_cli.head.initialisation.views import CameraImage
+from posetrack_cli.head.face.rig_images import CameraImage
 
 # A point so many standard deviations from an average face's was matched with something else.
 OUTLYING = 2.0
@@ -27,66 +28,82 @@ OUTLYING = 2.0
 MOST_OUTLIERS = 2
 
 
-def without_outliers(points: FloatArray, known: BoolArray) -> BoolArray:
-    """Return which points remain when the worst ones, two at most, that lie unlike a face's are taken away.
+@dataclass(frozen=True, eq=False)
+class MeasuredFace:
+    """The points of a face of which some were measured.
 
-    Args:
-        points: (K, 3) mm.
-        known: (K,) which of them are measured, more than five.
+    Attributes:
+        points: (K, 3) mm, in the reference camera's axes; anything where not known.
+        known: (K,) which of them are measured, at least three.
     """
-    kept = known.copy()
-    for _ in range(MOST_OUTLIERS):
-        distances = np.array([_from_others(points, kept, k) if kept[k] else 0.0 for k in range(len(kept))])
-        worst = int(np.argmax(distances))
-        if distances[worst] <= OUTLYING:
-            break
-        kept[worst] = False
-    return kept
 
+    points: FloatArray
+    known: BoolArray
 
-def deviations(points: FloatArray, known: BoolArray) -> FloatArray:
-    """Return how far points (K, 3) mm lie from an average face on the known ones, in standard deviations.
+    @property
+    def size(self) -> float:
+        """How large the face is, 1 for an average one: the ratio of the known points' weighted spreads."""
+        return float(np.sqrt(_spread(self.points, self._weights) / _spread(FEATURES, self._weights)))
 
-    The face is as large as the known points; each distance (K,) is a root mean square over coordinates.
-    """
-    average = average_face(points, known)
-    distances: FloatArray = np.sqrt(np.mean((points - average) ** 2, axis=1)) / FEATURE_SD
-    return distances
+    @property
+    def average(self) -> FloatArray:
+        """The points (K, 3) of an average face, scaled, turned and moved onto the known ones."""
+        size = self.size
+        rotation, shift = rigid_alignment(size * FEATURES, self.points, self._weights)
+        average: FloatArray = size * FEATURES @ rotation.T + shift
+        return average
 
+    @property
+    def deviations(self) -> FloatArray:
+        """How far all points lie from an average face on the known ones, in standard deviations.
 
-def _from_others(points: FloatArray, known: BoolArray, point: int) -> float:
-    """Return the deviation of one point from the face that the other known ones make."""
-    others = known & (np.arange(len(known)) != point)
-    return float(deviations(points, others)[point])
+        The face is as large as the known points; each distance (K,) is a root mean square over coordinates.
+        """
+        distances: FloatArray = np.sqrt(np.mean((self.points - self.average) ** 2, axis=1)) / FEATURE_SD
+        return distances
 
+    @property
+    def deviation(self) -> float:
+        """Root mean square of the known points' deviations."""
+        return float(np.sqrt(np.mean(self.deviations[self.known] ** 2)))
 
-def average_face(points: FloatArray, known: BoolArray) -> FloatArray:
-    """Return the points (K, 3) of an average face, scaled, turned and moved onto the known ones."""
-    weights = np.where(known, FEATURE_SD**-2, 0.0)
-    size = relative_size(points, known)
-    rotation, shift = rigid_alignment(size * FEATURES, points, weights)
-    average: FloatArray = size * FEATURES @ rotation.T + shift
-    return average
+    def without_outliers(self) -> MeasuredFace:
+        """Return the face without the worst points, two at most, that lie unlike a face's.
 
+        More than five must be known.
+        """
+        face = self
+        for _ in range(MOST_OUTLIERS):
+            distances = np.array(
+                [face._from_others(k) if known else 0.0 for k, known in enumerate(face.known)]
+            )
+            worst = int(np.argmax(distances))
+            if distances[worst] <= OUTLYING:
+                break
+            face = face._without(worst)
+        return face
 
-def relative_size(points: FloatArray, known: BoolArray) -> float:
-    """Return how large a face is, 1 for an average one: the ratio of the known points' weighted spreads."""
-    weights = np.where(known, FEATURE_SD**-2, 0.0)
-    return float(np.sqrt(_spread(points, weights) / _spread(FEATURES, weights)))
+    def completed(self, view: CameraImage, pixels: FloatArray) -> FloatArray:
+        """Return the points (K, 3), mm, with those filled in that are not known.
 
+        Args:
+            view: the camera that saw all points.
+            pixels: (K, 2) where it saw them; an unknown point lies on the ray of its pixel, as deep as an
+                average face has it.
+        """
+        depths = in_camera_axes(view.camera, self.average)[:, 2]
+        return np.where(self.known[:, None], self.points, view.points_at(pixels, depths))
 
-def completed(points: FloatArray, known: BoolArray, view: CameraImage, pixels: FloatArray) -> FloatArray:
-    """Return the points (K, 3), mm, with those filled in that are not known.
+    @property
+    def _weights(self) -> FloatArray:
+        return np.where(self.known, FEATURE_SD**-2, 0.0)
 
-    Args:
-        points: (K, 3) in the reference camera's axes; anything where not known.
-        known: (K,) which points are measured, at least three.
-        view: the camera that saw all points.
-        pixels: (K, 2) where it saw them; an unknown point lies on the ray of its pixel, as deep as an average
-            face has it.
-    """
-    depths = in_camera_axes(view.camera, average_face(points, known))[:, 2]
-    return np.where(known[:, None], points, view.points_at(pixels, depths))
+    def _without(self, point: int) -> MeasuredFace:
+        return MeasuredFace(self.points, self.known & (np.arange(len(self.known)) != point))
+
+    def _from_others(self, point: int) -> float:
+        """Return the deviation of one point from the face that the other known ones make."""
+        return float(self._without(point).deviations[point])
 
 
 def _spread(points: FloatArray, weights: FloatArray) -> float:
@@ -125,7 +142,5 @@ def face_deviation(cameras: Sequence[Camera], pixels: FloatArray) -> float:
 
     Infinite if too few of them lie in front of the cameras.
     """
-    points, known = triangulate(cameras, pixels)
-    if known.sum() < LEAST_POINTS:
-        return np.inf
-    return float(np.sqrt(np.mean(deviations(points, known)[known] ** 2)))
+    face = MeasuredFace(*triangulate(cameras, pixels))
+    return face.deviation if face.known.sum() >= LEAST_POINTS else np.inf

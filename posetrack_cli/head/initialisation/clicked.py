@@ -11,21 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli import limits
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
-from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, POINT_COUNT, POINT_NAMES
+from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.initialisation.search import InitFailure
-from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.initialisation.stereo import (
     StereoInitialisation,
     StereoInitialiser,
-    head_from_pixels,
-    match_everywhere,
+    clicked_camera,
 )
-from posetrack_cli.head.initialisation.views import camera_images
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.tracking.two_pass import NothingFoundError
 
@@ -49,6 +46,15 @@ class ClickedPoints:
         """Read a table; see ``read_clicked``."""
         return cls(path, read_clicked(path, cameras))
 
+    def unusable(self, failure: InitFailure) -> NothingFoundError:
+        """Return the error that says why these points begin no head."""
+        return NothingFoundError(
+            "clicked points begin no head",
+            where=self.path,
+            found=failure.reason,
+            hint="were they clicked in the first frame that is tracked? right is the subject's right",
+        )
+
 
 class ClickedInitialiser(StereoInitialiser):
     """Finds the face where its points were clicked in the first frame, and by itself in later ones.
@@ -56,16 +62,17 @@ class ClickedInitialiser(StereoInitialiser):
     Args:
         settings: what is good enough.
         cameras: C >= 2, calibrated.
-        path: table of points, see ``read_clicked``.
+        clicked: the points.
 
     Raises:
-        UsageError: no such table, or a face detector without its model.
-        PosetrackError: points that cannot be used.
+        UsageError: a face detector without its model.
     """
 
-    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], path: Path) -> None:
-        self._clicked = ClickedPoints.read(path, cameras)
+    def __init__(
+        self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], clicked: ClickedPoints
+    ) -> None:
         super().__init__(settings, cameras)
+        self._clicked = clicked
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
         """Return where the face is in a frame, or why none was found.
@@ -75,20 +82,10 @@ class ClickedInitialiser(StereoInitialiser):
         """
         if not is_first:
             return super().find(frame, is_first=False)
-        found = head_from_clicked(frame.images, self._cameras, self._clicked.pixels, self._settings)
+        found = self._attempt(frame).from_clicked(self._clicked.pixels)
         if isinstance(found, InitFailure):
-            raise unusable_clicks(self._clicked.path, found)
+            raise self._clicked.unusable(found)
         return found
-
-
-def unusable_clicks(path: Path, failure: InitFailure) -> NothingFoundError:
-    """Return the error that says why clicked points begin no head."""
-    return NothingFoundError(
-        "clicked points begin no head",
-        where=path,
-        found=failure.reason,
-        hint="were they clicked in the first frame that is tracked? right is the subject's right",
-    )
 
 
 def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
@@ -122,12 +119,6 @@ def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
             hint="click them all in one image",
         )
     return pixels
-
-
-def clicked_camera(pixels: FloatArray) -> int | None:
-    """Return the first camera with all of the clicked points (C, K, 2), None if there is none."""
-    complete = np.flatnonzero(~np.isnan(pixels[..., 0]).any(axis=1))
-    return int(complete[0]) if len(complete) else None
 
 
 def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
@@ -176,32 +167,3 @@ def _missing(pixels: FloatArray, names: Sequence[str]) -> str:
     camera = int(np.argmax(known.sum(axis=1)))
     lacking = ", ".join(POINT_NAMES[k] for k in np.flatnonzero(~known[camera]))
     return f"{names[camera]} without {lacking}"
-
-
-def head_from_clicked(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    clicked: FloatArray,
-    settings: StereoInitialisationSettings = StereoInitialisationSettings(),  # noqa: B008
-) -> StereoInitialisation | InitFailure:
-    """Return the head whose points were clicked.
-
-    Where a point was clicked in several images they are believed; else it is matched as a found one would be.
-
-    Args:
-        images: (height, width) uint8, one per camera, None where a camera has none.
-        cameras: C >= 2, calibrated.
-        clicked: (C, K, 2) pixels as ``read_clicked`` returns them.
-        settings: what is good enough.
-    """
-    views = camera_images(images, cameras)
-    camera = clicked_camera(clicked)
-    if camera is None or views[camera] is None:
-        return InitFailure("no image of the camera whose points were clicked")
-    pixels_per_mm, rotation, _ = weak_perspective(FEATURES, clicked[camera], 1.0 / FEATURE_SD)
-    relief = FEATURES @ rotation[2]
-    pixels, correlations = match_everywhere(views, camera, clicked[camera], pixels_per_mm, relief, settings)
-    given = ~np.isnan(clicked[..., 0])
-    pixels[given] = clicked[given]
-    correlations[given.sum(axis=0) > 1] = 1.0
-    return head_from_pixels(views, camera, pixels, correlations, settings)

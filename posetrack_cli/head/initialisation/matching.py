@@ -16,8 +16,8 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.projection import in_camera_axes
-from posetrack_cli.head.detection.peaks import find_peak
-from posetrack_cli.head.initialisation.views import CameraImage
+from posetrack_cli.head.detection.points import find_peak
+from posetrack_cli.head.face.rig_images import CameraImage
 
 # The face's depth follows from its size in the image, for heads of these sizes.
 NEAREST, FARTHEST = 0.65, 1.5

@@ -9,21 +9,68 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.geometry.projection import undistorted_pixels
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.detection.points import FacePoints
+from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, MIRRORED, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
-from posetrack_cli.head.initialisation.detected_face import DetectedFace, detect_face
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
-from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of
 from posetrack_cli.recording.base import Frame
 
+EYE_DISTANCE_MM = 63.0
+SAME_FACE = 1.0
+"""A face that moved farther from one frame to the next, in eye distances, is another one."""
+MEAN_FACE_WEIGHTS = (FEATURE_SD.min() / FEATURE_SD) ** 2
+"""(K,) how well an average face's points tell where a face is: eyes best."""
 DISTANCES_MM = (100.0, 5000.0)
 """Between them lie heads that a camera sees well; others come of a wrong focal length or of no head."""
+CLICKED = np.ones(POINT_COUNT)
+"""(K,) responses of points that a person clicked."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedFace:
+    """The ten points of one face in one frame.
+
+    Attributes:
+        stamp_ns: of the frame.
+        pixels: (K, 2) as recorded.
+        responses: (K,) 0 to 1, how much each place looks like its point; 1 where a person clicked.
+        score: 0 to 1, their mean.
+        eye_distance: pixels between the eyes' centres, as if the face looked at the camera.
+        pose: rough, of an average face.
+        misfit: weighted root mean square of how far the points lie from the average face's, eye distances.
+    """
+
+    stamp_ns: int
+    pixels: FloatArray
+    responses: FloatArray
+    score: float
+    eye_distance: float
+    pose: HeadPose
+    misfit: float
+
+
+def face_at(
+    pixels: FloatArray, stamp_ns: int, camera: Camera, responses: FloatArray = CLICKED
+) -> DetectedFace:
+    """Return the face whose ten points (K, 2) were detected or, without responses (K,), clicked."""
+    pose, rms_px = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
+    distance = eye_distance_px(pose, camera)
+    score = float(responses.mean())
+    return DetectedFace(stamp_ns, pixels, responses, score, distance, pose, rms_px / distance)
+
+
+def eye_distance_px(pose: HeadPose, camera: Camera) -> float:
+    """Return how many pixels an average face's eyes are apart, as if it looked at the camera."""
+    depth = max(float(pose.position[2]), NEAREST_MM)
+    return float(EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / depth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,48 +94,139 @@ class MonoInitialisation:
     adjusted: Adjusted
 
 
-def initialise(
-    detected: Sequence[DetectedFace], camera: Camera, model: FaceModel, settings: HeadMonoConfig
-) -> MonoInitialisation | InitFailure:
-    """Return the head whose points were found in one frame or more, or why they are no head's.
-
-    The adjustment begins with the mean person and with the pose that each frame's points alone give an
-    average face **[ours]**; the thesis's begins with a face in the middle of the image that looks at the
-    camera. Points are compared with a face's before it, too: constant offsets would make any points a face's.
+class MonoInitialiser:
+    """Finds a face in images of one camera.
 
     Args:
-        detected: of one face, in the order of time.
-        camera: that sees it.
-        model: of faces.
-        settings: of the whole run; where they never adjust a person, the mean one stays.
+        config: of the whole run; where it never adjusts a person, the mean one stays.
+        adjuster: of views of the camera that takes the images.
+        detector: of faces.
+        choice: which face, 0 the largest in the image, 1 the next.
     """
-    if not detected:
-        return InitFailure(NO_FACE)
-    score = float(np.mean([face.score for face in detected]))
-    misfit = float(np.median([face.misfit for face in detected]))
-    if misfit > settings.start.residual:
-        return InitFailure(_unlike(misfit), score)
-    adjusted = adjust(
-        [_view(face, model, settings.start.pixel_sd) for face in detected],
-        PersonParameters(model.identity_mean, np.zeros((POINT_COUNT, 3))),
-        model,
-        camera,
-        settings.adjustment,
-        iterations=settings.adjustment.start_iterations,
-        hold_person=settings.adjustment.when == "never",
-        wide=True,
-    )
-    residual = _residual(adjusted, detected)
-    reason = _implausible([view.pose for view in adjusted.views], residual, settings.start.residual)
-    if reason:
-        return InitFailure(reason, score)
-    return MonoInitialisation(adjusted.views, adjusted.person, detected[0].pixels, residual, score, adjusted)
+
+    def __init__(
+        self, config: HeadMonoConfig, adjuster: Adjuster, detector: FaceDetector, choice: int = 0
+    ) -> None:
+        self._config, self._adjuster = config, adjuster
+        self._camera, self._model = adjuster.camera, adjuster.model
+        self._detector, self._choice = detector, choice
+
+    def detect(self, frame: Frame, near: FloatArray | None = None) -> DetectedFace | InitFailure:
+        """Return a face in a frame with its points, or why there is none.
+
+        Args:
+            frame: of one image.
+            near: (K, 2) pixels of the face in an earlier frame. The face there is taken, whatever the choice:
+                a second person who comes nearer meanwhile does not take over.
+        """
+        (image,) = frame.images
+        if image is None:
+            return InitFailure("no image")
+        detection = self._detector.detect(image)
+        faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
+        face = self._chosen(faces) if near is None else _same(faces, near)
+        if isinstance(face, str):
+            return InitFailure(face, detection.best_score)
+        deviation = np.rad2deg(slope_deviation(face.pixels, self._camera))
+        if deviation > self._config.start.slope_deg:
+            reason = f"left and right points at slopes that differ by {deviation:.0f} deg"
+            return InitFailure(reason, face.score)
+        return face_at(face.pixels, frame.stamp_ns, self._camera, face.responses)
+
+    def _chosen(self, faces: Sequence[FacePoints]) -> FacePoints | str:
+        if self._choice < len(faces):
+            return faces[self._choice]
+        return f"{len(faces)} face{'s' * (len(faces) > 1)}, not {self._choice + 1}" if faces else NO_FACE
+
+    def initialise(self, detected: Sequence[DetectedFace]) -> MonoInitialisation | InitFailure:
+        """Return the head whose points were found in one frame or more, or why they are no head's.
+
+        The adjustment begins with the mean person and with the pose that each frame's points alone give an
+        average face **[ours]**; the thesis's begins with a face in the middle of the image that looks at the
+        camera. Points are compared with a face's before it, too: constant offsets would make any points a
+        face's.
+
+        Args:
+            detected: of one face, in the order of time.
+        """
+        if not detected:
+            return InitFailure(NO_FACE)
+        settings, most = self._config.adjustment, self._config.start.residual
+        score = float(np.mean([face.score for face in detected]))
+        misfit = float(np.median([face.misfit for face in detected]))
+        if misfit > most:
+            return InitFailure(_unlike(misfit), score)
+        adjusted = self._adjuster.adjust(
+            [self._view(face) for face in detected],
+            PersonParameters(self._model.identity_mean, np.zeros((POINT_COUNT, 3))),
+            iterations=settings.start_iterations,
+            hold_person=settings.when == "never",
+            wide=True,
+        )
+        residual = _residual(adjusted, detected)
+        reason = _implausible([view.pose for view in adjusted.views], residual, most)
+        if reason:
+            return InitFailure(reason, score)
+        return MonoInitialisation(
+            adjusted.views, adjusted.person, detected[0].pixels, residual, score, adjusted
+        )
+
+    def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
+        """Return the templates of a frame with a face, the last of those that the head was found in."""
+        images = RigImages((self._camera,), frame.images)
+        return take_templates(images, start.views[-1].pose, self._shape(start), found.pixels[None])
+
+    def reference(self, first: TemplateSet, start: MonoInitialisation) -> TemplateSet:
+        """Return the templates of the first frame, at the pose that the adjustment came to."""
+        pose = start.views[0].pose
+        projection = project((self._camera,), pose.points(self._shape(start)))
+        return replace(first, tangents=tangents(projection, pose), facing=pose.facing)
+
+    def _shape(self, start: MonoInitialisation) -> FloatArray:
+        return self._model.of_person(start.person.identity, start.person.offsets).mean
+
+    def _view(self, face: DetectedFace) -> PointView:
+        """Return a frame as the adjustment takes it: detected points count less than tracked ones."""
+        weights = np.full(POINT_COUNT, min(self._config.start.pixel_sd**-2, 1.0))
+        return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
 
 
-def _view(face: DetectedFace, model: FaceModel, pixel_sd: float) -> PointView:
-    """Return a frame as the adjustment takes it: detected points count less than tracked ones."""
-    weights = np.full(POINT_COUNT, min(pixel_sd**-2, 1.0))
-    return PointView(face.stamp_ns, face.pixels, weights, face.pose, model.deformation_mean)
+def _same(faces: Sequence[FacePoints], near: FloatArray) -> FacePoints | str:
+    if not faces:
+        return NO_FACE
+    middle = near.mean(axis=0)
+    ways = [
+        np.hypot(*(face.pixels.mean(axis=0) - middle)) / (EYE_DISTANCE_MM * face.pixels_per_mm)
+        for face in faces
+    ]
+    nearest = int(np.argmin(ways))
+    return faces[nearest] if ways[nearest] <= SAME_FACE else "only faces elsewhere than before"
+
+
+RIGHT = tuple(k for k, other in enumerate(MIRRORED) if k < other)
+LEFT = tuple(MIRRORED[k] for k in RIGHT)
+
+
+def slope_deviation(pixels: FloatArray, camera: Camera) -> float:
+    """Return the standard deviation, rad, of the slopes of the K/2 segments from right to left points.
+
+    The segments of a symmetric face are parallel in space, and so, but for perspective, in the image: a turn
+    of the head does not matter. Slopes are angles to their mean direction **[ours]**, so that roll does not
+    either, and are weighted by the squares of the segments' lengths **[ours]**: an error of a pixel turns
+    the nostrils' segment five times as far as that of the eyes' outer corners.
+
+    Args:
+        pixels: (K, 2) as recorded.
+        camera: that saw them; its lens bends the segments.
+    """
+    flat = undistorted_pixels(camera, pixels)
+    segments = flat[list(LEFT)] - flat[list(RIGHT)]
+    lengths = np.linalg.norm(segments, axis=1)
+    along = segments.sum(axis=0) / max(float(np.linalg.norm(segments.sum(axis=0))), 1e-12)
+    across = segments @ along
+    angles = np.arctan2(segments[:, 1] * along[0] - segments[:, 0] * along[1], across)
+    weights = lengths**2 / np.sum(lengths**2)
+    return float(np.sqrt(weights @ (angles - weights @ angles) ** 2))
 
 
 def _residual(adjusted: Adjusted, detected: Sequence[DetectedFace]) -> float:
@@ -114,48 +252,3 @@ def _unlike(distance: float) -> str:
     if not np.isfinite(distance):
         return "points that no face before this camera has"
     return f"points {distance:.2f} eye distances from a face's"
-
-
-class MonoInitialiser:
-    """Finds a face in images of one camera.
-
-    Args:
-        config: parameters.
-        camera: that takes the images.
-        model: of faces.
-        detector: of faces.
-        choice: which face, 0 the largest.
-    """
-
-    def __init__(
-        self, config: HeadMonoConfig, camera: Camera, model: FaceModel, detector: FaceDetector, choice: int
-    ) -> None:
-        self._config, self._camera, self._model = config, camera, model
-        self._detector, self._choice = detector, choice
-
-    def detect(self, frame: Frame, near: FloatArray | None) -> DetectedFace | InitFailure:
-        """Return the face in a frame, the one at pixels (K, 2) ``near`` where they are given."""
-        (image,) = frame.images
-        if image is None:
-            return InitFailure("no image")
-        return detect_face(
-            image, frame.stamp_ns, self._camera, self._detector, self._config.start, self._choice, near
-        )
-
-    def initialise(self, detected: Sequence[DetectedFace]) -> MonoInitialisation | InitFailure:
-        """Return the head that was detected in some frames."""
-        return initialise(detected, self._camera, self._model, self._config)
-
-    def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
-        """Return the templates of a frame with a face, the last of those that the head was found in."""
-        shape = self._shape(start)
-        return take_templates(frame.images, (self._camera,), start.views[-1].pose, shape, found.pixels[None])
-
-    def reference(self, first: TemplateSet, start: MonoInitialisation) -> TemplateSet:
-        """Return the templates of the first frame, at the pose that the adjustment came to."""
-        pose = start.views[0].pose
-        projection = project((self._camera,), pose.points(self._shape(start)))
-        return replace(first, tangents=tangents(projection, pose), facing=pose.facing)
-
-    def _shape(self, start: MonoInitialisation) -> FloatArray:
-        return self._model.of_person(start.person.identity, start.person.offsets).mean

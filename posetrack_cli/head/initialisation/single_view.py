@@ -59,6 +59,72 @@ class _Seen:
     roots: FloatArray
     shape: FloatArray
 
+    def starts(self) -> tuple[HeadPose, ...]:
+        """Return the weak-perspective pose about the ray to the points' middle, and its mirror image."""
+        rays = np.column_stack([self.places, np.ones(len(self.places))])
+        towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
+        turn = _turned_to_z(towards)
+        turned = rays @ turn.T
+        flat = turned[:, :2] / turned[:, 2:]
+        scale, about_ray, shift = weak_perspective(self.shape, flat, self.roots)
+        rotation = turn.T @ about_ray
+        position = turn.T @ np.append(shift, 1.0) / max(scale, 1.0 / FARTHEST_MM)
+        mirror = np.eye(3) - 2.0 * np.outer(towards, towards)
+        mirrored = mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
+        return tuple(HeadPose(position, quaternions_from_matrices(one)) for one in (rotation, mirrored))
+
+    def descended(self, pose: HeadPose, bound: float, tolerance: float) -> HeadPose:
+        """Return the pose of least cost near a start."""
+        damping = FIRST_DAMPING
+        lengths, matrix, vector = self.normal_equations(pose, bound)
+        cost = _cost(lengths, bound)
+        for _ in range(MOST_STEPS):
+            small = tolerance * cost + CONVERGED_PX2
+            step = _solved(matrix, damping, vector)
+            moved = pose.moved(step)
+            lower = _cost(self.lengths(moved), bound)
+            if lower < cost:
+                pose, gained, cost, damping = moved, cost - lower, lower, LESS_DAMPING * damping
+                if gained <= small:
+                    break
+                _, matrix, vector = self.normal_equations(pose, bound)
+            elif damping > MOST_DAMPING or step @ vector <= small:
+                break
+            else:
+                damping *= MORE_DAMPING
+        return pose
+
+    def normal_equations(self, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the errors' lengths (n,), J^T W J (6, 6) and J^T W e (6,) in the pose's tangent vector."""
+        arms = self.shape @ pose.rotation.T
+        x, y, z = (arms + pose.position).T
+        u, v = x / z, y / z
+        errors = np.einsum("kij,kj->ki", self.scales, self.places - np.stack([u, v], axis=1))
+        lengths = np.sqrt(np.sum(errors**2, axis=1))
+        roots = np.sqrt(bound / np.maximum(lengths, bound)) if np.isfinite(bound) else np.ones_like(lengths)
+        a, b, c = arms.T
+        none = np.zeros_like(z)
+        moving = [[none + 1.0, none, -u, -u * b, c + u * a, -b], [none, none + 1.0, -v, -c - v * b, v * a, a]]
+        jacobian = np.einsum("kij,jnk->kin", self.scales, np.array(moving) / z)
+        rows = (roots[:, None, None] * jacobian).reshape(-1, POSE_SIZE)
+        return lengths, rows.T @ rows, rows.T @ (roots[:, None] * errors).ravel()
+
+    def lengths(self, pose: HeadPose) -> FloatArray:
+        """Return the weighted lengths (n,) of the points' errors; infinite if one is behind the camera."""
+        points = self.shape @ pose.rotation.T + pose.position
+        if points[:, 2].min() < NEAREST_MM:
+            return np.full(len(points), np.inf)
+        errors = np.einsum("kij,kj->ki", self.scales, self.places - points[:, :2] / points[:, 2:])
+        lengths: FloatArray = np.sqrt(np.sum(errors**2, axis=1))
+        return lengths
+
+    def bound(self, pose: HeadPose) -> float:
+        """Return where Huber's function ends to be a square, from the median error."""
+        lengths = self.lengths(pose)
+        freedom = np.sqrt(max(1.0 - POSE_SIZE / (2.0 * len(lengths)), 0.1))
+        spread = float(np.median(lengths)) / (MEDIAN_LENGTH * freedom)
+        return HUBER * max(float(spread), LEAST_ERROR_PX)
+
 
 def pose_of(
     pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray
@@ -83,19 +149,22 @@ def pose_of(
     used = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
     if used.sum() < LEAST_POINTS:
         raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
-    seen = _seen(pixels[used], weights[used] / weights[used].max(), camera, shape[used])
-    poses = [_descended(seen, start, np.inf, ROUGHLY) for start in _starts(seen)]
-    poses.sort(key=lambda pose: _cost(_lengths(seen, pose), np.inf))
+    places, roots = normalised_from_pixels(camera, pixels[used]), np.sqrt(weights[used] / weights[used].max())
+    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
+    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
+    seen = _Seen(places, roots[:, None, None] * scales, roots, shape[used])
+    poses = [seen.descended(start, np.inf, ROUGHLY) for start in seen.starts()]
+    poses.sort(key=lambda pose: _cost(seen.lengths(pose), np.inf))
     if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
         poses = poses[:1]
     for _ in range(ROUNDS):
-        bound = _bound(seen, poses[0])
-        poses = [_descended(seen, pose, bound, ROUGHLY) for pose in poses]
-        poses.sort(key=lambda pose: _cost(_lengths(seen, pose), bound))
-        if _bound(seen, poses[0]) >= SETTLED * bound:
+        bound = seen.bound(poses[0])
+        poses = [seen.descended(pose, bound, ROUGHLY) for pose in poses]
+        poses.sort(key=lambda pose: _cost(seen.lengths(pose), bound))
+        if seen.bound(poses[0]) >= SETTLED * bound:
             break
-    best = _descended(seen, poses[0], bound, CONVERGED)
-    return best, float(np.sqrt(np.sum(_lengths(seen, best) ** 2) / np.sum(seen.roots**2)))
+    best = seen.descended(poses[0], bound, CONVERGED)
+    return best, float(np.sqrt(np.sum(seen.lengths(best) ** 2) / np.sum(seen.roots**2)))
 
 
 def weak_perspective(
@@ -117,60 +186,12 @@ def weak_perspective(
     return float(values.mean()), np.vstack([rows, np.cross(rows[0], rows[1])]), solution[3]
 
 
-def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
-    places, roots = normalised_from_pixels(camera, pixels), np.sqrt(weights)
-    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
-    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
-    return _Seen(places, roots[:, None, None] * scales, roots, shape)
-
-
-def _starts(seen: _Seen) -> tuple[HeadPose, HeadPose]:
-    """Return the weak-perspective pose about the ray to the points' middle, and its mirror image in depth."""
-    rays = np.column_stack([seen.places, np.ones(len(seen.places))])
-    towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
-    turn = _turned_to_z(towards)
-    turned = rays @ turn.T
-    flat = turned[:, :2] / turned[:, 2:]
-    scale, about_ray, shift = weak_perspective(seen.shape, flat, seen.roots)
-    rotation = turn.T @ about_ray
-    position = turn.T @ np.append(shift, 1.0) / max(scale, 1.0 / FARTHEST_MM)
-    mirror = np.eye(3) - 2.0 * np.outer(towards, towards)
-    mirrored = mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
-    return _pose(rotation, position), _pose(mirrored, position)
-
-
-def _pose(rotation: FloatArray, position: FloatArray) -> HeadPose:
-    return HeadPose(position, quaternions_from_matrices(rotation))
-
-
 def _turned_to_z(direction: FloatArray) -> FloatArray:
     """Return the smallest rotation (3, 3) that takes a unit vector with z > 0 to the z axis."""
     x, y, z = direction
     rotation = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [x, y, z]])
     rotation[:2, :2] -= np.outer(direction[:2], direction[:2]) / (1.0 + z)
     return rotation
-
-
-def _descended(seen: _Seen, pose: HeadPose, bound: float, tolerance: float) -> HeadPose:
-    """Return the pose of least cost near a start."""
-    damping = FIRST_DAMPING
-    lengths, matrix, vector = _normal_equations(seen, pose, bound)
-    cost = _cost(lengths, bound)
-    for _ in range(MOST_STEPS):
-        small = tolerance * cost + CONVERGED_PX2
-        step = _solved(matrix, damping, vector)
-        moved = pose.moved(step)
-        lower = _cost(_lengths(seen, moved), bound)
-        if lower < cost:
-            pose, gained, cost, damping = moved, cost - lower, lower, LESS_DAMPING * damping
-            if gained <= small:
-                break
-            _, matrix, vector = _normal_equations(seen, pose, bound)
-        elif damping > MOST_DAMPING or step @ vector <= small:
-            break
-        else:
-            damping *= MORE_DAMPING
-    return pose
 
 
 def _solved(matrix: FloatArray, damping: float, vector: FloatArray) -> FloatArray:
@@ -183,43 +204,9 @@ def _solved(matrix: FloatArray, damping: float, vector: FloatArray) -> FloatArra
     return np.asarray(step, dtype=np.float64)
 
 
-def _normal_equations(seen: _Seen, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the errors' lengths (n,), J^T W J (6, 6) and J^T W e (6,) in the pose's tangent vector."""
-    arms = seen.shape @ pose.rotation.T
-    x, y, z = (arms + pose.position).T
-    u, v = x / z, y / z
-    errors = np.einsum("kij,kj->ki", seen.scales, seen.places - np.stack([u, v], axis=1))
-    lengths = np.sqrt(np.sum(errors**2, axis=1))
-    roots = np.sqrt(bound / np.maximum(lengths, bound)) if np.isfinite(bound) else np.ones_like(lengths)
-    a, b, c = arms.T
-    none = np.zeros_like(z)
-    moving = [[none + 1.0, none, -u, -u * b, c + u * a, -b], [none, none + 1.0, -v, -c - v * b, v * a, a]]
-    jacobian = np.einsum("kij,jnk->kin", seen.scales, np.array(moving) / z)
-    rows = (roots[:, None, None] * jacobian).reshape(-1, POSE_SIZE)
-    return lengths, rows.T @ rows, rows.T @ (roots[:, None] * errors).ravel()
-
-
-def _lengths(seen: _Seen, pose: HeadPose) -> FloatArray:
-    """Return the weighted lengths (n,) of the points' errors; infinite where one is not before the camera."""
-    points = seen.shape @ pose.rotation.T + pose.position
-    if points[:, 2].min() < NEAREST_MM:
-        return np.full(len(points), np.inf)
-    errors = np.einsum("kij,kj->ki", seen.scales, seen.places - points[:, :2] / points[:, 2:])
-    lengths: FloatArray = np.sqrt(np.sum(errors**2, axis=1))
-    return lengths
-
-
 def _cost(lengths: FloatArray, bound: float) -> float:
     """Return half a sum of squares, beyond the bound growing only as the length does."""
     if not np.all(np.isfinite(lengths)):
         return np.inf
     small = np.minimum(lengths, bound)
     return float(np.sum(small * (lengths - 0.5 * small)))
-
-
-def _bound(seen: _Seen, pose: HeadPose) -> float:
-    """Return where Huber's function ends to be a square, from the median error."""
-    lengths = _lengths(seen, pose)
-    freedom = np.sqrt(max(1.0 - POSE_SIZE / (2.0 * len(lengths)), 0.1))
-    spread = float(np.median(lengths)) / (MEDIAN_LENGTH * freedom)
-    return HUBER * max(float(spread), LEAST_ERROR_PX)

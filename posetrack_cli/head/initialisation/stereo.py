@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
 from posetrack_cli.head.config import StereoInitialisationSettings
@@ -18,16 +19,11 @@ from posetrack_cli.head.detection.fit import relief_of
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import EYES, FEATURE_SD, FEATURES, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.initialisation.average_face import (
-    completed,
-    deviations,
-    exchanged_order,
-    relative_size,
-    without_outliers,
-)
-from posetrack_cli.head.initialisation.matching import Matches, match_points
+from posetrack_cli.head.face.rig_images import CameraImage, RigImages, is_reference, required
+from posetrack_cli.head.initialisation.average_face import MeasuredFace, exchanged_order
+from posetrack_cli.head.initialisation.matching import match_points
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
-from posetrack_cli.head.initialisation.views import CameraImage, camera_images, is_reference, required
+from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.recording.base import Frame
 
 
@@ -67,169 +63,179 @@ class StereoInitialiser:
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
         """Return where the face is in a frame, the first of the run or another, or why none was found."""
-        return find_head(frame.images, self._cameras, self._detector, self._settings)
+        return self._attempt(frame).find(self._detector)
+
+    def _attempt(self, frame: Frame) -> StereoAttempt:
+        return StereoAttempt(RigImages(self._cameras, frame.images), self._settings)
 
 
-def find_head(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    detector: FaceDetector,
-    settings: StereoInitialisationSettings = StereoInitialisationSettings(),  # noqa: B008
-) -> StereoInitialisation | InitFailure:
-    """Look for a head in the images of one instant.
+@dataclass(frozen=True, eq=False)
+class StereoAttempt:
+    """An attempt to find a head in the images of one instant.
 
-    The face is looked for in the reference camera's image first; where that fails, in the others'.
-
-    Args:
-        images: (height, width) uint8, one per camera, None where a camera has none.
-        cameras: C >= 2, calibrated.
-        detector: of faces and their points.
+    Attributes:
+        images: of C >= 2 calibrated cameras.
         settings: what is good enough.
     """
-    views = camera_images(images, cameras)
-    present = [c for c, view in enumerate(views) if view is not None]
-    if len(present) < 2:
-        return InitFailure("images of fewer than two cameras")
-    detections: dict[int, Detection] = {}
-    failures = [InitFailure(NO_FACE)]
-    for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
-        detections[camera] = detector.detect(required(views[camera]).image)
-        failures.append(InitFailure(NO_FACE, detections[camera].best_score))
-        outcomes = [_from_face(views, camera, face, settings) for face in detections[camera].faces]
-        failures += [one for one in outcomes if isinstance(one, InitFailure)]
-        starts = [one for one in outcomes if isinstance(one, StereoInitialisation)]
-        if starts:
-            return _checked(starts[0], views, detections, detector)
-    worst = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
-    return _checked(worst, views, detections, detector)
+
+    images: RigImages
+    settings: StereoInitialisationSettings = StereoInitialisationSettings()  # noqa: RUF009
+
+    @cached_property
+    def views(self) -> tuple[CameraImage | None, ...]:
+        """Each camera with its image, None where it has none."""
+        return self.images.views
+
+    def find(self, detector: FaceDetector) -> StereoInitialisation | InitFailure:
+        """Return the head of a face that a detector finds, or why there is none.
+
+        The face is looked for in the reference camera's image first; where that fails, in the others'.
+        """
+        cameras = self.images.cameras
+        present = [c for c, view in enumerate(self.views) if view is not None]
+        if len(present) < 2:
+            return InitFailure("images of fewer than two cameras")
+        detections: dict[int, Detection] = {}
+        failures = [InitFailure(NO_FACE)]
+        for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
+            detections[camera] = detector.detect(required(self.views[camera]).image)
+            failures.append(InitFailure(NO_FACE, detections[camera].best_score))
+            outcomes = [self._from_face(camera, face) for face in detections[camera].faces]
+            failures += [one for one in outcomes if isinstance(one, InitFailure)]
+            starts = [one for one in outcomes if isinstance(one, StereoInitialisation)]
+            if starts:
+                return self._checked(starts[0], detections, detector)
+        worst = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
+        return self._checked(worst, detections, detector)
+
+    def from_clicked(self, clicked: FloatArray) -> StereoInitialisation | InitFailure:
+        """Return the head whose points were clicked.
+
+        Where a point was clicked in several images they are believed; else it is matched as a found one would
+        be.
+
+        Args:
+            clicked: (C, K, 2) pixels, NaN where none was clicked.
+        """
+        camera = clicked_camera(clicked)
+        if camera is None or self.views[camera] is None:
+            return InitFailure("no image of the camera whose points were clicked")
+        scale, rotation, _ = weak_perspective(FEATURES, clicked[camera], 1.0 / FEATURE_SD)
+        pixels, correlations = self._matched(camera, clicked[camera], scale, FEATURES @ rotation[2])
+        given = ~np.isnan(clicked[..., 0])
+        pixels[given] = clicked[given]
+        correlations[given.sum(axis=0) > 1] = 1.0
+        return self.from_pixels(camera, pixels, correlations)
+
+    def from_pixels(
+        self, camera: int, pixels: FloatArray, correlations: FloatArray
+    ) -> StereoInitialisation | InitFailure:
+        """Return the head whose points have pixels (C, K, 2), NaN where not found, if they are a face's.
+
+        Args:
+            camera: index of one that has all points.
+            pixels: (C, K, 2).
+            correlations: (K,) how well the points were matched, for the score.
+        """
+        views, settings = self.views, self.settings
+        used = [c for c, view in enumerate(views) if view is not None]
+        cameras = [required(views[c]).camera for c in used]
+        points, known = triangulate(cameras, pixels[used])
+        errors = reprojection_errors(cameras, points, pixels[used])
+        known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= settings.reprojection_px
+        score, face = float(correlations.mean()), MeasuredFace(points, known)
+        if face.known.sum() >= settings.matched_points:
+            face = face.without_outliers()
+        if face.known.sum() < settings.matched_points:
+            reason = f"{face.known.sum()} of {POINT_COUNT} points matched between the images"
+            return InitFailure(reason, score)
+        reason = self._implausible(face)
+        if reason:
+            return InitFailure(reason, score)
+        known, points = face.known, face.completed(required(views[camera]), pixels[camera])
+        pose, shape = pose_and_shape(points)
+        pixels = np.where((known | (np.arange(len(views)) == camera)[:, None])[..., None], pixels, np.nan)
+        return StereoInitialisation(
+            pose, shape, self._everywhere(points, pixels), known, float(correlations[known].mean())
+        )
+
+    def _from_face(self, camera: int, face: FacePoints) -> StereoInitialisation | InitFailure:
+        relief = relief_of(face.angles)
+        return self.from_pixels(camera, *self._matched(camera, face.pixels, face.pixels_per_mm, relief))
+
+    def _matched(
+        self, camera: int, pixels: FloatArray, pixels_per_mm: float, relief: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Match the ten points of one camera's image in all others.
+
+        Args:
+            camera: index of the one that the points were found in.
+            pixels: (K, 2) in its image.
+            pixels_per_mm: the face's scale there.
+            relief: (K,) mm, how much farther than the head's origin each point of an average face is.
+
+        Returns:
+            (C, K, 2) pixels, NaN where a point was not matched, and (K,) each point's best correlation.
+        """
+        views, settings = self.views, self.settings
+        first = required(views[camera])
+        found = np.full((len(views), POINT_COUNT, 2), np.nan)
+        found[camera] = pixels
+        correlations = np.zeros((len(views), POINT_COUNT))
+        for other, second in enumerate(views):
+            if other != camera and second is not None:
+                matches = match_points(first, second, pixels, relief, pixels_per_mm)
+                good = matches.correlations >= settings.correlation
+                good &= matches.returns_px <= settings.return_mm * pixels_per_mm
+                found[other, good], correlations[other] = matches.pixels[good], matches.correlations
+        return found, correlations.max(axis=0)
+
+    def _implausible(self, face: MeasuredFace) -> str:
+        """Say what about the known points is not a face's; empty if nothing is."""
+        settings, size, deviation = self.settings, face.size, face.deviation
+        if not settings.least_size <= size <= settings.most_size:
+            return f"points {size:.2f} times as far apart as a face's"
+        if deviation > settings.deviation:
+            return f"points {deviation:.1f} standard deviations from a face's"
+        return ""
+
+    def _everywhere(self, points: FloatArray, pixels: FloatArray) -> FloatArray:
+        """Return pixels (C, K, 2) with the projections of points where an image exists and none was found."""
+        filled = pixels.copy()
+        for own, view in zip(filled, self.views, strict=True):
+            if view is not None:
+                projected, _ = view.pixels_of(points)
+                own[:] = np.where(np.isnan(own), projected, own)
+        return filled
+
+    def _checked(
+        self,
+        outcome: StereoInitialisation | InitFailure,
+        detections: dict[int, Detection],
+        detector: FaceDetector,
+    ) -> StereoInitialisation | InitFailure:
+        """Return the outcome, or that images look exchanged if the faces found in each of them say so."""
+        views, cameras = self.views, self.images.cameras
+        if any(view is None for view in views) or not any(one.faces for one in detections.values()):
+            return outcome
+        faces = np.full((len(views), POINT_COUNT, 2), np.nan)
+        for camera, view in enumerate(views):
+            detection = detections.get(camera) or detector.detect(required(view).image)
+            if detection.faces:
+                faces[camera] = detection.faces[0].pixels
+        order = exchanged_order(cameras, faces)
+        if not order:
+            return outcome
+        names = ", ".join(cameras[c].name for c in order)
+        return InitFailure(
+            f"images look exchanged: they fit the calibration in the order {names}", outcome.score, order
+        )
 
 
-def match_everywhere(
-    views: Sequence[CameraImage | None],
-    camera: int,
-    pixels: FloatArray,
-    pixels_per_mm: float,
-    relief: FloatArray,
-    settings: StereoInitialisationSettings,
-) -> tuple[FloatArray, FloatArray]:
-    """Match the ten points of one camera's image in all others.
-
-    Args:
-        views: one per camera, None where a camera has no image.
-        camera: index of the one that the points were found in.
-        pixels: (K, 2) in its image.
-        pixels_per_mm: the face's scale there.
-        relief: (K,) mm, how much farther than the head's origin each point of an average face is.
-        settings: what is good enough.
-
-    Returns:
-        (C, K, 2) pixels, NaN where a point was not matched, and (K,) each point's best correlation.
-    """
-    first = required(views[camera])
-    found = np.full((len(views), POINT_COUNT, 2), np.nan)
-    found[camera] = pixels
-    correlations = np.zeros((len(views), POINT_COUNT))
-    for other, second in enumerate(views):
-        if other != camera and second is not None:
-            matches = match_points(first, second, pixels, relief, pixels_per_mm)
-            good = _are_good(matches, pixels_per_mm, settings)
-            found[other, good], correlations[other] = matches.pixels[good], matches.correlations
-    return found, correlations.max(axis=0)
-
-
-def head_from_pixels(
-    views: Sequence[CameraImage | None],
-    camera: int,
-    pixels: FloatArray,
-    correlations: FloatArray,
-    settings: StereoInitialisationSettings,
-) -> StereoInitialisation | InitFailure:
-    """Return the head whose points have pixels (C, K, 2), NaN where not found, if they are a face's.
-
-    Args:
-        views: one per camera, None where a camera has no image.
-        camera: index of one that has all points.
-        pixels: (C, K, 2).
-        correlations: (K,) how well the points were matched, for the score.
-        settings: what is good enough.
-    """
-    used = [c for c, view in enumerate(views) if view is not None]
-    cameras = [required(views[c]).camera for c in used]
-    points, known = triangulate(cameras, pixels[used])
-    errors = reprojection_errors(cameras, points, pixels[used])
-    known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= settings.reprojection_px
-    score = float(correlations.mean())
-    if known.sum() >= settings.matched_points:
-        known = without_outliers(points, known)
-    if known.sum() < settings.matched_points:
-        return InitFailure(f"{known.sum()} of {POINT_COUNT} points matched between the images", score)
-    reason = _implausible(points, known, settings)
-    if reason:
-        return InitFailure(reason, score)
-    points = completed(points, known, required(views[camera]), pixels[camera])
-    pose, shape = pose_and_shape(points)
-    pixels = np.where((known | (np.arange(len(views)) == camera)[:, None])[..., None], pixels, np.nan)
-    return StereoInitialisation(
-        pose, shape, _everywhere(views, points, pixels), known, float(correlations[known].mean())
-    )
-
-
-def _from_face(
-    views: Sequence[CameraImage | None], camera: int, face: FacePoints, settings: StereoInitialisationSettings
-) -> StereoInitialisation | InitFailure:
-    relief = relief_of(face.angles)
-    pixels, correlations = match_everywhere(views, camera, face.pixels, face.pixels_per_mm, relief, settings)
-    return head_from_pixels(views, camera, pixels, correlations, settings)
-
-
-def _are_good(matches: Matches, pixels_per_mm: float, settings: StereoInitialisationSettings) -> BoolArray:
-    good: BoolArray = matches.correlations >= settings.correlation
-    return good & (matches.returns_px <= settings.return_mm * pixels_per_mm)
-
-
-def _implausible(points: FloatArray, known: BoolArray, settings: StereoInitialisationSettings) -> str:
-    """Say what about the known points (K, 3) is not a face's; empty if nothing is."""
-    size = relative_size(points, known)
-    deviation = float(np.sqrt(np.mean(deviations(points, known)[known] ** 2)))
-    if not settings.least_size <= size <= settings.most_size:
-        return f"points {size:.2f} times as far apart as a face's"
-    if deviation > settings.deviation:
-        return f"points {deviation:.1f} standard deviations from a face's"
-    return ""
-
-
-def _everywhere(views: Sequence[CameraImage | None], points: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return pixels (C, K, 2) with the projections of points where an image exists and none was found."""
-    filled = pixels.copy()
-    for own, view in zip(filled, views, strict=True):
-        if view is not None:
-            projected, _ = view.pixels_of(points)
-            own[:] = np.where(np.isnan(own), projected, own)
-    return filled
-
-
-def _checked(
-    outcome: StereoInitialisation | InitFailure,
-    views: Sequence[CameraImage | None],
-    detections: dict[int, Detection],
-    detector: FaceDetector,
-) -> StereoInitialisation | InitFailure:
-    """Return the outcome, or that images look exchanged if the faces found in each of them say so."""
-    if any(view is None for view in views) or not any(one.faces for one in detections.values()):
-        return outcome
-    cameras = [required(view).camera for view in views]
-    faces = np.full((len(views), POINT_COUNT, 2), np.nan)
-    for camera, view in enumerate(views):
-        detection = detections.get(camera) or detector.detect(required(view).image)
-        if detection.faces:
-            faces[camera] = detection.faces[0].pixels
-    order = exchanged_order(cameras, faces)
-    if not order:
-        return outcome
-    names = ", ".join(cameras[c].name for c in order)
-    return InitFailure(
-        f"images look exchanged: they fit the calibration in the order {names}", outcome.score, order
-    )
+def clicked_camera(pixels: FloatArray) -> int | None:
+    """Return the first camera with all of the clicked points (C, K, 2), None if there is none."""
+    complete = np.flatnonzero(~np.isnan(pixels[..., 0]).any(axis=1))
+    return int(complete[0]) if len(complete) else None
 
 
 def pose_and_shape(points: FloatArray) -> tuple[HeadPose, FloatArray]:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.shape_model import ShapeModel
-from posetrack_cli.head.face.templates import TemplateSet, take_templates
+from posetrack_cli.head.face.pose import HeadPose, ShapeModel
+from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import project_point
 from posetrack_cli.head.refinement.joint import Face, FaceUnknowns, Prior, descend
 from posetrack_cli.head.refinement.recalculation import (
@@ -23,7 +21,7 @@ from posetrack_cli.head.refinement.recalculation import (
     recalculate_as_printed,
     recalculate_points,
 )
-from posetrack_cli.head.refinement.scene import Scene, make_scene
+from posetrack_cli.head.refinement.scene import ComparedFrame, Scene
 
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
 """(6,) standard deviations about the predicted pose, mm and rad: keep what no patch tells."""
@@ -66,34 +64,22 @@ class Recalculated:
     pixels: FloatArray
 
 
-def refine(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    templates: Sequence[TemplateSet],
-    previous: TemplateSet | None,
-    model: ShapeModel,
-    pose: HeadPose,
-    coefficients: FloatArray,
-    settings: RefinementSettings,
-) -> Refined:
+def refine(frame: ComparedFrame, model: ShapeModel, pose: HeadPose, coefficients: FloatArray) -> Refined:
     """Refine pose and deformation together from where a filter puts them (``joint``).
 
     Without ``settings.joint`` they stay, and only how they look is told.
 
     Args:
-        images: grey, uint8, one a camera; None where a camera gave none.
-        cameras: of the recording.
-        sets: templates of the reference, then of keyframes.
-        previous: templates of the frame before.
+        frame: images and templates.
         model: mean and deformations of the face.
         pose, coefficients: start, (B,) mm.
-        settings: weights, priors, steps.
     """
     residuals = np.zeros_like(model.mean)
-    for _ in range(_rounds(cameras)):
+    # lenses are linearised about the start, so with a distorted one a second round begins where it ended
+    for _ in range(2 if any(camera.is_distorted for camera in frame.images.cameras) else 1):
         shape = model.shapes(coefficients) + residuals
-        scene, seen = make_scene(images, cameras, templates, previous, pose, shape, settings)
-        state = _descended(scene, model, pose, coefficients, residuals, settings)
+        scene, seen = frame.scene(pose, shape)
+        state = _descended(scene, model, pose, coefficients, residuals, frame.settings)
         pose, coefficients, residuals = _pose(state), state.coefficients, state.residuals
     return Refined(pose, coefficients, residuals, state.correlations, seen, scene)
 
@@ -116,10 +102,10 @@ def recalculate(
     count = (len(scene.images.sizes), len(shape))
     points, correlations, pixels = start.copy(), np.empty(count), np.empty((*count, 2))
     R, t, most = pose.rotation, pose.position, settings.recalculation_iterations
-    printed = Printed(settings.rho, settings.epsilon)
     if settings.recalculation == "printed" and count[0] == 1:
-        return _recalculated_in_image(scene, pose, shape, start, printed, most)
+        return _recalculated_in_image(scene, pose, shape, start, settings)
     if settings.recalculation == "printed":
+        printed = Printed(settings.rho, settings.epsilon)
         recalculate_as_printed(scene, R, t, shape, printed, most, points, correlations, pixels)
     else:
         prior = make_prior(point_values(settings.recalculation_mm), settings)
@@ -128,12 +114,13 @@ def recalculate(
 
 
 def _recalculated_in_image(
-    scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, printed: Printed, most: int
+    scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, settings: RefinementSettings
 ) -> Recalculated:
     """(4.42) to (4.52), and the points at M's depths that are seen at the pixels found."""
     expected, jacobians = _seen_at(scene, pose.points(shape))
     pixels, _ = _seen_at(scene, pose.points(start))
-    correlations = np.empty(len(shape))
+    correlations, printed = np.empty(len(shape)), Printed(settings.rho, settings.epsilon)
+    most = settings.recalculation_iterations
     recalculate_2d_as_printed(scene, expected, printed, most, pixels, correlations)
     across = np.linalg.solve(jacobians[:, :, :2], (pixels - expected)[..., None])[..., 0]
     moved = np.hstack([across, np.zeros((len(shape), 1))]) @ pose.rotation
@@ -146,11 +133,6 @@ def _seen_at(scene: Scene, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     for k, point in enumerate(points):
         project_point(scene.optics, 0, k, point, pixels[k], jacobians[k])
     return pixels, jacobians
-
-
-def _rounds(cameras: Sequence[Camera]) -> int:
-    """Lenses are linearised about the start, so with a distorted one a second round begins where it ended."""
-    return 2 if any(camera.is_distorted for camera in cameras) else 1
 
 
 def _descended(
@@ -204,11 +186,7 @@ ROUNDS, STEPS = 3, 5
 
 
 def refine_initial_depth(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    pose: HeadPose,
-    shape: FloatArray,
-    settings: RefinementSettings,
+    images: RigImages, pose: HeadPose, shape: FloatArray, settings: RefinementSettings
 ) -> FloatArray:
     """Return the shape (K, 3), mm, at which the patches of all cameras agree best **[ours]**.
 
@@ -218,8 +196,7 @@ def refine_initial_depth(
     point at its pixel, and the comparison between the cameras moves it along the ray.
 
     Args:
-        images: grey, uint8, one a camera; None where a camera gave none.
-        cameras: of the recording.
+        images: of all cameras.
         pose: of the head.
         shape: (K, 3) as found, mm.
         settings: weights, steps.
@@ -227,9 +204,9 @@ def refine_initial_depth(
     prior = make_prior(np.full(len(shape), settings.settling_mm), settings)
     points = np.array(shape, dtype=np.float64)
     for _ in range(ROUNDS):
-        templates = take_templates(images, cameras, pose, points)
+        templates = take_templates(images, pose, points)
         held = replace(templates, seen=_first_camera_only(templates.seen))
-        scene, _seen = make_scene(images, cameras, [held], None, pose, points, settings)
+        scene, _seen = ComparedFrame(images, [held], None, settings).scene(pose, points)
         correlations = np.empty(templates.seen.shape)
         pixels = np.empty((*templates.seen.shape, 2))
         most = STEPS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.patches import GRID
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.projection import Projection, project
+from posetrack_cli.head.face.rig_images import Projection, RigImages, project
 from posetrack_cli.head.face.templates import (
     TemplateSet,
     tangents,
@@ -101,36 +102,70 @@ class Scene(NamedTuple):
     raw: FloatArray
 
 
-def make_scene(
-    images: Sequence[ImageArray | None],
-    cameras: Sequence[Camera],
-    templates: Sequence[TemplateSet],
-    previous: TemplateSet | None,
-    pose: HeadPose,
-    shape: FloatArray,
-    settings: RefinementSettings,
-) -> tuple[Scene, FloatArray]:
-    """Return the frame about a predicted pose and shape (K, 3), and the visibility (C, K) of its points.
+@dataclass(frozen=True, eq=False)
+class ComparedFrame:
+    """The images of a frame, and what the points on them are compared with.
 
-    Args:
-        images: grey, uint8, one a camera; None where a camera gave none.
-        cameras: of the recording.
-        sets: reference first, then keyframes.
-        previous: templates of the frame before.
-        pose, shape: where the points are expected.
-        settings: weights.
+    Attributes:
+        images: of all cameras.
+        templates: of the reference, then of keyframes.
+        previous: templates of the frame before; None without one.
+        settings: weights, priors, steps.
     """
-    projection = project(cameras, pose.points(shape))
-    there = np.array([image is not None for image in images])
-    seen = visibility(projection, pose) * there[:, None]
-    now = tangents(projection, pose)
-    return Scene(
-        _cut_images(images, projection.pixels),
-        _optics(cameras, projection),
-        _targets(templates, previous, now, seen**settings.visibility_power, settings),
-        _robustness(settings),
-        _raw(templates[0], previous, settings),
-    ), seen
+
+    images: RigImages
+    templates: Sequence[TemplateSet]
+    previous: TemplateSet | None
+    settings: RefinementSettings
+
+    def scene(self, pose: HeadPose, shape: FloatArray) -> tuple[Scene, FloatArray]:
+        """Return the frame about a predicted pose and shape (K, 3), and its points' visibility (C, K)."""
+        projection = project(self.images.cameras, pose.points(shape))
+        there = np.array([image is not None for image in self.images.images])
+        seen = visibility(projection, pose) * there[:, None]
+        weights = seen**self.settings.visibility_power
+        return Scene(
+            _cut_images(self.images.images, projection.pixels),
+            _optics(self.images.cameras, projection),
+            self._targets(tangents(projection, pose), weights),
+            self._robustness,
+            self._raw,
+        ), seen
+
+    def _targets(self, now: FloatArray, seen: FloatArray) -> Targets:
+        settings = self.settings
+        weights = [settings.reference, *[settings.keyframe] * (len(self.templates) - 1)]
+        found = [warped(one, now) for one in self.templates]
+        if self.previous is not None:
+            weights.append(settings.previous)
+            found.append(warped(self.previous, now))
+        patches = np.stack([one[0] for one in found])
+        known = np.stack([one[1] for one in found])
+        return Targets(
+            patches,
+            len(self.templates),
+            np.array(weights)[:, None, None] * seen * known,
+            *_pairs(now, seen, settings.between_cameras),
+        )
+
+    @property
+    def _robustness(self) -> Robustness:
+        settings = self.settings
+        return Robustness(
+            settings.patch_sd**-2,
+            settings.correlation_floor,
+            settings.correlation_power,
+            settings.previous_likeness,
+        )
+
+    @property
+    def _raw(self) -> FloatArray:
+        """Intensities as ``Scene.raw`` has them."""
+        shape, previous = (*self.templates[0].seen.shape, GRID, GRID), self.previous
+        if self.settings.recalculation != "printed":
+            return np.zeros((0, *shape))
+        before = np.full(shape, np.nan) if previous is None else unwarped(previous)
+        return np.stack([unwarped(self.templates[0]), before])
 
 
 def _cut_images(images: Sequence[ImageArray | None], pixels: FloatArray) -> Images:
@@ -157,28 +192,6 @@ def _optics(cameras: Sequence[Camera], projection: Projection) -> Optics:
     return Optics(transforms, intrinsics, projection.lenses)
 
 
-def _targets(
-    templates: Sequence[TemplateSet],
-    previous: TemplateSet | None,
-    now: FloatArray,
-    seen: FloatArray,
-    settings: RefinementSettings,
-) -> Targets:
-    weights = [settings.reference, *[settings.keyframe] * (len(templates) - 1)]
-    found = [warped(one, now) for one in templates]
-    if previous is not None:
-        weights.append(settings.previous)
-        found.append(warped(previous, now))
-    patches = np.stack([one[0] for one in found])
-    known = np.stack([one[1] for one in found])
-    return Targets(
-        patches,
-        len(templates),
-        np.array(weights)[:, None, None] * seen * known,
-        *_pairs(now, seen, settings.between_cameras),
-    )
-
-
 def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Compare each camera with the first that gave an image."""
     there = np.flatnonzero(seen.any(axis=1))
@@ -186,19 +199,3 @@ def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, 
     warps = warps_between(now[pairs[:, 0]], now[pairs[:, 1]])
     weights = weight * np.minimum(seen[pairs[:, 0]], seen[pairs[:, 1]])
     return pairs, warps, np.where(np.isnan(warps[..., 0, 0]), 0.0, weights)
-
-
-def _robustness(settings: RefinementSettings) -> Robustness:
-    return Robustness(
-        settings.patch_sd**-2,
-        settings.correlation_floor,
-        settings.correlation_power,
-        settings.previous_likeness,
-    )
-
-
-def _raw(reference: TemplateSet, previous: TemplateSet | None, settings: RefinementSettings) -> FloatArray:
-    if settings.recalculation != "printed":
-        return np.zeros((0, *reference.seen.shape, GRID, GRID))
-    nothing = np.full((*reference.seen.shape, GRID, GRID), np.nan)
-    return np.stack([unwarped(reference), nothing if previous is None else unwarped(previous)])

@@ -13,13 +13,12 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, units
@@ -146,8 +145,8 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
     return Numbered(one, counted=PEOPLE, called="person", most=limits.PEOPLE)
 
 
-def known_people(learned: Arrays, model: FaceModel, settings: AdjustmentSettings) -> tuple[KnownPerson, ...]:
-    """Return the people whom another tracker with this face model has learned.
+def known_people(learned: Arrays, people: Codec[tuple[KnownPerson, ...]]) -> tuple[KnownPerson, ...]:
+    """Return the people whom another tracker with the same face model has learned, by their codec.
 
     Raises:
         ResultError: an array is missing, or not as ``people_codec`` states it.
@@ -155,7 +154,7 @@ def known_people(learned: Arrays, model: FaceModel, settings: AdjustmentSettings
     try:
         if PEOPLE not in learned:
             raise LayoutError(f"no array '{PEOPLE}'")
-        return people_codec(model, settings).from_arrays(learned)
+        return people.from_arrays(learned)
     except LayoutError as error:
         raise unusable_people(error) from error
 

@@ -13,14 +13,14 @@ the first residue that is left for it. Time and memory of an update depend on K 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.head.config import ModelSettings
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.shape_model import ShapeModel, rigid_model
+from posetrack_cli.head.face.pose import HeadPose, ShapeModel, rigid_model
 from posetrack_cli.head.face.templates import angle_deg
 
 
@@ -31,20 +31,20 @@ class FaceLearning:
     Attributes:
         statistics: mean and principal components so far.
         frames: in which the face was tracked since it was first found.
-        model: of these statistics.
+        settings: when and what is learnt.
     """
 
     statistics: Ccipca
     frames: int
-    model: ShapeModel
+    settings: ModelSettings
+
+    @property
+    def model(self) -> ShapeModel:
+        """The model of these statistics; the same object until they change."""
+        return self.statistics.rigid if self.settings.kind == "rigid" else self.statistics.model
 
     def after(
-        self,
-        places: FloatArray,
-        weights: FloatArray,
-        pose: HeadPose,
-        correlations: FloatArray,
-        settings: ModelSettings,
+        self, places: FloatArray, weights: FloatArray, pose: HeadPose, correlations: FloatArray
     ) -> FaceLearning:
         """Return what is known after a tracked frame.
 
@@ -57,50 +57,37 @@ class FaceLearning:
             weights: (K,) how much each point counts in laying them on the mean.
             pose: of the head.
             correlations: (K,) of each point's patches, the best camera's.
-            settings: gates.
         """
+        settings = self.settings
         later = replace(self, frames=self.frames + 1)
         if off_axis_deg(pose) > settings.facing_deg or not np.all(correlations > settings.correlation):
             return later
         R, t = rigid_alignment(places, self.statistics.mean, weights)
         shape = places @ R.T + t
         if self.frames < settings.rigid_frames:
-            return later._with(replace(self.statistics, mean=self._refined_mean(shape, settings)), settings)
+            return replace(later, statistics=replace(self.statistics, mean=self._refined_mean(shape)))
         distance = float(np.linalg.norm(shape - self.statistics.mean))
         if settings.kind == "rigid" or not settings.least_mm < distance < settings.most_mm:
             return later
-        return later._with(self.statistics.updated(shape), settings)
+        return replace(later, statistics=self.statistics.updated(shape))
 
-    def _refined_mean(self, shape: FloatArray, settings: ModelSettings) -> FloatArray:
+    def _refined_mean(self, shape: FloatArray) -> FloatArray:
         """A running average first, which forgets once ``mean_rate`` is more than its own weight."""
-        rate = max(settings.mean_rate, 1.0 / (self.frames + 1))
+        rate = max(self.settings.mean_rate, 1.0 / (self.frames + 1))
         mean: FloatArray = self.statistics.mean + rate * (shape - self.statistics.mean)
         return mean
-
-    def _with(self, statistics: Ccipca, settings: ModelSettings) -> FaceLearning:
-        return replace(self, statistics=statistics, model=_model(statistics, settings))
 
 
 def new_face(shape: FloatArray, settings: ModelSettings) -> FaceLearning:
     """Return what is known of a face (K, 3), mm, that was just found: its shape, which does not deform."""
-    return face_of_statistics(
-        untrained_statistics(shape, settings.components, mean_count=settings.rigid_frames), 0, settings
-    )
-
-
-def face_of_statistics(statistics: Ccipca, frames: int, settings: ModelSettings) -> FaceLearning:
-    """Return what statistics say that were learnt over so many frames."""
-    return FaceLearning(statistics, frames, _model(statistics, settings))
+    statistics = untrained_statistics(shape, settings.components, mean_count=settings.rigid_frames)
+    return FaceLearning(statistics, 0, settings)
 
 
 def off_axis_deg(pose: HeadPose) -> float:
     """Return the angle, degrees, between the direction out of the face and that to the reference camera."""
     towards = -pose.position / np.linalg.norm(pose.position)
     return angle_deg(pose.facing, towards)
-
-
-def _model(statistics: Ccipca, settings: ModelSettings) -> ShapeModel:
-    return rigid_model(statistics.mean) if settings.kind == "rigid" else statistics.model
 
 
 NOTHING_MM = 1e-9
@@ -152,7 +139,12 @@ class Ccipca:
             return np.zeros(len(self.components))
         return np.minimum(np.cumsum(self.eigenvalues) / self.variance, 1.0)
 
-    @property
+    @cached_property
+    def rigid(self) -> ShapeModel:
+        """The mean as a face that does not deform."""
+        return rigid_model(self.mean)
+
+    @cached_property
     def model(self) -> ShapeModel:
         """The shape model (3.1): mean, begun components by descending eigenvalue, mu = sqrt of eigenvalues.
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.face.shape_model import ShapeModel
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
     TemplateSet,
     nearest_templates,
@@ -23,13 +22,35 @@ from posetrack_cli.head.face.templates import (
     warped,
 )
 from posetrack_cli.head.initialisation.search import Search
-from posetrack_cli.head.particles.filter import HeadFilter, HeadParticles
-from posetrack_cli.head.particles.motion import FRAME_S, predicted_pose, velocity_between
+from posetrack_cli.head.particles.filter import HeadFilter
+from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, HeadParticles, velocity_between
 from posetrack_cli.head.particles.scores import PatchObservation
 from posetrack_cli.head.refinement.refine import recalculate, refine
+from posetrack_cli.head.refinement.scene import ComparedFrame
 from posetrack_cli.recording.base import Frame
 
-Images = Sequence[ImageArray | None]
+
+@dataclass(frozen=True, eq=False)
+class SeededFrame:
+    """A frame, with the randomness that its step draws from.
+
+    Attributes:
+        frame: as it is tracked in.
+        rng: source of randomness.
+    """
+
+    frame: Frame
+    rng: np.random.Generator
+
+    @property
+    def index(self) -> int:
+        """Its number in the recording."""
+        return self.frame.index
+
+    @property
+    def stamp_ns(self) -> int:
+        """When it was taken."""
+        return self.frame.stamp_ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +131,7 @@ class HeadState:
         """Whether a head was found in any frame so far."""
         return self.track is not None
 
-    def last_seen_ns(self, frame: Frame) -> int:
+    def last_seen_ns(self, frame: SeededFrame) -> int:
         """Return when the head was last tracked; if it was not, as long ago as between two frames."""
         return frame.stamp_ns - round(FRAME_S * 1e9) if self.track is None else self.track.stamp_ns
 
@@ -132,26 +153,28 @@ class FrameTracker:
         self._settings, self._motion, self._cameras = config.refinement, config.particles, cameras
         self._filter = HeadFilter(config.particles, cameras)
 
+    def images(self, frame: SeededFrame) -> RigImages:
+        """Return a frame's images with the cameras that took them."""
+        return RigImages(self._cameras, frame.frame.images)
+
     def start(
         self,
-        stamp_ns: int,
+        frame: SeededFrame,
         pose: HeadPose,
         shape: FloatArray,
         model: ShapeModel,
-        rng: np.random.Generator,
         seen: TemplateSet | None = None,
     ) -> TrackState:
         """Return a head at rest, its points at ``shape`` (K, 3), mm: ``seen`` there, or put there."""
-        particles = self._filter.start(pose, model, rng)
-        return TrackState(stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, seen)
+        particles = self._filter.start(pose, model, frame.rng)
+        return TrackState(frame.stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, seen)
 
     def step(
         self,
         before: TrackState,
-        frame: Frame,
+        frame: SeededFrame,
         templates: Sequence[TemplateSet],
         model: ShapeModel,
-        rng: np.random.Generator,
     ) -> FrameFit:
         """Advance by one frame.
 
@@ -160,23 +183,15 @@ class FrameTracker:
             frame: one grey image a camera; None where a camera gave none.
             templates: reference first.
             model: of the face.
-            rng: source of randomness.
         """
-        dt = (frame.stamp_ns - before.stamp_ns) * 1e-9
-        predicted = predicted_pose(before.pose, before.velocity, dt, self._motion)
-        coefficients = before.particles.with_model(model).coefficients
-        expected = self._expected(frame.images, templates, predicted, model.shapes(coefficients))
-        filtered = self._filter.step(before.particles, predicted, before.velocity, dt, expected, model, rng)
-        refined = refine(
-            frame.images,
-            self._cameras,
-            nearest_templates(templates, filtered.pose.facing),
-            before.templates,
-            model,
-            filtered.pose,
-            filtered.coefficients,
-            self._settings,
-        )
+        dt, images = (frame.stamp_ns - before.stamp_ns) * 1e-9, self.images(frame)
+        motion = HeadMotion(before.velocity, dt, self._motion)
+        particles = before.particles.with_model(model)
+        expected = _expected(images, templates, motion.predicted(before.pose), particles)
+        filtered = self._filter.step(particles, motion, expected, frame.rng)
+        nearest = nearest_templates(templates, filtered.pose.facing)
+        compared = ComparedFrame(images, nearest, before.templates, self._settings)
+        refined = refine(compared, model, filtered.pose, filtered.coefficients)
         places = model.shapes(refined.coefficients)
         own = recalculate(refined.scene, refined.pose, places, before.shape, self._settings)
         track = TrackState(
@@ -185,14 +200,14 @@ class FrameTracker:
             velocity_between(before.pose, refined.pose, dt),
             filtered.particles.moved_to(refined.pose, refined.coefficients),
             own.shape,
-            take_templates(frame.images, self._cameras, refined.pose, own.shape, own.pixels),
+            take_templates(images, refined.pose, own.shape, own.pixels),
         )
         correlations, score = agreement(refined.correlations, refined.visibility)
         at_own_places, _ = agreement(own.correlations, refined.visibility)
         return FrameFit(
             track,
             refined.coefficients,
-            (refined.coefficients - coefficients) / dt,
+            (refined.coefficients - particles.coefficients) / dt,
             track.particles.variance(),
             dt,
             at_own_places,
@@ -202,13 +217,15 @@ class FrameTracker:
             filtered.effective_sample_size,
         )
 
-    def _expected(
-        self, images: Images, templates: Sequence[TemplateSet], pose: HeadPose, shape: FloatArray
-    ) -> PatchObservation:
-        """What the points should look like at a predicted pose, and how far they are visible."""
-        projection = project(self._cameras, pose.points(shape))
-        patches, known = warped(nearest_templates(templates, pose.facing)[-1], tangents(projection, pose))
-        return PatchObservation(images, template_images(patches), visibility(projection, pose) * known)
+
+def _expected(
+    images: RigImages, templates: Sequence[TemplateSet], pose: HeadPose, particles: HeadParticles
+) -> PatchObservation:
+    """What the points should look like at a predicted pose, and how far they are visible."""
+    shape = particles.model.shapes(particles.coefficients)
+    projection = project(images.cameras, pose.points(shape))
+    patches, known = warped(nearest_templates(templates, pose.facing)[-1], tangents(projection, pose))
+    return PatchObservation(images.images, template_images(patches), visibility(projection, pose) * known)
 
 
 def initial_fit(track: TrackState, score: float, pixels: FloatArray) -> FrameFit:

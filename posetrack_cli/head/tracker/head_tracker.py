@@ -13,10 +13,11 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate, tracked_estimate
-from posetrack_cli.head.tracker.frame_tracker import FrameFit, HeadState, TrackState
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, HeadState, SeededFrame, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.state_codec import Codec
@@ -33,6 +34,14 @@ class Faces(Protocol[State, Found]):
     def codec(self) -> Codec[State]:
         """How states become arrays, for a checkpoint, and back."""
 
+    @property
+    def status(self) -> HeadStatusSettings:
+        """When a head counts as tracked."""
+
+    @property
+    def cameras(self) -> Sequence[Camera]:
+        """The recording's."""
+
     def start(self) -> State:
         """Return the state before a first frame: nothing is known, or what another tracker has learned."""
 
@@ -42,22 +51,16 @@ class Faces(Protocol[State, Found]):
     def is_known(self, state: State) -> bool:
         """Whether a face is known, so that one that is found can be recognised."""
 
-    def detect(self, state: State, frame: Frame) -> Found | InitFailure:
+    def detect(self, state: State, frame: SeededFrame) -> Found | InitFailure:
         """Look for a face in a frame."""
 
-    def begin(
-        self, state: State, frame: Frame, rng: np.random.Generator
-    ) -> tuple[State, FrameFit | InitFailure]:
+    def begin(self, state: State, frame: SeededFrame) -> tuple[State, FrameFit | InitFailure]:
         """Look for a face that is not known, and begin to know it where there is one."""
 
-    def fit(
-        self, state: State, track: TrackState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[State, FrameFit]:
+    def fit(self, state: State, track: TrackState, frame: SeededFrame) -> tuple[State, FrameFit]:
         """Follow the head that was tracked before into a frame."""
 
-    def recognise(
-        self, state: State, found: Found, frame: Frame, rng: np.random.Generator
-    ) -> Iterator[tuple[State, FrameFit]]:
+    def recognise(self, state: State, found: Found, frame: SeededFrame) -> Iterator[tuple[State, FrameFit]]:
         """Follow a face that was found as each of the known ones, the likeliest first; it is at rest."""
 
     def least_score(self, state: State) -> float:
@@ -66,7 +69,7 @@ class Faces(Protocol[State, Found]):
     def not_recognised(self, state: State, found: Found) -> tuple[State, bool]:
         """Note a face that is none of the known ones; tell whether it is to be begun with."""
 
-    def learn(self, state: State, frame: Frame, fit: FrameFit) -> tuple[State, FrameFit]:
+    def learn(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
         """Learn from a frame in which the head was tracked; return what the frame then says."""
 
     def describe(self, state: State, fit: FrameFit | None) -> Description:
@@ -84,14 +87,10 @@ class HeadTracker(Generic[State, Found]):
 
     Args:
         faces: of several cameras, or of one.
-        settings: when a head counts as tracked.
-        cameras: names of the recording's.
     """
 
-    def __init__(
-        self, faces: Faces[State, Found], settings: HeadStatusSettings, cameras: Sequence[str]
-    ) -> None:
-        self._faces, self._settings, self._cameras = faces, settings, cameras
+    def __init__(self, faces: Faces[State, Found]) -> None:
+        self._faces = faces
 
     @property
     def codec(self) -> Codec[State]:
@@ -104,15 +103,18 @@ class HeadTracker(Generic[State, Found]):
 
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by one frame; the state given is left as it is."""
-        state, frame = self._faces.look(state, frame)
-        if state.track is None:
-            return self._initialise(state, frame, rng)
-        state, fit = self._faces.fit(state, state.track, frame, rng)
+        state, seen = self._faces.look(state, frame)
+        now = SeededFrame(seen, rng)
+        if state.track is None:  # of a face known from elsewhere, or anybody's
+            return (
+                self._reacquire(state, now) if self._faces.is_known(state) else self._initialise(state, now)
+            )
+        state, fit = self._faces.fit(state, state.track, now)
         if self._accepts(state, fit):
-            return self._update(state, frame, fit, found_anew=self._patience(state) < 0)
+            return self._update(state, now, fit, found_anew=self._patience(state) < 0)
         if state.is_continuous and self._patience(state) > 0:
-            return self._coast(state, frame)
-        return self._reacquire(state, frame, rng)
+            return self._coast(state, now)
+        return self._reacquire(state, now)
 
     def learned(self, state: State) -> Learned:
         """Return what was learned of the face as arrays by name; empty before it is known."""
@@ -132,46 +134,40 @@ class HeadTracker(Generic[State, Found]):
 
     def _patience(self, state: State) -> int:
         """In how many more frames the head may be missed before it is searched for; below 0 when it was."""
-        return self._settings.lost_after_frames - 1 - state.lost
+        return self._faces.status.lost_after_frames - 1 - state.lost
 
-    def _initialise(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
-        """Find a head for the first time: that of a face known from elsewhere, or anybody's."""
-        if self._faces.is_known(state):
-            return self._reacquire(state, frame, rng)
-        return self._begin(state, frame, rng)
-
-    def _begin(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
+    def _initialise(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Look for a face that is not known."""
         is_another = self._faces.is_known(state)
-        state, fit = self._faces.begin(state, frame, rng)
+        state, fit = self._faces.begin(state, frame)
         if isinstance(fit, InitFailure):
             return self._coast(self._failed(state, fit), frame)
         return state, self._tracked(state, frame, fit, found_anew=is_another)
 
     def _update(
-        self, state: State, frame: Frame, fit: FrameFit, *, found_anew: bool
+        self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
     ) -> tuple[State, Estimate]:
         """Learn from a frame in which the head was tracked."""
         state, fit = self._faces.learn(state, frame, fit)
         state = replace(state, track=fit.track, lost=0)
         return state, self._tracked(state, frame, fit, found_anew=found_anew)
 
-    def _coast(self, state: State, frame: Frame) -> tuple[State, Estimate]:
+    def _coast(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Miss the head: nothing is learnt, and it is looked for where it was last."""
         track = None if state.track is None else state.track.at_rest()
         state = replace(state, track=track, lost=state.lost + 1)
-        return state, lost_estimate(frame, track, self._faces.describe(state, None))
+        return state, lost_estimate(frame.frame, track, self._faces.describe(state, None))
 
-    def _reacquire(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
+    def _reacquire(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Look for a face that is known; it must then look as it did."""
         found = self._faces.detect(state, frame)
         if isinstance(found, InitFailure):
             return self._coast(self._failed(state, found), frame)
-        for recognised, fit in self._faces.recognise(state, found, frame, rng):
+        for recognised, fit in self._faces.recognise(state, found, frame):
             if self._accepts(recognised, fit):
                 return self._update(recognised, frame, fit, found_anew=state.track is not None)
         state, is_new = self._faces.not_recognised(state, found)
-        return self._begin(state, frame, rng) if is_new else self._coast(state, frame)
+        return self._initialise(state, frame) if is_new else self._coast(state, frame)
 
     def _failed(self, state: State, failure: InitFailure) -> State:
         """Count a search that failed before a head was found.
@@ -181,17 +177,17 @@ class HeadTracker(Generic[State, Found]):
         """
         if state.track is not None:
             return state
-        search = state.search.failed(failure)
+        search, names = state.search.failed(failure), [camera.name for camera in self._faces.cameras]
         if search.images_exchanged:
             raise NothingFoundError(
                 "the cameras' images seem to be exchanged",
                 found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
-                + ", ".join(self._cameras[c] for c in search.order),
-                expected=", ".join(self._cameras),
+                + ", ".join(names[c] for c in search.order),
+                expected=", ".join(names),
                 hint="exchange the folders or topics, or calibrate again",
             )
         return replace(state, search=search)
 
-    def _tracked(self, state: State, frame: Frame, fit: FrameFit, *, found_anew: bool) -> Estimate:
+    def _tracked(self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool) -> Estimate:
         status = Status.REINITIALISED if found_anew else Status.TRACKING
-        return tracked_estimate(frame, fit, status, self._faces.describe(state, fit))
+        return tracked_estimate(frame.frame, fit, status, self._faces.describe(state, fit))

@@ -5,30 +5,35 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.projection import project
-from posetrack_cli.head.initialisation.clicked import ClickedPoints, unusable_clicks
-from posetrack_cli.head.initialisation.detected_face import DetectedFace, clicked_face, eye_distance_px
-from posetrack_cli.head.initialisation.mono import MonoInitialisation, MonoInitialiser
+from posetrack_cli.head.face.rig_images import project
+from posetrack_cli.head.initialisation.clicked import ClickedPoints
+from posetrack_cli.head.initialisation.mono import (
+    DetectedFace,
+    MonoInitialisation,
+    MonoInitialiser,
+    eye_distance_px,
+    face_at,
+)
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import known_people, people_codec, unusable_people
 from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
-from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackState
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
-from posetrack_cli.head.tracker.person import new_person
-from posetrack_cli.head.tracker.person_fitting import PersonFitter
+from posetrack_cli.head.tracker.person import PersonFitter, new_person
 from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
@@ -53,9 +58,9 @@ FOCAL_PX = "focal_px"
 
 @dataclass(frozen=True, eq=False)
 class _Reduction:
-    """What looks at images that were reduced by one scale, with the camera that would take them."""
+    """What looks at images that were reduced by one scale; the adjuster's camera would take them."""
 
-    camera: Camera
+    adjuster: Adjuster
     initialiser: MonoInitialiser
     fitter: PersonFitter
 
@@ -90,10 +95,11 @@ class MonoPeople:
         known: Arrays | None = None,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
+        self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._reductions: dict[float, _Reduction] = {}
         self._people = people_codec(model, config.adjustment)
-        self.codec: Codec[MonoState] = mono_codec(model, config.adjustment)
+        self.codec: Codec[MonoState] = mono_codec(self._people)
         self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
 
     def start(self) -> MonoState:
@@ -114,34 +120,31 @@ class MonoPeople:
         """Whether a person is known."""
         return bool(state.people)
 
-    def detect(self, state: MonoState, frame: Frame) -> DetectedFace | InitFailure:
+    def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Look for a face, where the head was last if that was not long ago."""
-        return self._at(state).initialiser.detect(frame, self._last_pixels(state, frame))
+        return self._at(state).initialiser.detect(frame.frame, self._last_pixels(state, frame))
 
-    def begin(
-        self, state: MonoState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[MonoState, FrameFit | InitFailure]:
+    def begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Look for a person who is not known; the first who is found decides the scale of images.
 
         The frame is then looked at again at that scale.
         """
-        after, fit = self._begin(state, frame, rng)
+        after, fit = self._begin(state, frame)
         scale = state.scale if state.scale is not None else self._scale_of(after)
         after = replace(after, scale=scale)
         if state.scale == scale or scale == WHOLE:
             return after, fit
         afresh = replace(self._first, scale=scale, search=state.search, first_ns=state.first_ns)
-        return self._begin(*self.look(afresh, frame), rng)
+        afresh, again = self.look(afresh, frame.frame)
+        return self._begin(afresh, SeededFrame(again, frame.rng))
 
-    def fit(
-        self, state: MonoState, track: TrackState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[MonoState, FrameFit]:
+    def fit(self, state: MonoState, track: TrackState, frame: SeededFrame) -> tuple[MonoState, FrameFit]:
         """Follow the person into a frame; where the fit is poor, compare it with a detection **[ours]**.
 
         After a blink or a smile points may have slid to places that they do not come back from.
         """
         fitter, settings = self._at(state).fitter, self._config.status
-        fit = fitter.fit(state.person, track, frame, rng)
+        fit = fitter.fit(state.person, track, frame)
         recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
         if recent or fit.score >= settings.check_below:
             return state, fit
@@ -149,16 +152,16 @@ class MonoPeople:
         found = self.detect(state, frame)
         if isinstance(found, InitFailure):
             return state, fit
-        again = fitter.fit_detection(state.person, found, track.stamp_ns, frame, rng)
+        again = fitter.fit_detection(state.person, found, track.stamp_ns, frame)
         return state, again if again.score > fit.score + CLEARLY_BETTER else fit
 
     def recognise(
-        self, state: MonoState, found: DetectedFace, frame: Frame, rng: np.random.Generator
+        self, state: MonoState, found: DetectedFace, frame: SeededFrame
     ) -> Iterator[tuple[MonoState, FrameFit]]:
         """Follow a face for one frame as each of the known people, the last one first."""
         fitter, last_seen_ns = self._at(state).fitter, state.last_seen_ns(frame)
         for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
-            fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame, rng)
+            fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame)
             yield state.switch_person(index, frame.index), fit
 
     def least_score(self, state: MonoState) -> float:
@@ -173,7 +176,7 @@ class MonoPeople:
         state = replace(state, strange=state.strange + 1)
         return state, state.strange >= (STRANGER_FRAMES_AFTER_CUT if state.cut else STRANGER_FRAMES)
 
-    def learn(self, state: MonoState, frame: Frame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
+    def learn(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
         """Adjust the person by a frame in which the head was tracked."""
         person, fit = self._at(state).fitter.update_person(state.person, state.track, frame, fit)
         state = state.update_person(person).clear_candidates()
@@ -185,79 +188,76 @@ class MonoPeople:
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
-            self._diagnostics(state, fit).array(),
+            self._diagnostics(state, fit).numbers(),
         )
 
     def export_model(self, state: MonoState) -> Learned:
         """Return what was learned of the people seen, and how large they were seen."""
-        settings, camera = self._config.adjustment, self._at(state).camera
-        people = tuple(one.over_album(self._model, camera, settings) for one in state.people)
+        adjuster = self._at(state).adjuster
+        people = tuple(one.over_album(adjuster) for one in state.people)
         focal = (state.scale or WHOLE) * self._recorded.fx
         return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}
 
     def remarks(self, state: MonoState) -> tuple[str, ...]:
         """Say when another person was seen, and whether the camera seems to be another one."""
         people = (f"from frame {frame} on it is person {who}; the first is 0" for frame, who in state.changes)
-        camera, settings = self._at(state).camera, self._config.adjustment
-        check = focal_length_check(state.person, self._model, camera, state.scale or WHOLE, settings)
+        check = focal_length_check(state.person, self._at(state).adjuster, state.scale or WHOLE)
         return (*people, *check)
 
-    def _begin(
-        self, state: MonoState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[MonoState, FrameFit | InitFailure]:
+    def _begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Collect n frames with the face, then adjust them together (4.4.1).
 
         Until then each frame is given the pose that it has alone **[ours]**.
         """
         if self._clicked is not None and frame.stamp_ns == state.first_ns:
-            return self._begin_with_clicks(self._clicked, state, frame, rng)
+            return self._begin_with_clicks(self._clicked, state, frame)
         initialiser = self._at(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(self._config.start.span_s * 1e9))
-        found = initialiser.detect(frame, state.candidates[-1].pixels if state.candidates else None)
+        found = initialiser.detect(frame.frame, state.candidates[-1].pixels if state.candidates else None)
         if isinstance(found, InitFailure):
             return state, found
         alone = initialiser.initialise((found,))
         if isinstance(alone, InitFailure):
             return state, alone
-        seen = initialiser.templates(frame, found, alone)
+        seen = initialiser.templates(frame.frame, found, alone)
         state = state.with_candidate(found, seen)
         if len(state.candidates) < self._config.start.frames:
-            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen, rng)
+            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen)
         start = initialiser.initialise(state.candidates)
         if isinstance(start, InitFailure):
             return state.clear_candidates(), start
-        return self._found(state, start, frame, rng)
+        return self._found(state, start, frame)
 
     def _begin_with_clicks(
-        self, clicked: ClickedPoints, state: MonoState, frame: Frame, rng: np.random.Generator
+        self, clicked: ClickedPoints, state: MonoState, frame: SeededFrame
     ) -> tuple[MonoState, FrameFit]:
         """Begin at once, from points that a person clicked."""
         at = self._at(state)
         pixels = reduced_pixels(clicked.pixels[0], state.scale or WHOLE)
-        face = clicked_face(pixels, frame.stamp_ns, at.camera)
+        face = face_at(pixels, frame.stamp_ns, at.adjuster.camera)
         start = at.initialiser.initialise((face,))
         if isinstance(start, InitFailure):
-            raise unusable_clicks(clicked.path, start)
-        state = state.with_candidate(face, at.initialiser.templates(frame, face, start))
-        return self._found(state, start, frame, rng)
+            raise clicked.unusable(start)
+        state = state.with_candidate(face, at.initialiser.templates(frame.frame, face, start))
+        return self._found(state, start, frame)
 
     def _found(
-        self, state: MonoState, start: MonoInitialisation, frame: Frame, rng: np.random.Generator
+        self, state: MonoState, start: MonoInitialisation, frame: SeededFrame
     ) -> tuple[MonoState, FrameFit]:
         """Begin to know a person, whose reference is what the first of the frames showed."""
         at, last = self._at(state), state.candidates[-1]
         reference = at.initialiser.reference(state.first_templates, start)
-        person = new_person(start.person, reference, self._model, self._config.adjustment)
-        seen = at.initialiser.templates(frame, last, start)
-        fit = at.fitter.initial_fit(frame, last, start, seen, rng)
+        person = new_person(start.person, reference, at.adjuster)
+        seen = at.initialiser.templates(frame.frame, last, start)
+        fit = at.fitter.initial_fit(frame, last, start, seen)
         return state.with_new_person(person, fit.track, frame.index), fit
 
-    def _last_pixels(self, state: MonoState, frame: Frame) -> FloatArray | None:
+    def _last_pixels(self, state: MonoState, frame: SeededFrame) -> FloatArray | None:
         """Where the points were when the head was last tracked, unless that was long ago or before a cut."""
         track = state.track
         if track is None or state.cut or frame.stamp_ns - track.stamp_ns > FORGOTTEN_S * 1e9:
             return None
-        camera = self._at(state).camera
+        camera = self._at(state).adjuster.camera
         pixels: FloatArray = project((camera,), track.pose.points(track.shape)).pixels[0]
         return pixels
 
@@ -281,32 +281,33 @@ class MonoPeople:
         """What looks at images of a state's scale; at whole ones before a face is first found."""
         scale = state.scale or WHOLE
         if scale not in self._reductions:
-            camera, config, model = reduced_camera(self._recorded, scale), self._config, self._model
-            initialiser = MonoInitialiser(config, camera, model, self._detector, self._choice)
-            self._reductions[scale] = _Reduction(camera, initialiser, PersonFitter(config, camera, model))
+            config, camera = self._config, reduced_camera(self._recorded, scale)
+            adjuster = Adjuster(self._model, camera, config.adjustment)
+            initialiser = MonoInitialiser(config, adjuster, self._detector, self._choice)
+            self._reductions[scale] = _Reduction(adjuster, initialiser, PersonFitter(config, adjuster))
         return self._reductions[scale]
 
     def _scale_of(self, state: MonoState) -> float | None:
         """The scale for the face that was found in a whole image; None where none was found yet."""
         if state.candidates:
-            return self._scale_for(state.candidates[0].eye_distance)
-        if state.track is None:
+            distance = state.candidates[0].eye_distance
+        elif state.track is not None:
+            distance = eye_distance_px(state.track.pose, self._recorded)
+        else:
             return None
-        return self._scale_for(eye_distance_px(state.track.pose, self._recorded))
+        return scale_for(distance, self._config.start.eye_distance_px)
 
     def _clicked_scale(self) -> float | None:
         """The scale for the face whose points were clicked; None where none were."""
         if self._clicked is None:
             return None
-        return self._scale_for(clicked_face(self._clicked.pixels[0], 0, self._recorded).eye_distance)
-
-    def _scale_for(self, eye_distance_px: float) -> float:
-        return scale_for(eye_distance_px, self._config.start.eye_distance_px)
+        face = face_at(self._clicked.pixels[0], 0, self._recorded)
+        return scale_for(face.eye_distance, self._config.start.eye_distance_px)
 
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
         scale = _known_scale(known, self._recorded)
-        return MonoState(people=known_people(known, self._model, self._config.adjustment), scale=scale)
+        return MonoState(people=known_people(known, self._people), scale=scale)
 
 
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]
@@ -335,7 +336,7 @@ def make_mono_tracker(
     """
     model = load_face_model(None if config.model.file is None else Path(config.model.file))
     points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
-    return mono_tracker(config, camera, model, choice=face, clicked=points, known=known)
+    return HeadTracker(MonoPeople(config, camera, model, choice=face, clicked=points, known=known))
 
 
 def _known_scale(known: Arrays, camera: Camera) -> float:
@@ -346,8 +347,3 @@ def _known_scale(known: Arrays, camera: Camera) -> float:
     if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
         raise unusable_people(f"'{FOCAL_PX}' as {focal.dtype} {focal.shape}, or not above 0")
     return min(WHOLE, float(focal) / camera.fx)
-
-
-def mono_tracker(config: HeadMonoConfig, camera: Camera, model: FaceModel, **how: Any) -> MonoTracker:
-    """Return the tracker of the people whom a camera sees; see ``MonoPeople``."""
-    return HeadTracker(MonoPeople(config, camera, model, **how), config.status, [camera.name])

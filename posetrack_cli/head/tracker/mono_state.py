@@ -14,12 +14,10 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
-from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.templates import TemplateSet
-from posetrack_cli.head.initialisation.detected_face import DetectedFace
-from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.tracker.codecs import POSE, people_codec, search_codec, template_codec, track_codec
+from posetrack_cli.head.initialisation.mono import DetectedFace
+from posetrack_cli.head.tracker.codecs import POSE, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
 from posetrack_cli.head.tracker.person import KnownPerson
 from posetrack_cli.head.tracker.reduction import WHOLE
@@ -139,8 +137,8 @@ def is_cut(before: FloatArray, after: FloatArray) -> bool:
     return float(before @ after) < SAME_SCENE
 
 
-def mono_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[MonoState]:
-    """Return how the states of a tracker with a face model are kept."""
+def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
+    """Return how the states of a tracker are kept, given how its people are."""
     candidate: Codec[DetectedFace] = Fields(
         _detected_face,
         stamps=("stamp_ns", stamp()),
@@ -162,7 +160,7 @@ def mono_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[MonoStat
         lost=whole(),
         search=search_codec(1),
         first_ns=stamp(),
-        people=people_codec(model, settings),
+        people=people,
         current=whole(),
         strange=whole(),
         candidates=Stacked(candidate, "candidates"),

@@ -11,13 +11,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
-from posetrack_cli.head.initialisation.clicked import ClickedInitialiser
+from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
 from posetrack_cli.head.model_file import unusable
@@ -25,11 +25,12 @@ from posetrack_cli.head.refinement.refine import point_values, refine_initial_de
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.estimates import Description, padded
-from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, face_of_statistics, new_face
+from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
     FrameTracker,
     HeadState,
+    SeededFrame,
     TrackState,
     initial_fit,
 )
@@ -90,10 +91,11 @@ class StereoFace:
         initialiser: StereoInitialiser,
         known: Arrays | None = None,
     ) -> None:
-        self._config, self._cameras, self._initialiser = config, tuple(cameras), initialiser
-        self._frame_tracker = FrameTracker(config, self._cameras)
+        self._config, self._initialiser = config, initialiser
+        self.cameras, self.status = tuple(cameras), config.status
+        self._frame_tracker = FrameTracker(config, self.cameras)
         self._steadiness = point_values(config.model.expression_mm) ** -2
-        self._codecs = StereoCodecs(len(self._cameras), config.model)
+        self._codecs = StereoCodecs(len(self.cameras), config.model)
         self._first = StereoState() if known is None else self._codecs.from_model(known)
 
     @property
@@ -113,41 +115,35 @@ class StereoFace:
         """Whether the face is known."""
         return state.face is not None
 
-    def detect(self, state: StereoState, frame: Frame) -> StereoInitialisation | InitFailure:
+    def detect(self, state: StereoState, frame: SeededFrame) -> StereoInitialisation | InitFailure:
         """Look for a face in a frame."""
-        return self._initialiser.find(frame, is_first=frame.stamp_ns == state.first_ns)
+        return self._initialiser.find(frame.frame, is_first=frame.stamp_ns == state.first_ns)
 
-    def begin(
-        self, state: StereoState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[StereoState, FrameFit | InitFailure]:
+    def begin(self, state: StereoState, frame: SeededFrame) -> tuple[StereoState, FrameFit | InitFailure]:
         """Look for anybody's face, and begin to learn it."""
         found = self.detect(state, frame)
         if isinstance(found, InitFailure):
             return state, found
-        shape = refine_initial_depth(
-            frame.images, self._cameras, found.pose, found.shape, self._config.refinement
-        )
+        images = self._frame_tracker.images(frame)
+        shape = refine_initial_depth(images, found.pose, found.shape, self._config.refinement)
         face = new_face(shape, self._config.model)
-        reference = take_templates(frame.images, self._cameras, found.pose, shape)
-        track = self._frame_tracker.start(frame.stamp_ns, found.pose, shape, face.model, rng, reference)
+        reference = take_templates(images, found.pose, shape)
+        track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
         state = replace(state, face=face, templates=(reference,), track=track, lost=0)
         return state, initial_fit(track, found.score, found.pixels)
 
-    def fit(
-        self, state: StereoState, track: TrackState, frame: Frame, rng: np.random.Generator
-    ) -> tuple[StereoState, FrameFit]:
+    def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
         """Follow the head into a frame."""
-        model = state.known_face.model
-        return state, self._frame_tracker.step(track, frame, state.templates, model, rng)
+        return state, self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
 
     def recognise(
-        self, state: StereoState, found: StereoInitialisation, frame: Frame, rng: np.random.Generator
+        self, state: StereoState, found: StereoInitialisation, frame: SeededFrame
     ) -> Iterator[tuple[StereoState, FrameFit]]:
         """Lay the known face on the points that were found, and follow it from there."""
         model = state.known_face.model
         pose = self._laid_on(model.mean, found)
-        track = self._frame_tracker.start(state.last_seen_ns(frame), pose, model.mean, model, rng)
-        state, fit = self.fit(state, track, frame, rng)
+        track = self._frame_tracker.start(frame, pose, model.mean, model)
+        state, fit = self.fit(state, replace(track, stamp_ns=state.last_seen_ns(frame)), frame)
         yield state, replace(fit, track=fit.track.at_rest())
 
     def least_score(self, state: StereoState) -> float:
@@ -158,12 +154,10 @@ class StereoFace:
         """Return that there is no other face to begin with: templates are of one person."""
         return state, False
 
-    def learn(self, state: StereoState, frame: Frame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
+    def learn(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
         """Learn how the face deforms, and what it looks like from new directions."""
         now, templates = fit.track, state.templates
-        face = state.known_face.after(
-            now.shape, self._steadiness, now.pose, fit.correlations, self._config.model
-        )
+        face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations)
         if now.templates is not None and self._is_keyframe(templates, fit):
             templates = (*templates, now.templates)
         return replace(state, face=face, templates=templates), fit
@@ -175,7 +169,7 @@ class StereoFace:
         return Description(
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
-            _diagnostics(face, fit).array(count),
+            _diagnostics(face, fit).numbers(count),
         )
 
     def export_model(self, state: StereoState) -> Learned:
@@ -221,19 +215,10 @@ def make_stereo_tracker(
     """
     settings = config.start
     if clicked is None:
-        return stereo_tracker(config, cameras, StereoInitialiser(settings, cameras), known)
-    return stereo_tracker(config, cameras, ClickedInitialiser(settings, cameras, clicked), known)
-
-
-def stereo_tracker(
-    config: HeadStereoConfig,
-    cameras: Sequence[Camera],
-    initialiser: StereoInitialiser,
-    known: Arrays | None = None,
-) -> StereoTracker:
-    """Return the tracker that begins as an initialiser finds faces; see ``StereoFace``."""
-    face = StereoFace(config, cameras, initialiser, known)
-    return HeadTracker(face, config.status, [camera.name for camera in cameras])
+        initialiser = StereoInitialiser(settings, cameras)
+    else:
+        initialiser = ClickedInitialiser(settings, cameras, ClickedPoints.read(clicked, cameras))
+    return HeadTracker(StereoFace(config, cameras, initialiser, known))
 
 
 StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]
@@ -262,12 +247,26 @@ class StereoCodecs:
     """
 
     def __init__(self, cameras: int, settings: ModelSettings) -> None:
-        face, templates = _face_codec(settings), template_codec(cameras)
+        def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
+            count, learnt, frames = (int(value) for value in counts)
+            return FaceLearning(Ccipca(mean, components, variance, count, learnt), frames, settings)
+
+        faces: Codec[FaceLearning] = Fields(
+            face,
+            mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
+            components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
+            variance=("statistics.variance", real(floats(least=0.0))),
+            counts=(
+                lambda one: [one.statistics.count, one.statistics.learnt, one.frames],
+                Value(counts(3)),
+            ),
+        )
+        templates = template_codec(cameras)
         needed = Stacked(templates, "sets", least=1)
-        self._known: Codec[StereoState] = Fields(_known_state, face=face, sets=("templates", needed))
+        self._known: Codec[StereoState] = Fields(_state, face=faces, sets=("templates", needed))
         learned: dict[str, Any] = {
             "search": search_codec(cameras),
-            "face": Maybe(face),
+            "face": Maybe(faces),
             "sets": ("templates", Stacked(templates, "sets")),
         }
         self._model: Codec[StereoState] = Fields(_state, **learned)
@@ -292,10 +291,6 @@ class StereoCodecs:
             raise unusable(error, "what --save-model wrote of a stereo run") from error
 
 
-def _known_state(face: FaceLearning, sets: tuple[TemplateSet, ...]) -> StereoState:
-    return StereoState(face=face, templates=sets)
-
-
 def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
     """A head is only tracked once its face is known, and a face is known with its templates."""
     state = StereoState(templates=sets, **parts)
@@ -303,17 +298,3 @@ def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
     if known != (True, True) and (any(known) or state.track is not None):
         raise LayoutError("a head that is tracked, without its face or its templates")
     return state
-
-
-def _face_codec(settings: ModelSettings) -> Codec[FaceLearning]:
-    def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
-        count, learnt, frames = (int(value) for value in counts)
-        return face_of_statistics(Ccipca(mean, components, variance, count, learnt), frames, settings)
-
-    return Fields(
-        face,
-        mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
-        components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
-        variance=("statistics.variance", real(floats(least=0.0))),
-        counts=(lambda one: [one.statistics.count, one.statistics.learnt, one.frames], Value(counts(3))),
-    )

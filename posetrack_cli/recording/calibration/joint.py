@@ -14,8 +14,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.extrinsics import composed, inverse, placed
 from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.geometry.rigid import composed, inverse, placed
 from posetrack_cli.recording.calibration.views import CameraViews
 
 POSE = 6

@@ -11,7 +11,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import epipolar_errors, relative_transform
+from posetrack_cli.geometry.epipolar import CameraPair
 from posetrack_cli.geometry.triangulation import triangulate
 from posetrack_cli.recording.calibration.boards import Board
 from posetrack_cli.recording.calibration.joint import adjust
@@ -130,7 +130,7 @@ def _pair_error(first: Camera, second: Camera, views: CameraViews, others: Camer
     shared = shared_views(views, others)
     if not shared:
         return None
-    errors = np.concatenate([epipolar_errors(first, second, one, two) for one, two, _ in shared])
+    errors = np.concatenate([CameraPair(first, second).epipolar_errors(one, two) for one, two, _ in shared])
     sides = np.concatenate(
         [
             _sides(triangulate([first, second], np.stack([one, two]))[0], ids, views.board)
@@ -144,7 +144,7 @@ def _pair_error(first: Camera, second: Camera, views: CameraViews, others: Camer
         float(np.sqrt(np.mean(errors**2))),
         float(np.percentile(errors, 95)),
         float(np.mean(sides)),
-        float(np.linalg.norm(relative_transform(first, second)[1])),
+        float(np.linalg.norm(CameraPair(first, second).transform[1])),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.poses import in_object
+from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.fields import BY_NAME, NUMBERS

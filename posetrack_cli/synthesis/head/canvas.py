@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
-from posetrack_cli.synthesis.head.fields import smooth_step
 from posetrack_cli.synthesis.head.form import BOTTOM, TOP, angle_of, half_width, height, smooth_head
 from posetrack_cli.synthesis.head.skin_grid import POCKET_BAND, TEXTURE_SIZE, texel_angles, texel_levels
+from posetrack_cli.synthesis.head.smooth import smooth_step
 
 MARGIN_MM = 2.0
 Box = tuple[float, float, float, float]

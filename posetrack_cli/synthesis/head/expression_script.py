@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.synthesis.head.curves import minimum_jerk, pulse
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.options import TWO_MOTIONS, HeadSynthOptions
+from posetrack_cli.synthesis.head.smooth import minimum_jerk, pulse
 
 NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
 """The neutral beginning: so long, but at most this part of the recording."""

@@ -6,16 +6,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE
-from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
 from posetrack_cli.synthesis.head.form import (
     AXIS_Z,
     MOUTH_X,
     MOUTH_Y,
-    along_and_above,
-    lower_edge,
-    upper_edge,
 )
 from posetrack_cli.synthesis.head.identity import Looks
+from posetrack_cli.synthesis.head.smooth import Displacements, smooth_step
 
 EXPRESSIONS = (
     "jaw_open",
@@ -160,8 +157,7 @@ def _turned(hung: FloatArray, sine: float, cosine: float) -> tuple[FloatArray, F
 
 def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
     """The upper lid comes down to the lower: what the opening shows is pressed together behind its edge."""
-    s, above = along_and_above(xy[..., 0], xy[..., 1])
-    top, bottom = upper_edge(s, looks.upper_lid), lower_edge(s, looks.lower_lid)
+    s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
     within = smooth_step((s + 0.12) / 0.12) * smooth_step((1.12 - s) / 0.12)
     opening = np.maximum(top - bottom, 1e-6)
     part = np.clip((above - bottom) / opening, 0.0, 1.0)
@@ -173,8 +169,7 @@ def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
 
 def _gaze(xy: FloatArray, looks: Looks) -> FloatArray:
     """What the openings show moves to the subject's left, not at all at their edges."""
-    s, above = along_and_above(xy[..., 0], xy[..., 1])
-    top, bottom = upper_edge(s, looks.upper_lid), lower_edge(s, looks.lower_lid)
+    s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
     height = np.clip((above - bottom) / np.maximum(top - bottom, 1e-6), 0.0, 1.0)
     inside = np.clip(4.0 * s * (1.0 - s), 0.0, 1.0) * np.minimum(1.0, 6.0 * height * (1.0 - height))
     aside = GAZE_MM * inside * (xy[..., 1] < 12.0)

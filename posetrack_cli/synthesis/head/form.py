@@ -8,6 +8,7 @@ moved is said in the average head's own x and y, as seen from in front.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -117,6 +118,21 @@ def along_and_above(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArra
     axis = (OUTER - INNER) / LENGTH
     dx, dy = np.abs(x) - INNER[0], y - INNER[1]
     return (dx * axis[0] + dy * axis[1]) / LENGTH, dy * axis[0] - dx * axis[1]
+
+
+class LidPlaces(NamedTuple):
+    """Where places lie at an eye, and the lids there.
+
+    Attributes:
+        s: (...) 0 at the inner corner, 1 at the outer.
+        above: (...) mm above the line between the corners.
+        top, bottom: (...) edges of the upper and the lower lid, likewise.
+    """
+
+    s: FloatArray
+    above: FloatArray
+    top: FloatArray
+    bottom: FloatArray
 
 
 def upper_edge(s: FloatArray, most: float) -> FloatArray:

@@ -20,8 +20,7 @@ from posetrack_cli.synthesis.head.expression_script import ExpressionScript, mak
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed
 from posetrack_cli.synthesis.head.illumination import Illumination, make_illumination
-from posetrack_cli.synthesis.head.movement import Movement, make_movement
-from posetrack_cli.synthesis.head.occluder import Occluder, make_occluder
+from posetrack_cli.synthesis.head.movement import Movement, Occluder, make_movement, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.person import Person, make_person
 from posetrack_cli.synthesis.head.scene import Scene
@@ -161,39 +160,35 @@ def synthesise(
 def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHeadFrame]:
     """Yield the frames of a plan; as ``synthesise``."""
     with device_or_default(device) as drawing:
-        yield from _frames(plan, drawing)
-
-
-def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHeadFrame]:
-    sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
-    size = (sensors[0].drawn.width, sensors[0].drawn.height)
-    origin, looks, times = plan.movement.origin, plan.identity.looks, plan.timeline.seconds
-    scene = Scene(device, plan.person, looks, plan.grid, size, origin, plan.scenery)
-    poses, twists = plan.movement.poses(times), plan.movement.twists(times)
-    strengths = plan.script.strengths(times)
-    try:
-        for index, seconds in enumerate(times.tolist()):
-            pose = HeadPose(poses[index, :3], poses[index, 3:])
-            occluder = None if plan.occluder is None else plan.occluder.place(seconds, pose.position)
-            scene.set(pose, strengths[index], occluder)
-            yield SyntheticHeadFrame(
-                index=index,
-                stamp_ns=int(plan.timeline.stamps_ns[index]),
-                images=_images(scene, sensors, plan, index),
-                pose=pose,
-                twist=twists[index],
-                strengths=strengths[index],
-                shape=plan.person.shape(strengths[index]),
-            )
-    finally:
-        scene.release()
+        sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
+        size = (sensors[0].drawn.width, sensors[0].drawn.height)
+        origin, looks, times = plan.movement.origin, plan.identity.looks, plan.timeline.seconds
+        scene = Scene(drawing, plan.person, looks, plan.grid, size, origin, plan.scenery)
+        poses, twists = plan.movement.poses(times), plan.movement.twists(times)
+        strengths = plan.script.strengths(times)
+        try:
+            for index, seconds in enumerate(times.tolist()):
+                pose = HeadPose(poses[index, :3], poses[index, 3:])
+                occluder = None if plan.occluder is None else plan.occluder.place(seconds, pose.position)
+                scene.set(pose, strengths[index], occluder)
+                yield SyntheticHeadFrame(
+                    index=index,
+                    stamp_ns=int(plan.timeline.stamps_ns[index]),
+                    images=_images(scene, sensors, plan, index),
+                    pose=pose,
+                    twist=twists[index],
+                    strengths=strengths[index],
+                    shape=plan.person.shape(strengths[index]),
+                )
+        finally:
+            scene.release()
 
 
 def _images(scene: Scene, sensors: list[Sensor], plan: Plan, index: int) -> tuple[ImageArray | None, ...]:
     lighting = plan.illumination.at(float(plan.timeline.seconds[index]))
     streams = [np.random.default_rng([plan.noise_seed, number, index]) for number in range(len(sensors))]
     return tuple(
-        None if dropped else sensor.image(scene.seen(sensor.drawn, lighting), rng)
+        None if dropped else sensor.image(scene.renderer.image(sensor.drawn, lighting), rng)
         for sensor, rng, dropped in zip(
             sensors, streams, plan.timeline.dropped[:, index].tolist(), strict=True
         )

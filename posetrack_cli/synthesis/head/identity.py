@@ -8,8 +8,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
-from posetrack_cli.synthesis.head.fields import smooth_step
-from posetrack_cli.synthesis.head.form import Relief
+from posetrack_cli.synthesis.head.form import LidPlaces, Relief, along_and_above, lower_edge, upper_edge
+from posetrack_cli.synthesis.head.smooth import smooth_step
 
 LIKENESS_MM = 35.0
 """[ours] Distance over which neighbouring points of a face deviate alike."""
@@ -59,6 +59,11 @@ class Looks:
     freckles: int = 60
     wrinkles: float = 0.5
     texture_seed: int = 0
+
+    def lids(self, x: FloatArray, y: FloatArray) -> LidPlaces:
+        """Return where places (...), mm, of the average head lie at the lids of this face."""
+        s, above = along_and_above(x, y)
+        return LidPlaces(s, above, upper_edge(s, self.upper_lid), lower_edge(s, self.lower_lid))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.rendering.port import Lighting
-from posetrack_cli.synthesis.head.curves import Sway, minimum_jerk, random_sway
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.smooth import Sway, minimum_jerk, random_sway
 
 LAMPS = 2
 STRENGTHS = np.array([0.52, 0.26])

@@ -8,9 +8,9 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.synthesis.head.canvas import Box, Canvas, blob, inside
-from posetrack_cli.synthesis.head.fields import layered_field, smooth_field
 from posetrack_cli.synthesis.head.form import MOUTH_Y
 from posetrack_cli.synthesis.head.identity import Looks
+from posetrack_cli.synthesis.head.smooth import layered_field, smooth_field
 
 FACE: Box = (-66.0, 66.0, -118.0, 75.0)
 GLOSS = 0.07

@@ -10,17 +10,15 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.canvas import Box, Canvas, blob, inside
-from posetrack_cli.synthesis.head.fields import smooth_field
 from posetrack_cli.synthesis.head.form import (
     LENGTH,
     MOUTH_X,
     MOUTH_Y,
-    along_and_above,
-    lower_edge,
-    upper_edge,
+    LidPlaces,
 )
 from posetrack_cli.synthesis.head.identity import Looks, hair_share
 from posetrack_cli.synthesis.head.paint_skin import paint_skin, shade_folds
+from posetrack_cli.synthesis.head.smooth import smooth_field
 
 EYES: tuple[Box, Box] = ((-54.0, -12.0, -14.0, 18.0), (12.0, 54.0, -14.0, 18.0))
 IRIS_MM, PUPIL_MM = 5.9, 2.1
@@ -60,9 +58,9 @@ def paint_eyes(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
     """Paint both eyes; the corners of their openings are the feature points."""
     rays = rng.standard_normal(24)
     for box in EYES:
-        canvas.change(box, lambda x, y, old: _lids(x, y, old, looks))
-        canvas.change(box, lambda x, y, old: _opening(x, y, old, looks, rays))
-        canvas.polish(box, 0.35, lambda x, y: _open(x, y, looks, 0.6))
+        canvas.change(box, lambda x, y, old: _lids(looks.lids(x, y), old, looks.wrinkles))
+        canvas.change(box, lambda x, y, old: _opening(looks.lids(x, y), old, looks, rays))
+        canvas.polish(box, 0.35, lambda x, y: _open(looks.lids(x, y), 0.6))
 
 
 def paint_brows(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
@@ -89,30 +87,27 @@ def _brow(x: FloatArray, y: FloatArray, strands: FloatArray, looks: Looks) -> Fl
     return opacity
 
 
-def _lids(x: FloatArray, y: FloatArray, old: Float32Array, looks: Looks) -> FloatArray:
+def _lids(at: LidPlaces, old: Float32Array, wrinkles: float) -> FloatArray:
     """The crease above the upper lid, and the shade of the lower."""
-    s, above = along_and_above(x, y)
-    top, bottom = upper_edge(s, looks.upper_lid), lower_edge(s, looks.lower_lid)
+    s, above, top, bottom = at
     ends = inside(s + 0.02, 0.12) * inside(1.10 - s, 0.2)
     crease = ends * np.exp(-0.5 * ((above - top - 3.4 + 1.0 * (2 * s - 1) ** 2) / 0.75) ** 2)
     bag = ends * np.exp(-0.5 * ((above - bottom + 3.0) / 0.9) ** 2)
-    return old * (1.0 - 0.42 * crease) * (1.0 - 0.12 * looks.wrinkles * bag)
+    return old * (1.0 - 0.42 * crease) * (1.0 - 0.12 * wrinkles * bag)
 
 
-def _open(x: FloatArray, y: FloatArray, looks: Looks, soft: float) -> FloatArray:
+def _open(at: LidPlaces, soft: float) -> FloatArray:
     """How far (...) places lie in the opening: 1 inside."""
-    s, above = along_and_above(x, y)
-    top, bottom = upper_edge(s, looks.upper_lid), lower_edge(s, looks.lower_lid)
+    s, above, top, bottom = at
     along = inside(s * LENGTH, soft) * inside((1.0 - s) * LENGTH, soft)
     opening: FloatArray = inside(top - above, soft) * inside(above - bottom, soft) * along
     return opening
 
 
-def _opening(x: FloatArray, y: FloatArray, old: Float32Array, looks: Looks, rays: FloatArray) -> FloatArray:
+def _opening(at: LidPlaces, old: Float32Array, looks: Looks, rays: FloatArray) -> FloatArray:
     """The eyeball in the opening, and the lashes around it."""
-    s, above = along_and_above(x, y)
-    top, bottom = upper_edge(s, looks.upper_lid), lower_edge(s, looks.lower_lid)
-    shown = _open(x, y, looks, 0.7)
+    s, above, top, bottom = at
+    shown = _open(at, 0.7)
     ball = _eyeball(s, above, looks, rays) * (1.0 - 0.5 * inside(above - top + 2.4, 3.6))
     ball *= 1.0 - 0.25 * inside(bottom + 1.0 - above, 1.6)
     ends = inside(s + 0.015, 0.05) * inside(1.025 - s, 0.05)

@@ -9,10 +9,10 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.expressions import belongs_below, displacements
-from posetrack_cli.synthesis.head.fields import Displacements, smooth_step
 from posetrack_cli.synthesis.head.form import MOUTH_X, MOUTH_Y, angle_of, forward, smooth_head
 from posetrack_cli.synthesis.head.identity import Identity, hair_share
 from posetrack_cli.synthesis.head.skin_grid import POCKET_MM, SkinGrid
+from posetrack_cli.synthesis.head.smooth import Displacements, smooth_step
 
 REACH_MM = 30.0
 EAR_MIDDLE = np.array([72.0, -16.0, -88.0])

@@ -6,17 +6,16 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.poses import in_camera
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
-from posetrack_cli.synthesis.head.fields import layered_field, smooth_field, smooth_step
+from posetrack_cli.rendering.port import RenderingDevice, Surface
 from posetrack_cli.synthesis.head.identity import Looks
 from posetrack_cli.synthesis.head.illumination import LAMPS
 from posetrack_cli.synthesis.head.movement import FACING
 from posetrack_cli.synthesis.head.painting import head_texture
 from posetrack_cli.synthesis.head.person import Person
 from posetrack_cli.synthesis.head.skin_grid import SkinGrid, grid_normals, grid_triangles
+from posetrack_cli.synthesis.head.smooth import layered_field, smooth_field, smooth_step
 
 NECK_FROM_Y, NECK_TO_Y = -116.0, -160.0
 """Between these heights the neck passes from the head's motion to the trunk's."""
@@ -42,7 +41,7 @@ WALL_MM, WALL_BEHIND_MM = (4200.0, 3200.0), 1100.0
 
 
 class Scene:
-    """Head, trunk, wall and an occluder, drawn as cameras see them.
+    """Head, trunk, wall and an occluder; ``renderer`` draws them as cameras without distortion see them.
 
     Args:
         device: draws it.
@@ -70,7 +69,7 @@ class Scene:
         skin = Surface(grid.triangles, grid.texcoords.reshape(-1, 2), head_texture(looks))
         others = (trunk_surface(cloth), wall_surface(wall))
         surfaces = [skin, ear, ear, *others, occluder_surface(board)]
-        self._renderer = device.surface_renderer(size, surfaces, LAMPS)
+        self.renderer = device.surface_renderer(size, surfaces, LAMPS)
         self._place(WALL, wall_vertices(float(origin[2])), facing=True)
 
     def set(self, pose: HeadPose, strengths: FloatArray, occluder: FloatArray | None) -> None:
@@ -85,18 +84,14 @@ class Scene:
         middle = away if occluder is None else occluder
         self._place(OCCLUDER, occluder_vertices() + middle, facing=True)
 
-    def seen(self, camera: Camera, lighting: Lighting) -> Float32Array:
-        """What a camera without distortion sees, (height, width)."""
-        return self._renderer.image(camera, lighting)
-
     def release(self) -> None:
         """Give the device's memory back."""
-        self._renderer.release()
+        self.renderer.release()
 
     def _place(self, index: int, vertices: FloatArray, *, facing: bool = False) -> None:
         to_camera = np.broadcast_to([0.0, 0.0, -1.0], vertices.shape)
         normals = to_camera if facing else grid_normals(vertices)
-        self._renderer.place(index, vertices.reshape(-1, 3), normals.reshape(-1, 3))
+        self.renderer.place(index, vertices.reshape(-1, 3), normals.reshape(-1, 3))
 
     def _trunk_pose(self, pose: HeadPose) -> HeadPose:
         turn = rotations.logarithm(rotations.multiply(pose.quaternion, rotations.conjugate(FACING)))

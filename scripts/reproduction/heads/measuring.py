@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.pose_errors import distances
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.geometry.poses import in_object
+from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face.points import MOUTH, NOSTRILS, POINT_COUNT
 from reproduction.heads.events import Events, events_of

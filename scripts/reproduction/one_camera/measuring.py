@@ -25,8 +25,7 @@ from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.pose_errors import distances, euler_errors_deg, rotation_errors_deg
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.poses import in_object
-from posetrack_cli.geometry.rigid_alignment import rigid_alignment
+from posetrack_cli.geometry.rigid import in_object, rigid_alignment
 
 WRONG_MM, WRONG_DEG = 60.0, 15.0
 """[ours] A pose that is off by more, scale apart, is no head that is tracked: about one and a half times the

@@ -17,7 +17,8 @@ from posetrack_cli.evaluation.comparing.paired import (
     paired,
     paired_blocks,
 )
-from support.evaluation import FRAME_NS, hand_evaluation
+from support.evaluation import hand_evaluation
+from support.tracks import FRAME_NS
 
 SECOND = 1_000_000_000
 RUN = {"tracker": "hand", "seed": "1", "input.sha256": "aa"}

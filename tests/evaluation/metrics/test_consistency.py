@@ -14,7 +14,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics, jitter
 from posetrack_cli.evaluation.track import Track
-from support.evaluation import hand_track
+from support.tracks import hand_track
 
 FRAME_NS = 33_333_333
 

@@ -14,7 +14,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.space import HandSpace
-from support.metrics import figures, measure, number, random_hand, random_head, relaxed
+from support.metrics import figures, measure, number, relaxed
+from support.tracks import random_hand, random_head
 
 STANDARD_ERRORS = 5.0
 """Tolerance in standard errors: one of two million calibrated filters would fail."""

@@ -19,7 +19,8 @@ from posetrack_cli.evaluation.metrics.hand_metrics import WITHIN_MM
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
-from support.metrics import NOTHING, figures, measure, moved, number, random_hand, relaxed
+from support.metrics import NOTHING, figures, measure, number, relaxed
+from support.tracks import moved, random_hand
 
 ROUNDING_MM = 1e-9
 """Positions of 1000 mm carry 1e-13 mm; a few dozen operations stay far below."""

@@ -16,7 +16,8 @@ from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from support.metrics import HEAD_POINTS, figures, measure, moved, random_head, relaxed
+from support.metrics import figures, measure, relaxed
+from support.tracks import HEAD_POINTS, moved, random_head
 
 SEEDS = st.integers(0, 2**32 - 1)
 

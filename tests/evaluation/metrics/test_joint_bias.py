@@ -10,7 +10,8 @@ import pytest
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import JOINT_NAMES
-from support.metrics import measure, number, random_hand
+from support.metrics import measure, number
+from support.tracks import random_hand
 
 ROUNDING_MM = 1e-9
 

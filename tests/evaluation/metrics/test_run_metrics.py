@@ -18,8 +18,8 @@ from posetrack_cli.evaluation.metrics.without_truth import (
     run_metrics,
 )
 from posetrack_cli.evaluation.track import Track
-from support.evaluation import hand_track
 from support.metrics import figures, number
+from support.tracks import hand_track
 
 RUN = {"configuration": json.dumps({"filter": {"particles": 512}})}
 

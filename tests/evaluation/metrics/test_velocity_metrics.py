@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from support.metrics import figures, measure, random_hand, random_head
+from support.metrics import figures, measure
+from support.tracks import random_hand, random_head
 
 VELOCITIES = ("velocity_error_mm_s", "angular_velocity_error_deg_s", "angle_velocity_error_deg_s")
 

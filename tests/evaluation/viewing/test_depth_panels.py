@@ -19,7 +19,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
-from support.evaluation import FRAME_NS, hand_track
+from support.tracks import FRAME_NS, hand_track
 from support.viewing import KINECT
 
 FRAMES = 4

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.viewing.frame_choice import APART_NS, chosen_rows, worst_rows
-from support.evaluation import FRAME_NS, hand_track
+from support.tracks import FRAME_NS, hand_track
 
 FRAMES = 120
 

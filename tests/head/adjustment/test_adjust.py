@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.adjust import adjust
-from posetrack_cli.head.adjustment.preparation import clipped, make_boxes
-from posetrack_cli.head.adjustment.solver.cost import cost
+from posetrack_cli.head.adjustment.adjuster import Adjuster, clipped
+from posetrack_cli.head.adjustment.solver.problem import cost
 from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
@@ -27,9 +26,7 @@ MANY = 1000
 
 
 def run(case, iterations=5, **how):
-    return adjust(
-        case.views, case.person, case.model, case.camera, case.settings, iterations=iterations, **how
-    )
+    return case.adjuster.adjust(case.views, case.person, iterations=iterations, **how)
 
 
 def case_of(seed, settings=None, count=5, noise=0.7, away=1.0, lens="no lens"):
@@ -53,7 +50,7 @@ def cost_at(case, views, person):
 
 def start_cost(case, wide=False):
     start = case.start
-    boxes = make_boxes(start, case.settings, case.model.identity_size, wide)
+    boxes = case.adjuster.boxes(start, wide)
     return cost(case.problem, clipped(start, boxes), case.everything)
 
 
@@ -67,7 +64,7 @@ def proportional(found, wanted):
 def test_recovers_the_person_from_noiseless_views(seed, lens):
     bundle = random_bundle(seed, 6, LENSES[lens])
     views, person = moved_away(bundle, seed)
-    found = adjust(views, person, bundle.model, bundle.camera, FREE, iterations=MANY, wide=True)
+    found = Adjuster(bundle.model, bundle.camera, FREE).adjust(views, person, iterations=MANY, wide=True)
     identity = proportional(found.person.identity, bundle.person.identity)
     assert np.abs(identity - bundle.person.identity).max() < 1e-6
     for one, true in zip(found.views, bundle.views, strict=True):
@@ -132,20 +129,18 @@ TIGHT = AdjustmentSettings(
     "seed, settings, lens",
     [
         (0, LINEAR, "no lens"),
-        (1, LINEAR, "no lens"),
         (1, AdjustmentSettings(), "no lens"),
-        (0, TIGHT, "no lens"),
         (1, TIGHT, "plumb bob"),
     ],
-    ids=["linear", "linear again", "huber", "tight", "tight with a lens"],
+    ids=["linear", "huber", "tight with a lens"],
 )
 def test_agrees_with_scipys_bounded_least_squares(seed, settings, lens):
-    case = case_of(seed, settings, count=3, lens=lens)
+    case = case_of(seed, settings, count=2, lens=lens)
     if settings is not LINEAR:
         case = with_outliers(case, np.random.default_rng(seed), 0.1, 10.0)
     found = run(case, MANY)
     start, part = case.start, case.everything
-    boxes = make_boxes(start, settings, case.model.identity_size, wide=False)
+    boxes = Adjuster(case.model, case.camera, settings).boxes(start, wide=False)
     lower = np.concatenate([boxes.local_lower.ravel(), boxes.shared_lower])
     upper = np.concatenate([boxes.local_upper.ravel(), boxes.shared_upper])
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.head.adjustment.solver.cost import cost
 from posetrack_cli.head.adjustment.solver.elimination import make_elimination
 from posetrack_cli.head.adjustment.solver.equations import make_equations
-from posetrack_cli.head.adjustment.solver.problem import Part
+from posetrack_cli.head.adjustment.solver.problem import Part, cost
 from support.adjustment_cases import QUADRATIC, ROBUST, case_of, dense, equations_at, somewhere
 from support.adjustment_reference import joined, numeric_jacobian, residual_vector, split, whitened_errors
 from support.bundles import LENSES

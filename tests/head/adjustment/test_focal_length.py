@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import ENDS, STEP, FocalCheck, fit_focal_length
 from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
@@ -27,7 +27,7 @@ def checked(seed, true_factor, count=30, noise=0.7, offset_mm=0.6):
         for view in views
     ]
     mean = PersonParameters(bundle.model.identity_mean, np.zeros((10, 3)))
-    return fit_focal_length(nearer, mean, bundle.model, CAMERA, SETTINGS)
+    return fit_focal_length(nearer, mean, Adjuster(bundle.model, CAMERA, SETTINGS))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -73,7 +73,7 @@ def test_a_farther_face_and_a_longer_lens_look_alike_without_perspective():
         )
         for v, pose, shape in zip(bundle.views, poses, shapes, strict=True)
     ]
-    found = fit_focal_length(views, bundle.person, bundle.model, far, SETTINGS)
+    found = fit_focal_length(views, bundle.person, Adjuster(bundle.model, far, SETTINGS))
     assert found.deviation > 0.5
     assert not found.is_clear
 
@@ -81,8 +81,9 @@ def test_a_farther_face_and_a_longer_lens_look_alike_without_perspective():
 def test_the_camera_s_own_focal_length_gains_nothing():
     assert not FocalCheck(1.0, 0.0, 0.1).is_clear
     bundle = random_bundle(7, 10)
-    best = adjust(bundle.views, bundle.person, bundle.model, CAMERA, SETTINGS, iterations=30, wide=True)
-    found = fit_focal_length(best.views, best.person, bundle.model, CAMERA, SETTINGS)
+    adjuster = Adjuster(bundle.model, CAMERA, SETTINGS)
+    best = adjuster.adjust(bundle.views, bundle.person, iterations=30, wide=True)
+    found = fit_focal_length(best.views, best.person, adjuster)
     assert 0.0 <= found.gain < 1.0
     assert not FocalCheck(0.6, 12.0, 5e-4).is_clear  # a dip no wider than a step is no curvature
     assert FocalCheck(1.6, 12.0, 0.1).is_clear

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import VIEWS, focal_length_check
 from posetrack_cli.head.adjustment.views import Album, PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
@@ -32,13 +33,14 @@ def seen(seed: int, factor: float, pages: int = VIEWS) -> tuple[KnownPerson, Fac
         for view in bundle.views
     ]
     mean = PersonParameters(bundle.model.identity_mean, np.zeros((10, 3)))
-    known = new_person(mean, random_templates(seed), bundle.model, SETTINGS)
+    known = new_person(mean, random_templates(seed), Adjuster(bundle.model, CAMERA, SETTINGS))
     album = Album({(index, 0): ((1.0, view),) for index, view in enumerate(views)})
     return replace(known, album=album), bundle.model
 
 
 def said(known: KnownPerson, model: FaceModel, camera: Camera = CAMERA, scale: float = 1.0, **settings):
-    return focal_length_check(known, model, camera, scale, SETTINGS.model_copy(update=settings))
+    adjuster = Adjuster(model, camera, SETTINGS.model_copy(update=settings))
+    return focal_length_check(known, adjuster, scale)
 
 
 def test_half_the_focal_length_is_told_in_recorded_pixels() -> None:

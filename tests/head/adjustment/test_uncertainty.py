@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_cases import dense, equations_at
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
@@ -32,7 +32,8 @@ def estimates(bundle):
         views = tuple(
             replace(view, pixels=view.pixels + NOISE_PX * rng.normal(size=(10, 2))) for view in bundle.views
         )
-        found.append(adjust(views, bundle.person, model, bundle.camera, SETTINGS, iterations=20, wide=True))
+        adjuster = Adjuster(model, bundle.camera, SETTINGS)
+        found.append(adjuster.adjust(views, bundle.person, iterations=20, wide=True))
     return np.array([one.person.identity / model.identity_deviations for one in found])
 
 
@@ -52,9 +53,8 @@ def covariances(case):
 
 def test_errors_scatter_as_the_noise_predicts():
     bundle = random_bundle(41, 6)
-    found = adjust(
-        bundle.views, bundle.person, bundle.model, bundle.camera, SETTINGS, iterations=200, wide=True
-    )
+    adjuster = Adjuster(bundle.model, bundle.camera, SETTINGS)
+    found = adjuster.adjust(bundle.views, bundle.person, iterations=200, wide=True)
     case = Case(found.views, found.person, bundle.model, bundle.camera, SETTINGS)
     over_noise, posterior = covariances(case)
     covariance = np.cov(estimates(bundle).T)
@@ -82,7 +82,7 @@ def test_deviations_hold_over_people_and_noise():
         views = tuple(
             replace(view, pixels=view.pixels + 0.7 * rng.normal(size=(10, 2))) for view in bundle.views
         )
-        found = adjust(views, bundle.person, model, CAMERA, wide_noise, iterations=20, wide=True)
+        found = Adjuster(model, CAMERA, wide_noise).adjust(views, bundle.person, iterations=20, wide=True)
         errors.append((found.person.identity - bundle.person.identity) / found.identity_deviations)
     mean_square = np.mean(np.square(errors))
     # The ten errors of a person are correlated: as if they were three. The noise bends the equations by some
@@ -92,10 +92,9 @@ def test_deviations_hold_over_people_and_noise():
 
 def test_more_views_tell_more():
     bundle = random_bundle(43, 20)
+    adjuster = Adjuster(bundle.model, CAMERA, SETTINGS)
     deviations = [
-        adjust(
-            bundle.views[:n], bundle.person, bundle.model, CAMERA, SETTINGS, iterations=5, wide=True
-        ).identity_deviations
+        adjuster.adjust(bundle.views[:n], bundle.person, iterations=5, wide=True).identity_deviations
         for n in (2, 5, 20)
     ]
     assert np.all(deviations[0] > deviations[1]) and np.all(deviations[1] > deviations[2])

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.head.detection.finders import NO_EYES
 from posetrack_cli.head.detection.fit import PRIOR_MEAN, fit_face, projected, relief_of
-from posetrack_cli.head.detection.patch import HEIGHT, PIXELS_PER_MM, WIDTH
+from posetrack_cli.head.detection.responses import HEIGHT, PIXELS_PER_MM, WIDTH
 from posetrack_cli.head.face.points import FEATURES, FITTED
 
 IN_CAMERA = np.diag([1.0, -1.0, -1.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.head.detection.patch import MIDDLE, PIXELS_PER_MM, cut_patch
+from posetrack_cli.head.detection.responses import MIDDLE, PIXELS_PER_MM, cut_patch
 
 
 def spot(x: float, y: float) -> np.ndarray:

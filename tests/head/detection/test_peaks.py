@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.head.detection.peaks import find_peak
+from posetrack_cli.head.detection.points import find_peak
 
 
 def bump(x: float, y: float, height: float = 1.0) -> np.ndarray:

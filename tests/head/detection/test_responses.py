@@ -5,8 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from posetrack_cli.head.detection.patch import HEIGHT, WIDTH
-from posetrack_cli.head.detection.responses import arc, bar, disc, response_maps, wedge
+from posetrack_cli.head.detection.responses import HEIGHT, WIDTH, arc, bar, disc, response_maps, wedge
 from posetrack_cli.head.face.points import MIRRORED, POINT_COUNT
 
 SKIN, DARK = 170.0, 60.0

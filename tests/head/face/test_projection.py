@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.face.points import MEAN_SHAPE
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import project
 from support.textured_face import FACING, turned_camera
 
 LENSES = {

@@ -9,7 +9,8 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.face.points import POINT_NAMES
-from posetrack_cli.head.initialisation.clicked import clicked_camera, read_clicked
+from posetrack_cli.head.initialisation.clicked import read_clicked
+from posetrack_cli.head.initialisation.stereo import clicked_camera
 from support.rig import LEFT, right_camera
 
 CAMERAS = (LEFT, right_camera(0.17))

@@ -7,25 +7,35 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import MonoInitialisationSettings
+from posetrack_cli.head.adjustment.adjuster import Adjuster
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.points import EYES
-from posetrack_cli.head.initialisation.detected_face import clicked_face, detect_face
+from posetrack_cli.head.face.points import EYES, FEATURES
+from posetrack_cli.head.initialisation.mono import LEFT, RIGHT, MonoInitialiser, face_at, slope_deviation
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
+from posetrack_cli.head.multilinear.face_model import load_face_model
+from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.head.frames import synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.sensor import make_cameras
-from support.initialisation_scenes import BLANK, PLAIN, Says, found, head
+from support.initialisation_scenes import BENT, BLANK, PLAIN, Says, found, head, pixels_of
 
-SETTINGS = MonoInitialisationSettings()
+CONFIG = HeadMonoConfig()
 NEAR, FAR = head(x=-150.0), head(yaw=10.0, x=200.0, z=1000.0)
 
 
+def initialiser(camera, detector, choice=0):
+    adjuster = Adjuster(load_face_model(), camera, CONFIG.adjustment)
+    return MonoInitialiser(CONFIG, adjuster, detector, choice)
+
+
 def detect(faces, choice=0, near=None):
-    return detect_face(BLANK, 7, PLAIN, Says(faces), SETTINGS, choice, near)
+    return initialiser(PLAIN, Says(faces), choice).detect(Frame(0, 7, (BLANK,)), near)
 
 
 def test_a_face_is_told_with_its_pose_and_size():
@@ -73,7 +83,7 @@ def test_points_that_are_not_symmetric_are_refused():
 
 
 def test_clicked_points_are_believed():
-    face = clicked_face(found(NEAR).pixels, 5, PLAIN)
+    face = face_at(found(NEAR).pixels, 5, PLAIN)
     assert face.score == 1.0
     np.testing.assert_allclose(NEAR.difference(face.pose), 0.0, atol=1e-4)
 
@@ -81,7 +91,8 @@ def test_clicked_points_are_believed():
 def test_a_drawn_head_is_found(device: RenderingDevice) -> None:
     options = HeadSynthOptions(frames=1, identity=1, seed=1, cameras=1)
     frame = next(iter(synthesise(options, device=device)))
-    face = detect_face(frame.images[0], frame.stamp_ns, make_cameras(options)[0], FaceDetector(), SETTINGS)
+    made = Frame(0, frame.stamp_ns, (frame.images[0],))
+    face = initialiser(make_cameras(options)[0], FaceDetector()).detect(made)
     assert not isinstance(face, InitFailure)
     assert np.linalg.norm(frame.pose.position - face.pose.position) < 60.0  # a mean face's size tells depth
     pitch, yaw, roll = np.rad2deg(np.abs(frame.pose.difference(face.pose)[3:]))
@@ -105,11 +116,66 @@ def two_people(folder: Path) -> np.ndarray:
 def test_of_two_people_the_nearer_or_the_other_is_found(measured_data: Path) -> None:
     image = two_people(measured_data)
     camera = Camera(image.shape[1], 480, 1000.0, 1000.0, 320.0, 240.0)
-    detector = FaceDetector()
-    first, second = (detect_face(image, 0, camera, detector, SETTINGS, choice) for choice in (0, 1))
+    detector, frame = FaceDetector(), Frame(0, 0, (image,))
+    first, second = (initialiser(camera, detector, choice).detect(frame) for choice in (0, 1))
     assert not isinstance(first, InitFailure)
     assert not isinstance(second, InitFailure)
     assert first.pixels[EYES, 0].max() < 640 < second.pixels[EYES, 0].min()
-    again = detect_face(image, 0, camera, detector, SETTINGS, near=second.pixels + 3.0)
+    again = initialiser(camera, detector).detect(frame, near=second.pixels + 3.0)
     assert not isinstance(again, InitFailure)
     np.testing.assert_array_equal(again.pixels, second.pixels)
+
+
+# Slopes of the segments between left and right points: what changes them and what does not
+
+
+turns = st.floats(-35.0, 35.0)
+
+
+@given(turns, turns, turns)
+def test_no_turn_of_a_symmetric_face_changes_slopes_but_by_perspective(roll, pitch, yaw):
+    """From 50 m away perspective is 1 / 70 of what it is from 0.7 m."""
+    pixels = 70.0 * pixels_of(head(roll, pitch, yaw, z=50_000.0))
+    assert np.rad2deg(slope_deviation(pixels, PLAIN)) < 0.1
+
+
+@given(turns)
+def test_roll_alone_changes_nothing_at_all(roll):
+    assert slope_deviation(pixels_of(head(roll)), PLAIN) < 1e-9
+
+
+def test_perspective_turns_them_less_than_a_detection_may():
+    """At 70 cm, 30 degrees aside and 20 down; the threshold is 4 degrees."""
+    pixels = pixels_of(head(0.0, 20.0, 30.0))
+    assert np.rad2deg(slope_deviation(pixels, PLAIN)) < 2.5
+
+
+@given(st.sampled_from(range(10)), st.floats(-20.0, 20.0).filter(lambda shift: abs(shift) > 1.0))
+def test_a_point_that_is_shifted_up_or_down_raises_it(point, shift):
+    pixels = pixels_of(head())
+    pixels[point, 1] += shift
+    assert slope_deviation(pixels, PLAIN) > np.deg2rad(0.2)
+
+
+def test_it_is_a_weighted_standard_deviation_of_slopes():
+    """Small slopes by hand: dy / dx of each segment, weights their lengths squared."""
+    pixels = pixels_of(head())
+    rises = np.array([1.0, -0.5, 0.3, 0.2, -0.4])
+    pixels[list(LEFT), 1] += rises
+    runs = (pixels[list(LEFT)] - pixels[list(RIGHT)])[:, 0]
+    weights = runs**2 / np.sum(runs**2)
+    slopes = rises / runs
+    expected = np.sqrt(np.sum(weights * (slopes - np.sum(weights * slopes)) ** 2))
+    assert slope_deviation(pixels, PLAIN) == pytest.approx(expected, rel=1e-2)  # angles for tangents
+
+
+def test_the_lens_that_bends_segments_is_taken_off():
+    pixels = pixels_of(head(x=180.0, y=120.0), BENT)
+    assert slope_deviation(pixels, BENT) < 1e-6
+    assert slope_deviation(pixels, PLAIN) > np.deg2rad(0.3)
+
+
+def test_every_point_is_left_or_right_of_another():
+    assert sorted(LEFT + RIGHT) == list(range(10))
+    assert np.all(FEATURES[list(LEFT), 0] > 0.0)  # x is to the subject's left
+    np.testing.assert_allclose(FEATURES[list(RIGHT), 1:], FEATURES[list(LEFT), 1:])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import StereoInitialisationSettings
+from posetrack_cli.head.face.rig_images import CameraImage
 from posetrack_cli.head.initialisation.matching import match_points
-from posetrack_cli.head.initialisation.views import CameraImage
 from support.rig import LEFT, right_camera
 
 DEPTH = 700.0

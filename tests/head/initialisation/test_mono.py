@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.initialisation.clicked import read_clicked
-from posetrack_cli.head.initialisation.detected_face import clicked_face
-from posetrack_cli.head.initialisation.mono import MonoInitialisation, initialise
+from posetrack_cli.head.initialisation.mono import MonoInitialisation, MonoInitialiser, face_at
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from support.initialisation_scenes import BENT, PLAIN, head, pixels_of
+from support.initialisation_scenes import BENT, PLAIN, Says, head, pixels_of
 
 MODEL = load_face_model(None)
 MEAN = MODEL.of_person(MODEL.identity_mean).mean
@@ -25,9 +25,13 @@ HEADS = [head(2.0 * i, 4.0 * i - 8.0, 15.0 - 6.0 * i, 10.0 * i, -5.0 * i, 650.0 
 def detected(shape=MEAN, camera=PLAIN, heads=HEADS, noise=0.0):
     rng = np.random.default_rng(0)
     return [
-        clicked_face(pixels_of(one, camera, shape) + noise * rng.standard_normal((10, 2)), i, camera)
+        face_at(pixels_of(one, camera, shape) + noise * rng.standard_normal((10, 2)), i, camera)
         for i, one in enumerate(heads)
     ]
+
+
+def initialise(faces, camera, model, config):
+    return MonoInitialiser(config, Adjuster(model, camera, config.adjustment), Says(())).initialise(faces)
 
 
 def errors(start, heads=HEADS):
@@ -96,7 +100,7 @@ def reason(faces, config=CONFIG):
 def test_points_in_disorder_are_no_face():
     """Constant offsets could explain them; an average face cannot."""
     order = np.random.default_rng(1).permutation(10)
-    faces = [clicked_face(pixels_of(one)[order], i, PLAIN) for i, one in enumerate(HEADS)]
+    faces = [face_at(pixels_of(one)[order], i, PLAIN) for i, one in enumerate(HEADS)]
     assert "eye distances from a face's" in reason(faces) or "looks away" in reason(faces)
 
 
@@ -109,7 +113,7 @@ def test_an_adjusted_face_off_its_points_is_none():
 def test_left_exchanged_with_right_looks_away():
     """As from a person who clicks the left of the image first: the face would be seen through its back."""
     exchanged = [3, 2, 1, 0, 5, 4, 7, 6, 9, 8]
-    faces = [clicked_face(pixels_of(one)[exchanged], i, PLAIN) for i, one in enumerate(HEADS)]
+    faces = [face_at(pixels_of(one)[exchanged], i, PLAIN) for i, one in enumerate(HEADS)]
     assert "looks away" in reason(faces) or "eye distances" in reason(faces)
 
 
@@ -121,7 +125,7 @@ def test_a_face_too_far_to_be_one_is_none():
 @pytest.mark.parametrize("squeezed", [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1e-9, 1e-9]])
 def test_points_in_one_place_or_on_a_line_are_no_face(squeezed):
     pixels = np.array([320.0, 240.0]) + squeezed * (pixels_of(head()) - [320.0, 240.0])
-    assert reason([clicked_face(pixels, 0, PLAIN)])
+    assert reason([face_at(pixels, 0, PLAIN)])
 
 
 def test_one_clicked_frame_begins_a_head(tmp_path: Path):
@@ -135,6 +139,6 @@ def test_one_clicked_frame_begins_a_head(tmp_path: Path):
     file = tmp_path / "clicked.csv"
     file.write_text("\n".join(["camera,point,x,y", *rows]))
     (pixels,) = read_clicked(file, [PLAIN])
-    start = initialise([clicked_face(pixels, 0, PLAIN)], PLAIN, MODEL, CONFIG)
+    start = initialise([face_at(pixels, 0, PLAIN)], PLAIN, MODEL, CONFIG)
     assert isinstance(start, MonoInitialisation)
     np.testing.assert_allclose(errors(start, [truth]), 0.0, atol=0.02)

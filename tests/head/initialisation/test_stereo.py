@@ -11,24 +11,22 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
-from posetrack_cli.head.initialisation.clicked import head_from_clicked
+from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
-from posetrack_cli.head.initialisation.stereo import StereoInitialisation, find_head, head_from_pixels
-from posetrack_cli.head.initialisation.views import camera_images
+from posetrack_cli.head.initialisation.stereo import StereoAttempt, StereoInitialisation, pose_and_shape
 from support.rig import LEFT, face_pixels, right_camera, turned_head
 
 CAMERAS = (LEFT, right_camera(0.17))
 BLANK = np.zeros((480, 640), np.uint8)
-VIEWS = camera_images((BLANK, BLANK), CAMERAS)
+ATTEMPT = StereoAttempt(RigImages(CAMERAS, (BLANK, BLANK)))
 SURE = np.ones(10)
 
 
 def started(pixels: np.ndarray, correlations: np.ndarray = SURE) -> StereoInitialisation | InitFailure:
-    return head_from_pixels(VIEWS, 0, pixels, correlations, StereoInitialisationSettings())
+    return ATTEMPT.from_pixels(0, pixels, correlations)
 
 
 def test_known_pixels_give_pose_shape_and_pixels() -> None:
@@ -90,13 +88,13 @@ def test_weak_perspective_recovers_scale_and_rotation() -> None:
 
 
 def test_fewer_than_two_images_are_no_start() -> None:
-    failure = find_head((BLANK, None), CAMERAS, FaceDetector())
+    failure = StereoAttempt(RigImages(CAMERAS, (BLANK, None))).find(FaceDetector())
     assert isinstance(failure, InitFailure)
     assert failure.reason == "images of fewer than two cameras"
 
 
 def test_a_blank_image_has_no_face() -> None:
-    assert find_head((BLANK, BLANK), CAMERAS, FaceDetector()) == InitFailure("no face", 0.0)
+    assert ATTEMPT.find(FaceDetector()) == InitFailure("no face", 0.0)
 
 
 class Person:
@@ -130,7 +128,7 @@ def person(request: pytest.FixtureRequest, measured_data: Path) -> Person:
 def test_people_are_found_where_they_are(person: Person) -> None:
     errors = []
     for index in range(0, len(person.truth), 50):
-        start = find_head(person.images(index), person.cameras, FaceDetector())
+        start = StereoAttempt(RigImages(person.cameras, person.images(index))).find(FaceDetector())
         assert isinstance(start, StereoInitialisation)
         errors.append(start.pose.position - person.truth[index, 1:4])
     # The feature's mean of the eye corners is a few mm off the vertices'; single corners err by up to 20 mm.
@@ -140,7 +138,8 @@ def test_people_are_found_where_they_are(person: Person) -> None:
 
 def test_exchanged_images_of_people_are_noticed(person: Person) -> None:
     failures = [
-        find_head(person.images(index)[::-1], person.cameras, FaceDetector()) for index in (0, 20, 40)
+        StereoAttempt(RigImages(person.cameras, person.images(index)[::-1])).find(FaceDetector())
+        for index in (0, 20, 40)
     ]
     orders = [one.order for one in failures if isinstance(one, InitFailure)]
     assert orders == [(1, 0)] * 3
@@ -151,8 +150,32 @@ def test_clicked_points_start_where_found_ones_do(person: Person) -> None:
     (face,) = FaceDetector().detect(images[0]).faces
     clicked = np.full((2, 10, 2), np.nan)
     clicked[0] = face.pixels
-    by_click = head_from_clicked(images, person.cameras, clicked)
-    found = find_head(images, person.cameras, FaceDetector())
+    by_click = StereoAttempt(RigImages(person.cameras, images)).from_clicked(clicked)
+    found = StereoAttempt(RigImages(person.cameras, images)).find(FaceDetector())
     assert isinstance(by_click, StereoInitialisation)
     assert isinstance(found, StereoInitialisation)
     assert np.linalg.norm(found.pose.position - by_click.pose.position) < 3.0
+
+
+# The head's frame from its points
+
+
+def test_an_average_faces_pose_is_found_exactly() -> None:
+    truth = turned_head(0.3, -0.2)
+    pose, shape = pose_and_shape(truth.points(FEATURES))
+    np.testing.assert_allclose(truth.difference(pose), 0.0, atol=1e-9)
+    np.testing.assert_allclose(shape, FEATURES, atol=1e-9)
+
+
+def test_pose_and_shape_give_the_points_back() -> None:
+    points = turned_head().points(FEATURES) + np.random.default_rng(3).normal(0.0, 4.0, FEATURES.shape)
+    pose, shape = pose_and_shape(points)
+    np.testing.assert_allclose(pose.points(shape), points, atol=1e-9)
+    np.testing.assert_allclose(shape[:4].mean(axis=0), 0.0, atol=1e-9)
+
+
+def test_a_larger_head_has_the_same_pose() -> None:
+    truth = turned_head()
+    pose, shape = pose_and_shape(truth.points(1.2 * FEATURES))
+    np.testing.assert_allclose(truth.difference(pose), 0.0, atol=1e-9)
+    np.testing.assert_allclose(shape, 1.2 * FEATURES, atol=1e-9)

@@ -9,8 +9,14 @@ import pytest
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.head.face.points import EYES, POINT_NAMES
-from posetrack_cli.head.multilinear.learning import RATES, examples_of, learn_model, neutral_of
-from posetrack_cli.head.multilinear.observed_face import ObservedFace, read_face
+from posetrack_cli.head.multilinear.learning import (
+    RATES,
+    ObservedFace,
+    examples_of,
+    learn_model,
+    neutral_of,
+    read_face,
+)
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from support.face_people import CAMERA, LONG, NARROW, SHORT, WIDE, people, performance, write_stereo_result

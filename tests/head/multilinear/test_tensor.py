@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tensorly.decomposition import partial_tucker, tucker
 
-from posetrack_cli.head.multilinear.tensor import (
+from posetrack_cli.head.multilinear.build import (
     hooi,
     mode_product,
     singular_values,

@@ -9,14 +9,15 @@ import pytest
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.shape_model import rigid_model
-from posetrack_cli.head.particles import score_maps
+from posetrack_cli.head.face.pose import rigid_model
+from posetrack_cli.head.particles import scores as score_maps
 from posetrack_cli.head.particles.filter import HeadFilter
-from posetrack_cli.head.particles.motion import FRAME_S, predicted_pose, velocity_between
+from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, velocity_between
 from posetrack_cli.head.particles.scores import ParticleScores
 from support.particle_scenes import FACING, cameras, model, observation, pixels
 
 AT_REST = np.zeros(6)
+SETTINGS = ParticleSettings()
 COEFFICIENTS = np.array([4.0, -2.0])
 TOLERANCE = 1e-4
 """Of a correlation, as in test_score_maps."""
@@ -41,7 +42,7 @@ def started(settings, face, pose=FACING, seed=0):
 
 def scores(used, seen, particles, deviations):
     asked = ParticleScores(used, between=False)
-    asked.observe(seen, particles.pose, particles.coefficients, particles.model)
+    asked.observe(seen, particles)
     return asked.missing(deviations)
 
 
@@ -85,10 +86,10 @@ def test_a_map_that_is_too_small_for_the_second_weighing_is_made_anew():
     used, _, particles = started(ParticleSettings(count=100), face)
     seen = observation(FACING, face.mean, used)
     asked = ParticleScores(used, between=True)
-    asked.observe(seen, particles.pose, particles.coefficients, face)
+    asked.observe(seen, particles)
     asked.missing(0.1 * particles.deviations)
     after_narrow = asked.missing(5.0 * particles.deviations)
-    asked.observe(seen, particles.pose, particles.coefficients, face)
+    asked.observe(seen, particles)
     assert after_narrow == pytest.approx(asked.missing(5.0 * particles.deviations), abs=20 * TOLERANCE)
 
 
@@ -101,7 +102,7 @@ def test_weights_are_as_printed_or_of_patches_with_noise(weighting):
     )
     used, head, particles = started(settings, face)
     seen = observation(FACING, face.mean, used)
-    filtered = head.step(particles, FACING, AT_REST, FRAME_S, seen, face, np.random.default_rng(1))
+    filtered = head.step(particles, HeadMotion(AT_REST, FRAME_S, SETTINGS), seen, np.random.default_rng(1))
     after = filtered.particles
     missing = scores(used, seen, after, after.deviations)
     a = after.coefficients + after.deviations[:, 6:]
@@ -127,8 +128,7 @@ def test_follows_a_head_that_moves_and_deforms(sampling, size):
         pose = pose.moved(velocity * FRAME_S)
         truth = 0.7 * truth + 0.3 * COEFFICIENTS[:size]
         seen = observation(pose, face.shapes(truth), used)
-        predicted = predicted_pose(found, found_velocity, FRAME_S, settings)
-        filtered = head.step(particles, predicted, found_velocity, FRAME_S, seen, face, rng)
+        filtered = head.step(particles, HeadMotion(found_velocity, FRAME_S, settings), seen, rng)
         found_velocity = velocity_between(found, filtered.pose, FRAME_S)
         found, particles = filtered.pose, filtered.particles
     error = pose.difference(found)
@@ -143,10 +143,10 @@ def test_a_camera_that_drops_out_is_done_without():
     used, head, particles = started(ParticleSettings(), face)
     seen = observation(FACING, face.mean, used)
     alone = replace(seen, images=[seen.images[0], None])
-    filtered = head.step(particles, FACING, AT_REST, FRAME_S, alone, face, rng)
+    filtered = head.step(particles, HeadMotion(AT_REST, FRAME_S, SETTINGS), alone, rng)
     assert np.all(np.abs(FACING.difference(filtered.pose)[:2]) < 0.7)
     nothing = replace(seen, images=[None, None])
-    blind = head.step(filtered.particles, filtered.pose, AT_REST, FRAME_S, nothing, face, rng)
+    blind = head.step(filtered.particles, HeadMotion(AT_REST, FRAME_S, SETTINGS), nothing, rng)
     assert blind.effective_sample_size == pytest.approx(1000.0)
 
 
@@ -156,7 +156,7 @@ def test_the_same_seed_gives_the_same_particles():
         used, head, particles = started(ParticleSettings(count=100), face)
         seen, rng = observation(FACING, face.mean, used), np.random.default_rng(9)
         for _ in range(2):
-            filtered = head.step(particles, FACING, AT_REST, FRAME_S, seen, face, rng)
+            filtered = head.step(particles, HeadMotion(AT_REST, FRAME_S, SETTINGS), seen, rng)
             particles = filtered.particles
         results.append(particles.deviations.tolist())
     assert results[0] == results[1]
@@ -172,7 +172,7 @@ def test_templates_are_laid_at_as_many_places_for_more_particles(monkeypatch):
         used, head, particles = started(ParticleSettings(count=count), face)
         seen = observation(FACING, face.mean, used)
         calls.clear()
-        head.step(particles, FACING, AT_REST, FRAME_S, seen, face, np.random.default_rng(0))
+        head.step(particles, HeadMotion(AT_REST, FRAME_S, SETTINGS), seen, np.random.default_rng(0))
         assert 20 <= len(calls) <= 40
 
 
@@ -235,4 +235,4 @@ def test_time_must_move_on():
     used, head, particles = started(ParticleSettings(count=10), face)
     seen = observation(FACING, face.mean, used)
     with pytest.raises(FilterError):
-        head.step(particles, FACING, AT_REST, 0.0, seen, face, np.random.default_rng(0))
+        head.step(particles, HeadMotion(AT_REST, 0.0, SETTINGS), seen, np.random.default_rng(0))

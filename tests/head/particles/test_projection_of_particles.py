@@ -9,6 +9,7 @@ import pytest
 from posetrack_cli.geometry.projection import in_camera_axes
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.particles.kernels import BEHIND, recentre
+from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.particles.scores import ParticleProjection
 from support.particle_scenes import FACING, LENS, cameras, model
 
@@ -16,6 +17,11 @@ COEFFICIENTS = np.array([3.0, -2.0])
 SPREAD = np.array([20.0, 20.0, 40.0, 0.3, 0.3, 0.3, 5.0, 3.0])
 PIXEL_TOLERANCE = 2e-3
 """float32 has 3e-5 px at 600 px; 30 operations, and a lens, on the way."""
+
+
+def about(coefficients, face):
+    """A particle at FACING with a deformation."""
+    return HeadParticles(FACING, coefficients, np.zeros((1, 6 + len(coefficients))), np.ones(1), face)
 
 
 def deviations(count=50, seed=1, spread=SPREAD):
@@ -29,7 +35,7 @@ def deviations(count=50, seed=1, spread=SPREAD):
 def test_pixels_agree_with_opencv(distortion, lens):
     used, face = cameras(distortion, lens), model()
     projection = ParticleProjection(used)
-    projection.set_reference(FACING, COEFFICIENTS, face)
+    projection.set_reference(about(COEFFICIENTS, face))
     moved = deviations()
     projection.set_particles(moved)
     for c, camera in enumerate(used):
@@ -48,7 +54,7 @@ def test_other_numbers_of_particles_and_coefficients_follow_each_other():
     projection, (camera, _) = ParticleProjection(cameras()), cameras()
     for size, count in ((0, 5), (2, 7), (2, 3), (1, 3)):
         face = model(size)
-        projection.set_reference(FACING, np.zeros(size), face)
+        projection.set_reference(about(np.zeros(size), face))
         projection.set_particles(np.zeros((count, 6 + size)))
         u, v = projection.pixels(0)
         expected, _ = camera.pixels_from_points(in_camera_axes(camera, FACING.points(face.mean)))
@@ -58,7 +64,7 @@ def test_other_numbers_of_particles_and_coefficients_follow_each_other():
 
 def test_points_behind_a_camera_are_on_no_image():
     projection = ParticleProjection(cameras())
-    projection.set_reference(FACING, np.zeros(0), model(0))
+    projection.set_reference(about(np.zeros(0), model(0)))
     projection.set_particles(np.array([[0.0, 0.0, -2000.0, 0.0, 0.0, 0.0]]))
     u, v = projection.pixels(0)
     assert np.all(u == BEHIND) and np.all(v == BEHIND)

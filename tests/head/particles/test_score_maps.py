@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.head.face.patches import PATCH
 from posetrack_cli.head.particles.kernels import BEHIND, add_scores
-from posetrack_cli.head.particles.score_maps import HALF, Box, boxes_around, score_map
+from posetrack_cli.head.particles.scores import HALF, Box, boxes_around, score_map
 
 WIDTH, HEIGHT = 96, 72
 TOLERANCE = 1e-4
@@ -39,7 +39,7 @@ def looked_up(image, patch, box, u, v, between, weight=1.0):
 
 
 def box_of(u, v):
-    return boxes_around(np.float32([u]), np.float32([v]), WIDTH, HEIGHT)[0]
+    return boxes_around(np.float32([u]), np.float32([v]), (HEIGHT, WIDTH))[0]
 
 
 def particles(count=300, seed=2):
@@ -132,7 +132,7 @@ def test_the_box_holds_every_particle_that_is_on_the_image(places):
 
 def test_a_large_box_is_cut_about_its_middle():
     u, v = np.float32([[20.0, 70.0]]), np.float32([[20.0, 22.0]])
-    (box,) = boxes_around(u, v, WIDTH, HEIGHT, largest=11)
+    (box,) = boxes_around(u, v, (HEIGHT, WIDTH), largest=11)
     assert box.right - box.left + 1 == 11
     assert abs((box.left + box.right) / 2.0 + HALF - 45.0) <= 1.0
     assert (box.top, box.bottom) == (12, 15)
@@ -140,6 +140,6 @@ def test_a_large_box_is_cut_about_its_middle():
 
 def test_boxes_grow_within_the_image_and_know_what_they_hold():
     box = Box(1, 10, 20, HEIGHT - PATCH)
-    grown = box.grown(2, WIDTH, HEIGHT)
+    grown = box.grown(2, (HEIGHT, WIDTH))
     assert grown == Box(0, 8, 22, HEIGHT - PATCH)
     assert grown.holds(box) and not box.holds(grown) and box.holds(box)

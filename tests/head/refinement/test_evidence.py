@@ -7,6 +7,7 @@ import pytest
 
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
+from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import (
     comparison_weight,
@@ -15,7 +16,7 @@ from posetrack_cli.head.refinement.evidence import (
     make_workspace,
     project_point,
 )
-from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}
@@ -27,9 +28,10 @@ HARDLY = 1e-12
 def scene_of(**weights):
     cameras = stereo()
     images = textured_face().render(cameras, FACING, SHAPE)
-    templates = take_templates(images, cameras, FACING, SHAPE)
+    seen = RigImages(cameras, images)
+    templates = take_templates(seen, FACING, SHAPE)
     settings = RefinementSettings(**{"patch_sd": 1.0, **ONLY, **weights})
-    return make_scene(images, cameras, [templates], templates, FACING, SHAPE, settings)[0]
+    return ComparedFrame(seen, [templates], templates, settings).scene(FACING, SHAPE)[0]
 
 
 def evidence_at(scene, k, X):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.face.shape_model import ShapeModel, rigid_model
+from posetrack_cli.head.face.pose import ShapeModel, rigid_model
+from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.joint import (
@@ -22,7 +23,7 @@ from posetrack_cli.head.refinement.joint import (
     tail_precision,
 )
 from posetrack_cli.head.refinement.refine import point_values, refine
-from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 MOTION = np.array([1.5, -1.0, 3.0, 0.015, -0.02, 0.01])
@@ -46,12 +47,13 @@ def deforming(seed=5):
 
 def moved_and_refined(cameras, model, coefficients, shape=None, settings=STEPS, hide=(), **light):
     face = textured_face()
-    templates = take_templates(face.render(cameras, FACING, SHAPE), cameras, FACING, SHAPE)
+    templates = take_templates(RigImages(cameras, face.render(cameras, FACING, SHAPE)), FACING, SHAPE)
     pose = FACING.moved(MOTION)
     images = face.render(cameras, pose, model.shapes(coefficients) if shape is None else shape, **light)
     images = [None if c in hide else image for c, image in enumerate(images)]
     start = np.zeros(model.size)
-    return pose, refine(images, cameras, [templates], None, model, FACING, start, settings)
+    frame = ComparedFrame(RigImages(cameras, images), [templates], None, settings)
+    return pose, refine(frame, model, FACING, start)
 
 
 def assert_pose(found, wanted, factor=1.0):
@@ -111,9 +113,10 @@ def test_without_joint_the_pose_stays_and_its_look_is_told():
 def test_images_that_show_nothing_leave_everything_where_it_was():
     cameras = stereo()
     images = textured_face().render(cameras, FACING, SHAPE)
-    templates = take_templates(images, cameras, FACING, SHAPE)
+    templates = take_templates(RigImages(cameras, images), FACING, SHAPE)
     blank = [np.full_like(image, 90) for image in images]
-    refined = refine(blank, cameras, [templates], None, deforming(), FACING, np.zeros(2), STEPS)
+    frame = ComparedFrame(RigImages(cameras, blank), [templates], None, STEPS)
+    refined = refine(frame, deforming(), FACING, np.zeros(2))
     np.testing.assert_allclose(refined.pose.position, FACING.position)
     np.testing.assert_array_equal(refined.coefficients, 0.0)
     assert np.all(np.isnan(refined.correlations))
@@ -128,9 +131,10 @@ def problem():
     """A face somewhere near, with coefficients and residuals that are not zero."""
     cameras, model = stereo(), deforming()
     images = textured_face().render(cameras, FACING, SHAPE)
-    templates = take_templates(images, cameras, FACING, SHAPE)
+    templates = take_templates(RigImages(cameras, images), FACING, SHAPE)
     settings = RefinementSettings()
-    scene, _ = make_scene(images, cameras, [templates], templates, FACING, SHAPE, settings)
+    frame = ComparedFrame(RigImages(cameras, images), [templates], templates, settings)
+    scene, _ = frame.scene(FACING, SHAPE)
     face = Face(model.mean, np.ascontiguousarray(model.basis), model.deviations**-2)
     prior = Prior(point_values(settings.residual_mm), 4.0, np.array([50.0] * 3 + [0.5] * 3) ** -2)
     residuals = np.random.default_rng(2).normal(size=(10, 3))
@@ -217,11 +221,9 @@ def test_each_kind_of_point_has_its_number():
 def test_an_unknown_previous_frame_is_no_template():
     """With a set of the frame before in which nothing was seen, results are those without it."""
     cameras, face = stereo(), textured_face()
-    templates = take_templates(face.render(cameras, FACING, SHAPE), cameras, FACING, SHAPE)
+    templates = take_templates(RigImages(cameras, face.render(cameras, FACING, SHAPE)), FACING, SHAPE)
     blind = replace(templates, seen=np.zeros_like(templates.seen))
-    images = face.render(cameras, FACING.moved(MOTION), SHAPE)
-    a, b = (
-        refine(images, cameras, [templates], one, rigid_model(SHAPE), FACING, np.zeros(0), STEPS)
-        for one in (None, blind)
-    )
+    images = RigImages(cameras, face.render(cameras, FACING.moved(MOTION), SHAPE))
+    frames = [ComparedFrame(images, [templates], one, STEPS) for one in (None, blind)]
+    a, b = (refine(frame, rigid_model(SHAPE), FACING, np.zeros(0)) for frame in frames)
     np.testing.assert_array_equal(a.pose.position, b.pose.position)

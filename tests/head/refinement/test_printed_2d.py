@@ -8,10 +8,10 @@ from scipy.optimize import minimize
 
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
-from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 CAMERAS = stereo(1)
@@ -26,8 +26,9 @@ KINKS_PX = 0.12
 
 
 def recalculated(images, printed, previous=None, start=EXPECTED, expected=EXPECTED, iterations=MANY):
-    templates = take_templates(FIRST, CAMERAS, FACING, SHAPE)
-    scene, _ = make_scene(images, CAMERAS, [templates], previous, FACING, SHAPE, SETTINGS)
+    templates = take_templates(RigImages(CAMERAS, FIRST), FACING, SHAPE)
+    frame = ComparedFrame(RigImages(CAMERAS, images), [templates], previous, SETTINGS)
+    scene, _ = frame.scene(FACING, SHAPE)
     pixels, correlations = start.copy(), np.empty(len(start))
     recalculate_2d_as_printed(scene, expected, printed, iterations, pixels, correlations)
     return scene, pixels, correlations
@@ -54,7 +55,7 @@ def test_no_place_nearby_costs_less(epsilon):
     printed = Printed(4.0, epsilon)
     images = FACE.render(CAMERAS, FACING, SHAPE + OFFSETS_MM)
     before = FACE.render(CAMERAS, FACING, SHAPE, gain=0.95)
-    previous = take_templates(before, CAMERAS, FACING, SHAPE)
+    previous = take_templates(RigImages(CAMERAS, before), FACING, SHAPE)
     _, pixels, _ = recalculated(images, printed, previous)
     for k in range(10):
         best = minimize(
@@ -77,7 +78,7 @@ def test_an_image_that_moved_is_found_where_it_moved_to():
 
 
 def test_without_noise_and_movement_nothing_moves():
-    previous = take_templates(FIRST, CAMERAS, FACING, SHAPE)
+    previous = take_templates(RigImages(CAMERAS, FIRST), FACING, SHAPE)
     _, pixels, correlations = recalculated(FIRST, Printed(4.0, 4000.0), previous)
     np.testing.assert_allclose(pixels, EXPECTED, atol=1e-9)
     np.testing.assert_allclose(correlations, 1.0, atol=1e-9)
@@ -93,7 +94,7 @@ def test_the_step_is_that_of_the_normal_equations_mended():
     """One step against D and d written out with matrices; the print's factor 2 would weigh E_M half."""
     printed = Printed(4.0, 4000.0)
     images = FACE.render(CAMERAS, FACING, SHAPE + OFFSETS_MM)
-    previous = take_templates(FIRST, CAMERAS, FACING, SHAPE)
+    previous = take_templates(RigImages(CAMERAS, FIRST), FACING, SHAPE)
     expected = EXPECTED + np.array([0.4, 0.3])
     _, pixels, _ = recalculated(images, printed, previous, expected=expected, iterations=1)
     for k in range(10):

@@ -9,10 +9,10 @@ import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.refine import recalculate, refine_initial_depth
-from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 OFFSETS = np.random.default_rng(8).uniform(-1.2, 1.2, (10, 3))
@@ -26,16 +26,15 @@ UPRIGHT = np.eye(2)
 def drawn(shape=SHAPE + OFFSETS):
     cameras = stereo()
     face = textured_face()
-    templates = take_templates(face.render(cameras, FACING, SHAPE), cameras, FACING, SHAPE)
+    templates = take_templates(RigImages(cameras, face.render(cameras, FACING, SHAPE)), FACING, SHAPE)
     images = face.render(cameras, FACING, shape, noise=3.0)
     return cameras, images, templates
 
 
 def found(settings, previous=False, start=SHAPE):
     cameras, images, templates = drawn()
-    scene, _ = make_scene(
-        images, cameras, [templates], templates if previous else None, FACING, SHAPE, settings
-    )
+    before = templates if previous else None
+    scene, _ = ComparedFrame(RigImages(cameras, images), [templates], before, settings).scene(FACING, SHAPE)
     return scene, recalculate(scene, FACING, SHAPE, start, settings)
 
 
@@ -142,7 +141,7 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
     points = FACING.points(SHAPE)
     wrong = points * (1.0 + np.linspace(-6.0, 6.0, 10)[:, None] / 700.0)  # along the reference's rays
     shape = (wrong - FACING.position) @ FACING.rotation
-    settled = refine_initial_depth(images, cameras, FACING, shape, RefinementSettings())
+    settled = refine_initial_depth(RigImages(cameras, images), FACING, shape, RefinementSettings())
     away = np.abs(settled - SHAPE)
     assert away[:, :2].max() < 0.3
     assert away[:, 2].max() < 1.0  # a sixth of a pixel; 6 mm before
@@ -152,5 +151,5 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
 def test_settling_with_one_image_changes_nothing():
     cameras = stereo()
     images = textured_face().render(cameras, FACING, SHAPE)
-    settled = refine_initial_depth([images[0], None], cameras, FACING, SHAPE, RefinementSettings())
+    settled = refine_initial_depth(RigImages(cameras, [images[0], None]), FACING, SHAPE, RefinementSettings())
     np.testing.assert_allclose(settled, SHAPE, atol=1e-6)

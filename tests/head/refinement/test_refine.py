@@ -9,11 +9,11 @@ import pytest
 
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
 from posetrack_cli.head.refinement.refine import recalculate
-from posetrack_cli.head.refinement.scene import make_scene
+from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 (CAMERA,) = stereo(1)
@@ -30,9 +30,10 @@ BENDING_PX = 0.01
 def drawn(camera, shape):
     """A frame whose points lie off the model's, and the templates of one where they did not."""
     face = textured_face()
-    templates = take_templates(face.render([camera], TURNED, SHAPE), [camera], TURNED, SHAPE)
+    templates = take_templates(RigImages([camera], face.render([camera], TURNED, SHAPE)), TURNED, SHAPE)
     images = face.render([camera], TURNED, shape, noise=2.0)
-    scene, _ = make_scene(images, [camera], [templates], templates, TURNED, SHAPE, SETTINGS)
+    frame = ComparedFrame(RigImages([camera], images), [templates], templates, SETTINGS)
+    scene, _ = frame.scene(TURNED, SHAPE)
     return scene
 
 

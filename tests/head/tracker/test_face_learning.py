@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
+from scipy.linalg import subspace_angles
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.tracker.face_learning import FaceLearning, new_face, off_axis_deg
+from posetrack_cli.head.tracker.face_learning import (
+    FaceLearning,
+    new_face,
+    off_axis_deg,
+    untrained_statistics,
+)
 
 ROUNDING = 1e-9  # mm, of numbers below 100
 SURE, EQUAL = np.ones(POINT_COUNT), np.ones(POINT_COUNT)
@@ -30,11 +38,9 @@ def smile(strength_mm: float) -> np.ndarray:
     return shape
 
 
-def learnt(
-    face: FaceLearning, shapes: list[np.ndarray], settings: ModelSettings = AFTER_REST
-) -> FaceLearning:
+def learnt(face: FaceLearning, shapes: list[np.ndarray]) -> FaceLearning:
     for shape in shapes:
-        face = face.after(shape, EQUAL, pose(), SURE, settings)
+        face = face.after(shape, EQUAL, pose(), SURE)
     return face
 
 
@@ -42,9 +48,9 @@ def test_the_first_frames_average_the_shape() -> None:
     settings = ModelSettings(rigid_frames=120, mean_rate=0.1)
     rng = np.random.default_rng(0)
     shapes = [smile(float(strength)) for strength in rng.uniform(-4.0, 4.0, 10)]
-    face = learnt(new_face(MEAN_SHAPE, settings), shapes, settings)
+    face = learnt(new_face(MEAN_SHAPE, settings), shapes)
     np.testing.assert_allclose(face.model.mean, np.mean(shapes, axis=0), atol=ROUNDING)
-    later = learnt(face, [smile(8.0)], settings)
+    later = learnt(face, [smile(8.0)])
     np.testing.assert_allclose(later.model.mean, 0.9 * face.model.mean + 0.1 * smile(8.0), atol=ROUNDING)
     assert later.model.size == 0 and later.frames == 11
 
@@ -55,8 +61,8 @@ def test_what_the_pose_is_wrong_by_is_not_learnt(rigid_frames: int) -> None:
     turn = Rotation.from_euler("xyz", [3.0, -4.0, 2.0], degrees=True).as_matrix()
     shapes = [smile(float(strength)) for strength in (6.0, -6.0, 8.0)]
     moved = [shape @ turn.T + [1.0, -2.0, 3.0] for shape in shapes]
-    plain = learnt(new_face(MEAN_SHAPE, settings), shapes, settings)
-    turned = learnt(new_face(MEAN_SHAPE, settings), moved, settings)
+    plain = learnt(new_face(MEAN_SHAPE, settings), shapes)
+    turned = learnt(new_face(MEAN_SHAPE, settings), moved)
     np.testing.assert_allclose(turned.model.mean, plain.model.mean, atol=ROUNDING)
     np.testing.assert_allclose(turned.model.deviations, plain.model.deviations, atol=ROUNDING)
 
@@ -86,13 +92,13 @@ def test_other_frames_teach_nothing(shape: np.ndarray, yaw_deg: float, correlati
     correlations = SURE.copy()
     correlations[7] = correlation
     face = new_face(MEAN_SHAPE, AFTER_REST)
-    after = face.after(shape, EQUAL, pose(yaw_deg), correlations, AFTER_REST)
+    after = face.after(shape, EQUAL, pose(yaw_deg), correlations)
     assert after.statistics is face.statistics and after.frames == 1
 
 
 def test_a_rigid_face_learns_no_deformation() -> None:
     settings = ModelSettings(kind="rigid", rigid_frames=0)
-    face = learnt(new_face(MEAN_SHAPE, settings), [smile(10.0)] * 3, settings)
+    face = learnt(new_face(MEAN_SHAPE, settings), [smile(10.0)] * 3)
     assert face.model.size == 0
     np.testing.assert_array_equal(face.model.mean, MEAN_SHAPE)
 
@@ -101,3 +107,149 @@ def test_off_axis_is_counted_from_the_direction_to_the_camera() -> None:
     assert off_axis_deg(pose(20.0)) == pytest.approx(20.0)
     beside = pose(0.0, (700.0, 0.0, 700.0))  # it looks along the camera's axis, past it
     assert off_axis_deg(beside) == pytest.approx(45.0)
+
+
+# CCIPCA against the exact decomposition of the same, or of infinitely many, shapes
+
+
+SIZE = MEAN_SHAPE.size
+DEVIATIONS = np.array([12.0, 7.0, 4.0])
+"""mm: each eigenvalue less than half the one before, else a wrong start is forgotten too slowly."""
+REST = 1.0
+AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(SIZE, SIZE)))[0]
+
+
+def shapes(count, seed):
+    """Faces of known principal axes: three deformations, and a little of everything else."""
+    rng = np.random.default_rng(seed)
+    sd = np.full(SIZE, REST)
+    sd[:3] = DEVIATIONS
+    return MEAN_SHAPE + (rng.normal(size=(count, SIZE)) * sd @ AXES.T).reshape(count, -1, 3)
+
+
+def learned_of(samples, components=3, mean_count=0):
+    state = untrained_statistics(MEAN_SHAPE, components, mean_count)
+    for sample in samples:
+        state = state.updated(sample)
+    return state
+
+
+def angle(model, axes):
+    """Largest principal angle, rad, between a model's directions and some axes (3K, B)."""
+    return float(subspace_angles(model.basis.reshape(SIZE, -1), axes).max())
+
+
+def test_the_angle_falls_as_the_square_root_of_time():
+    """Root mean square over 12 recordings; the sample covariance's own angle falls like this too."""
+    times, squares = (250, 1000, 4000), np.zeros(3)
+    for seed in range(12):
+        samples, state, done = shapes(times[-1], seed), untrained_statistics(MEAN_SHAPE, 3), 0
+        for i, time in enumerate(times):
+            for sample in samples[done:time]:
+                state = state.updated(sample)
+            done = time
+            squares[i] += angle(state.model, AXES[:, :3]) ** 2
+    slope = np.polyfit(np.log(times), 0.5 * np.log(squares), 1)[0]
+    assert slope == pytest.approx(-0.5, abs=0.1)
+
+
+def test_agrees_with_the_exact_decomposition_of_the_same_shapes():
+    samples = shapes(4000, 21)
+    exact = samples.reshape(len(samples), -1) - samples.reshape(len(samples), -1).mean(axis=0)
+    _, values, rows = np.linalg.svd(exact, full_matrices=False)
+    model = learned_of(samples).model
+    # Both are off the true axes by about this, sqrt(ab / n) / (a - b) for variances a and b (Anderson 1963).
+    a, b, freedom = DEVIATIONS[2] ** 2, REST**2, SIZE - 3
+    expected = np.sqrt(freedom * a * b / len(samples)) / (a - b)
+    assert angle(model, rows[:3].T) < 2.0 * expected
+    assert angle(model, AXES[:, :3]) < 2.0 * expected
+    assert model.deviations == pytest.approx(values[:3] / np.sqrt(len(samples)), rel=0.05)
+    assert model.mean == pytest.approx(samples.mean(axis=0))
+
+
+def test_one_update_by_hand():
+    """A mean that counts for one shape and two numbers that move: (3.20), then (3.24) and (3.25)."""
+    mean = np.zeros((1, 3))
+    state = untrained_statistics(mean, 2, mean_count=1).updated(np.array([[6.0, 0.0, 0.0]]))
+    assert state.mean.ravel().tolist() == [3.0, 0.0, 0.0]  # (0 + 6) / 2
+    assert state.components.tolist() == [
+        [9.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0],
+    ]  # u |u|, u = 6 - 3; nothing is left
+    state = state.updated(np.array([[3.0, 6.0, 0.0]]))
+    assert state.mean.ravel().tolist() == [3.0, 2.0, 0.0]  # u = (0, 4, 0)
+    assert state.components.tolist() == [[4.5, 0.0, 0.0], [0.0, 8.0, 0.0]]  # 9 / 2 + 0; 4 * 4 / 2
+    assert state.eigenvalues.tolist() == [8.0, 4.5]
+    assert state.variance == 12.5  # (9 + 16) / 2
+    assert state.contribution.tolist() == pytest.approx([0.64, 1.0])
+    assert state.model.deviations == pytest.approx(np.sqrt([8.0, 4.5]))
+    assert state.model.basis[0, :, 0].tolist() == [0.0, 1.0, 0.0]
+
+
+def test_as_printed_the_first_shape_is_the_mean():
+    samples = shapes(2, 3)
+    first = learned_of(samples[:1])
+    assert first.mean == pytest.approx(samples[0])
+    assert first.model.size == 0 and first.contribution.tolist() == [0.0, 0.0, 0.0]
+    assert learned_of(samples).model.size == 1
+
+
+def test_the_model_is_orthonormal_and_descending_at_any_time():
+    state = untrained_statistics(MEAN_SHAPE, 5, mean_count=120)
+    for sample in shapes(40, 5):
+        state = state.updated(sample)
+        flat = state.model.basis.reshape(SIZE, -1)
+        assert flat.T @ flat == pytest.approx(np.eye(state.model.size), abs=1e-9)
+        assert np.all(np.diff(state.model.deviations) <= 0.0)
+        assert np.all(np.diff(state.contribution) >= 0.0) and state.contribution[-1] <= 1.0
+
+
+def test_a_new_deformation_lowers_the_contribution_until_it_is_learnt():
+    """Figure 3.10: a dip when another deformation appears."""
+    rng, axes = np.random.default_rng(8), AXES[:, :4].T.reshape(4, -1, 3)
+
+    def faces(count, used):
+        return MEAN_SHAPE + np.tensordot(rng.normal(size=(count, used)) * 8.0, axes[:used], axes=1)
+
+    before = learned_of(faces(300, 1), components=2)
+    dip = learnt_on(before, faces(20, 4))
+    assert before.contribution[-1] > 0.99
+    assert dip.contribution[-1] < before.contribution[-1] - 0.02
+    assert learnt_on(dip, faces(1500, 2)).contribution[-1] > dip.contribution[-1]
+
+
+def learnt_on(state, samples):
+    for sample in samples:
+        state = state.updated(sample)
+    return state
+
+
+def test_equal_shapes_teach_nothing():
+    state = learned_of([MEAN_SHAPE] * 5, mean_count=10)
+    assert state.model.size == 0 and state.variance == 0.0
+
+
+def test_an_update_costs_the_same_at_any_time():
+    """The lines of Python that run are as many after 5000 shapes as after 10, and no array has grown."""
+    samples = shapes(5010, 1)
+    early = learned_of(samples[:10])
+    late = learnt_on(early, samples[10:])
+    assert lines_run(early, samples[0]) == lines_run(late, samples[0])
+    assert late.components.shape == early.components.shape and late.mean.shape == early.mean.shape
+
+
+def lines_run(state, sample):
+    count = 0
+
+    def trace(frame, event, argument):
+        nonlocal count
+        count += event == "line"
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        state.updated(sample)
+    finally:
+        sys.settrace(before)
+    return count

@@ -17,7 +17,8 @@ from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.tracker.face_learning import new_face
-from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState, stereo_tracker
+from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoFace, StereoState
 from posetrack_cli.recording.base import Frame
 from support.head_run import CAMERAS, Memory
 
@@ -94,7 +95,7 @@ def test_a_run_tells_the_file(tmp_path: Path, left_out: tuple[str, ...]) -> None
             name="head-stereo",
             subject=head_subject("left", 5),
             flush_frames=30,
-            make_tracker=lambda known: stereo_tracker(config, CAMERAS, Nobody(), known),
+            make_tracker=lambda known: HeadTracker(StereoFace(config, CAMERAS, Nobody(), known)),
         )
 
     if not left_out:

@@ -31,13 +31,13 @@ NEEDED = [name for name in learned() if name.startswith("person1.")]
 
 def assert_refused(arrays: Learned, found: str) -> None:
     with pytest.raises(ResultError) as caught:
-        known_people(arrays, MODEL, AdjustmentSettings())
+        known_people(arrays, people_codec(MODEL, AdjustmentSettings()))
     assert f"model is incomplete or damaged, found {found}" in str(caught.value)
 
 
 @pytest.mark.parametrize("name", NEEDED)
 def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
-    known_people(learned(), MODEL, AdjustmentSettings())
+    known_people(learned(), people_codec(MODEL, AdjustmentSettings()))
     right = learned()[name]
     assert_refused(
         {other: array for other, array in learned().items() if other != name}, f"no array '{name}'"
@@ -53,7 +53,7 @@ def test_only_what_may_be_unknown_may_be_nan(name: str) -> None:
     arrays = learned()
     arrays[name] = np.full_like(arrays[name], np.nan)
     if name.endswith(MAY_BE_NAN):
-        known_people(arrays, MODEL, AdjustmentSettings())
+        known_people(arrays, people_codec(MODEL, AdjustmentSettings()))
     else:
         assert_refused(arrays, f"'{name}' with values that are not finite")
 
@@ -63,17 +63,17 @@ def test_arrays_that_belong_together_are_equally_long(group: str) -> None:
     name = next(name for name in NEEDED if name.startswith(f"person1.{group}."))
     longer = np.concatenate([learned()[name], learned()[name]])
     with pytest.raises(ResultError, match=rf"found 'person1\.{group}\.[a-z]+' as "):
-        known_people(learned() | {name: longer}, MODEL, AdjustmentSettings())
+        known_people(learned() | {name: longer}, people_codec(MODEL, AdjustmentSettings()))
 
 
 def test_a_person_without_frames_is_as_good() -> None:
     """As learned by a whole recording: its frames are in the person."""
     arrays = CODEC.to_arrays((random_known(0, MODEL, views=0),))
     assert not any(name.startswith("person0.views.") for name in arrays)
-    known_people(arrays, MODEL, AdjustmentSettings())
+    known_people(arrays, people_codec(MODEL, AdjustmentSettings()))
     del arrays["person0.album.scores"]
-    known_people(arrays, MODEL, AdjustmentSettings())
-    (one,) = known_people(arrays, MODEL, AdjustmentSettings())
+    known_people(arrays, people_codec(MODEL, AdjustmentSettings()))
+    (one,) = known_people(arrays, people_codec(MODEL, AdjustmentSettings()))
     assert one.views == one.album.views == ()
 
 

@@ -11,9 +11,9 @@ import pytest
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates, tangents
-from posetrack_cli.head.initialisation import mono
+from posetrack_cli.head.initialisation.mono import MonoInitialiser
 from posetrack_cli.head.tracker.estimates import UNSEEN
 from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
@@ -118,14 +118,14 @@ def test_the_reference_is_the_first_frame_as_the_start_adjusted_it() -> None:
     """Its images are of the first frame; how they are warped from then on is told by the adjusted pose."""
     begun = []
 
-    initialise = mono.initialise
+    initialise = MonoInitialiser.initialise
 
     def recorded(*arguments: object) -> object:
         begun.append(initialise(*arguments))
         return begun[-1]
 
     scene = Scene()
-    with patch.object(mono, "initialise", recorded):
+    with patch.object(MonoInitialiser, "initialise", recorded):
         for index in range(STARTING):
             scene.step(index)
     views, reference = begun[-1].views, scene.state.person.templates[0]
@@ -136,7 +136,7 @@ def test_the_reference_is_the_first_frame_as_the_start_adjusted_it() -> None:
     wanted = tangents(project((CAMERA,), views[0].pose.points(shape)), views[0].pose)
     np.testing.assert_array_equal(reference.tangents, wanted)
     pixels = views[0].pixels
-    taken = take_templates(scene.frame(0).images, (CAMERA,), views[0].pose, shape, pixels[None])
+    taken = take_templates(RigImages((CAMERA,), scene.frame(0).images), views[0].pose, shape, pixels[None])
     np.testing.assert_array_equal(reference.windows, taken.windows)
 
 

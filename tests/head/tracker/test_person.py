@@ -7,8 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from posetrack_cli.head.adjustment.adjust import adjust
+from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, new_person, rms
@@ -31,9 +33,13 @@ def at_rest(seed: int, count: int = 20) -> Bundle:
     return random_bundle(seed, count, model=still, spread=1.5)
 
 
+def adjuster(bundle: Bundle, settings: AdjustmentSettings) -> Adjuster:
+    return Adjuster(bundle.model, CAMERA, settings)
+
+
 def found(bundle: Bundle, settings: AdjustmentSettings) -> KnownPerson:
     person = PersonParameters(bundle.model.identity_mean, np.zeros((10, 3)))
-    return new_person(person, random_templates(0), bundle.model, settings)
+    return new_person(person, random_templates(0), adjuster(bundle, settings))
 
 
 def as_tracked(bundle: Bundle, index: int) -> PointView:
@@ -48,7 +54,7 @@ def after(bundle: Bundle, settings: AdjustmentSettings, count: int) -> list[Know
     known = [found(bundle, settings)]
     for index in range(count):
         view = as_tracked(bundle, index)
-        known.append(known[-1].after(view, 0.9, bundle.model, CAMERA, settings))
+        known.append(known[-1].after(view, 0.9, adjuster(bundle, settings)))
     return known
 
 
@@ -105,7 +111,7 @@ def test_the_mean_of_the_last_identities_is_where_an_adjustment_begins() -> None
     bundle, history = at_rest(1), USUAL.model_copy(update={"average": 4})
     known = after(bundle, history, 7)[-1]
     closed = history.model_copy(update={"identity": 1e-6})
-    last = known.after(as_tracked(bundle, 7), 0.9, bundle.model, CAMERA, closed)
+    last = known.after(as_tracked(bundle, 7), 0.9, adjuster(bundle, closed))
     box = 1e-6 * bundle.model.identity_deviations
     assert np.all(np.abs(last.person.identity - known.history.mean) <= 1.001 * box)
     assert np.any(np.abs(known.person.identity - known.history.mean) > 10.0 * box)
@@ -114,8 +120,8 @@ def test_the_mean_of_the_last_identities_is_where_an_adjustment_begins() -> None
 def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
     bundle = at_rest(2)
     before, same = after(bundle, USUAL, 3)[-1], after(bundle, USUAL, 3)[-1]
-    before.after(as_tracked(bundle, 3), 0.9, bundle.model, CAMERA, USUAL)
-    before.over_album(bundle.model, CAMERA, USUAL)
+    before.after(as_tracked(bundle, 3), 0.9, adjuster(bundle, USUAL))
+    before.over_album(adjuster(bundle, USUAL))
     assert_same(before, same)
 
 
@@ -123,7 +129,7 @@ def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
 def test_over_all_frames_the_person_comes_nearer_still(seed: int) -> None:
     bundle = at_rest(seed)
     known = after(bundle, USUAL, 20)[-1]
-    over_album = known.over_album(bundle.model, CAMERA, USUAL)
+    over_album = known.over_album(adjuster(bundle, USUAL))
     assert unlike(over_album, bundle) < unlike(known, bundle)
 
 
@@ -132,11 +138,11 @@ def test_over_all_frames_no_cost_grows(seed: int) -> None:
     """F of the album with the person held, of a face that deforms, before and after."""
     bundle = random_bundle(seed, 20)
     known = after(bundle, USUAL, 20)[-1]
-    over_album = known.over_album(bundle.model, CAMERA, USUAL)
+    over_album = known.over_album(adjuster(bundle, USUAL))
 
     def cost(person: PersonParameters) -> float:
         held = {"iterations": 50, "hold_person": True, "wide": True}
-        return adjust(known.album.views, person, bundle.model, CAMERA, USUAL, **held).cost
+        return adjuster(bundle, USUAL).adjust(known.album.views, person, **held).cost
 
     assert cost(over_album.person) <= cost(known.person)
 
@@ -145,7 +151,7 @@ def test_over_all_frames_begins_a_second_pass() -> None:
     """Nothing is kept of frames that the second pass sees again."""
     bundle = at_rest(3)
     known = after(bundle, USUAL, 12)[-1]
-    over_album = known.over_album(bundle.model, CAMERA, USUAL)
+    over_album = known.over_album(adjuster(bundle, USUAL))
     assert over_album.views == () and over_album.album.views == ()
     assert_same(over_album.history, IdentityHistory.starting_with(over_album.person.identity, USUAL.average))
     assert over_album.templates is known.templates and over_album.adjusted_frames == 12
@@ -159,15 +165,44 @@ def test_over_all_frames_begins_a_second_pass() -> None:
 def test_a_person_who_is_not_adjusted_stays(when: str) -> None:
     bundle = at_rest(4)
     known = after(bundle, USUAL, 5)[-1]
-    assert known.over_album(bundle.model, CAMERA, USUAL.model_copy(update={"when": when})) is known
+    assert known.over_album(adjuster(bundle, USUAL.model_copy(update={"when": when}))) is known
 
 
 def test_one_frame_is_not_adjusted_over_album() -> None:
     bundle = at_rest(5)
     known = after(bundle, USUAL, 1)[-1]
-    assert known.over_album(bundle.model, CAMERA, USUAL) is known
+    assert known.over_album(adjuster(bundle, USUAL)) is known
 
 
 def test_rms_is_of_the_known_distances() -> None:
     assert rms(np.array([[3.0, np.nan], [4.0, np.nan]])) == pytest.approx(np.sqrt(12.5))
     assert np.isnan(rms(np.array([np.nan, np.nan])))
+
+
+# The history of identities is the last N_s of them
+
+
+@given(st.integers(0, 1000), st.integers(1, 20), st.integers(1, 6))
+def test_keeps_the_last_ones(seed, count, size):
+    identities = np.random.default_rng(seed).normal(size=(count, 4))
+    history = IdentityHistory.starting_with(identities[0], size)
+    for one in identities[1:]:
+        history = history.with_identity(one)
+    last = identities[-size:]
+    np.testing.assert_array_equal(history.identities, last)
+    np.testing.assert_array_equal(history.mean, last.mean(axis=0))
+    np.testing.assert_array_equal(history.spread, last.std(axis=0))
+
+
+def test_adding_leaves_the_history_before_as_it_was():
+    before = IdentityHistory.starting_with(np.ones(3), 2)
+    before.with_identity(np.zeros(3)).with_identity(np.full(3, 5.0))
+    np.testing.assert_array_equal(before.identities, np.ones((1, 3)))
+    np.testing.assert_array_equal(before.spread, 0.0)
+
+
+def test_does_not_change_with_the_array_that_it_began_with():
+    identity = np.ones(3)
+    history = IdentityHistory.starting_with(identity, 2)
+    identity[:] = 7.0
+    np.testing.assert_array_equal(history.mean, np.ones(3))

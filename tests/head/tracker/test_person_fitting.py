@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.head.tracker.frame_tracker import FrameFit
-from posetrack_cli.head.tracker.person import KnownPerson
-from posetrack_cli.head.tracker.person_fitting import PersonFitter
+from posetrack_cli.head.adjustment.adjuster import Adjuster
+from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame
+from posetrack_cli.head.tracker.person import KnownPerson, PersonFitter
 from support.mono_scene import CAMERA, FEW, MODEL, Scene
 
 FRAMES = 12
+
+
+def fitter_of(config: HeadMonoConfig) -> PersonFitter:
+    return PersonFitter(config, Adjuster(MODEL, CAMERA, config.adjustment))
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +33,8 @@ def fit(scene: Scene) -> FrameFit:
     """What the next frame says, before anything is learnt from it."""
     state = scene.state
     assert state is not None and state.track is not None
-    fitter = PersonFitter(FEW, CAMERA, MODEL)
-    return fitter.fit(state.person, state.track, scene.frame(FRAMES), np.random.default_rng(1))
+    frame = SeededFrame(scene.frame(FRAMES), np.random.default_rng(1))
+    return fitter_of(FEW).fit(state.person, state.track, frame)
 
 
 def updated(scene: Scene, fit: FrameFit, **settings: object) -> tuple[KnownPerson, FrameFit]:
@@ -37,10 +42,11 @@ def updated(scene: Scene, fit: FrameFit, **settings: object) -> tuple[KnownPerso
     for key, value in settings.items():
         table, name = key.split("__")
         values[table][name] = value
-    fitter = PersonFitter(type(FEW).model_validate(values), CAMERA, MODEL)
     state = scene.state
     assert state is not None
-    return fitter.update_person(state.person, state.track, scene.frame(FRAMES), fit)
+    frame = SeededFrame(scene.frame(FRAMES), np.random.default_rng(1))
+    fitter = fitter_of(type(FEW).model_validate(values))
+    return fitter.update_person(state.person, state.track, frame, fit)
 
 
 def frames_of(scene: Scene) -> int:

@@ -19,9 +19,10 @@ from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.projection import project
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.tracker import mono
+from posetrack_cli.head.tracker.frame_tracker import SeededFrame
 from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.head.tracker.reduction import (
     LEAST_REDUCTION,
@@ -79,7 +80,7 @@ class Scene:
     def __init__(self, config: HeadMonoConfig = SMALL, **how: object) -> None:
         self.told, self.rng = Told(), np.random.default_rng(0)
         with patch.object(mono, "FaceDetector", lambda settings: self.told):
-            self.tracker = mono.mono_tracker(config, SCENE_CAMERA, MODEL, **how)
+            self.tracker = mono.HeadTracker(mono.MonoPeople(config, SCENE_CAMERA, MODEL, **how))
         self.state: MonoState | None = None
 
     def step(self, index: int) -> Estimate:
@@ -193,7 +194,7 @@ def test_points_are_clicked_in_the_first_frame_only() -> None:
     (image,) = FACE.render((SCENE_CAMERA,), pose_at(1), SHAPE, seed=1)
     state, later = faces.look(stranger, Frame(1, FRAME_NS, (image,)))
     scene.told.index = 1
-    state, _ = faces.begin(state, later, scene.rng)
+    state, _ = faces.begin(state, SeededFrame(later, scene.rng))
     assert len(state.candidates) == 1
 
 
@@ -228,7 +229,9 @@ def test_what_was_learned_begins_at_the_size_that_it_was_seen_at() -> None:
     second.step(0)
     assert second.state is not None and second.state.scale == pytest.approx(scene.state.scale)
     assert second.told.sizes == [scene.told.sizes[-1]]
-    wider = mono.mono_tracker(LARGE, SCENE_CAMERA, MODEL, known=known | {"focal_px": np.array(1e5)})
+    wider = mono.HeadTracker(
+        mono.MonoPeople(LARGE, SCENE_CAMERA, MODEL, known=known | {"focal_px": np.array(1e5)})
+    )
     assert wider.start(frame(0), scene.rng).scale == WHOLE, "images are never enlarged"
     del known["focal_px"]
     with pytest.raises(ResultError, match="no array 'focal_px'"):

@@ -9,7 +9,8 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.tracker.estimates import UNSEEN
-from posetrack_cli.head.tracker.stereo import stereo_tracker
+from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.head.tracker.stereo import StereoFace
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
 from support.stereo_scene import CAMERAS, FEW, Scene, Told
@@ -111,7 +112,7 @@ def test_what_was_learned_begins_another_run() -> None:
         scene.step(index)
     known = scene.tracker.learned(scene.state)
     second = Scene()
-    second.tracker = stereo_tracker(FEW, CAMERAS, second.told, known)
+    second.tracker = HeadTracker(StereoFace(FEW, CAMERAS, second.told, known))
     estimates = [second.step(index) for index in range(10)]
     assert {e.status for e in estimates} == {Status.TRACKING}
     np.testing.assert_array_equal(scene.state.face.model.mean, known["face.mean"])

@@ -11,7 +11,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import epipolar_errors
+from posetrack_cli.geometry.epipolar import CameraPair
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.recording.calibration.boards import Board, FoundBoard
 from posetrack_cli.recording.calibration.joint import adjust
@@ -168,7 +168,7 @@ def test_its_errors_are_what_independent_points_show(measured: StereoCalibration
     rig, errors = support.cameras(), []
     for pose in support.poses(6, seed=9):  # boards that it has not seen, true corners
         seen = [support.corner_pixels(measured.board, camera, pose) for camera in rig]
-        errors.append(epipolar_errors(*measured.cameras, *seen))
+        errors.append(CameraPair(*measured.cameras).epipolar_errors(*seen))
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2 * CORNER_PX
 
 
@@ -188,6 +188,7 @@ def test_the_file_holds_the_cameras_and_the_errors(measured: StereoCalibration, 
     assert "epipolar error" in text
 
 
+@pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
 def test_the_reference_is_the_first_that_is_named(rendered: tuple[Path, Board]) -> None:
     found = calibrate_stereo(find_views(*rendered, names=["right", "left"]), "five")
     assert [camera.name for camera in found.cameras] == ["right", "left"]
@@ -201,6 +202,7 @@ def test_the_number_of_coefficients(distortion: str, count: int) -> None:
     assert len(fit_camera(views[0], distortion)[0].camera.distortion) == count
 
 
+@pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
 def test_images_not_taken_at_once_are_doubted(tmp_path: Path, rendered: tuple[Path, Board]) -> None:
     folder, board = rendered
     for side in ("left", "right"):
@@ -213,6 +215,7 @@ def test_images_not_taken_at_once_are_doubted(tmp_path: Path, rendered: tuple[Pa
     assert any("epipolar error" in doubt and "same instants" in doubt for doubt in found.doubts())
 
 
+@pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
 def test_too_few_views_are_told_with_what_may_be_wrong(rendered: tuple[Path, Board]) -> None:
     folder, board = rendered
     other = Board(board.columns + 3, board.rows + 2, board.square_mm, board.marker_mm and 3.0, "7X7_50")
@@ -222,6 +225,7 @@ def test_too_few_views_are_told_with_what_may_be_wrong(rendered: tuple[Path, Boa
         calibrate_stereo(find_views(folder, other))
 
 
+@pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
 def test_cameras_that_never_see_the_board_together(tmp_path: Path, rendered: tuple[Path, Board]) -> None:
     folder, board = rendered
     for side, keep in (("left", (0, 1, 2, 4, 6)), ("right", (3, 6, 7, 8, 9))):
@@ -235,6 +239,7 @@ def test_cameras_that_never_see_the_board_together(tmp_path: Path, rendered: tup
         calibrate_stereo(find_views(tmp_path, board))
 
 
+@pytest.mark.parametrize("rendered", ["charuco"], indirect=True)
 def test_folders_that_are_not_there_and_images_that_differ_in_size(
     tmp_path: Path, rendered: tuple[Path, Board]
 ) -> None:

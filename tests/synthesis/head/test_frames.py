@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from itertools import islice
 
 import cv2
@@ -17,6 +18,7 @@ from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.sensor import EXPOSURE, READ_SD, SHOT, Sensor, make_cameras
 
 SHORT = HeadSynthOptions(frames=3, identity=1, seed=1)
+BRIEF = replace(SHORT, frames=2, width=320, height=240)
 
 
 def pixels(camera: Camera, frame: SyntheticHeadFrame) -> FloatArray:
@@ -29,6 +31,7 @@ def pixels(camera: Camera, frame: SyntheticHeadFrame) -> FloatArray:
     return projected[:, 0].astype(np.float64)
 
 
+@lru_cache
 def first(options: HeadSynthOptions, device: RenderingDevice) -> SyntheticHeadFrame:
     return next(iter(synthesise(options, device=device)))
 
@@ -38,7 +41,7 @@ def faces(image: ImageArray) -> FloatArray:
     return np.array(cascade.detectMultiScale(image, 1.1, 3, minSize=(100, 100)), dtype=float).reshape(-1, 4)
 
 
-@pytest.mark.parametrize("identity", [1, 2, 3, 4])
+@pytest.mark.parametrize("identity", [1, 4])
 def test_haar_finds_one_face_around_the_eyes(identity: int, device: RenderingDevice) -> None:
     """In photographs eyes lie at (.317, .403) and (.687, .401) of the box, sd .02; here within .06."""
     options = replace(SHORT, identity=identity, cameras=1, frames=1)
@@ -93,8 +96,8 @@ def test_both_cameras_see_the_same_head(device: RenderingDevice) -> None:
 
 
 def test_one_camera_sees_what_the_left_of_two_sees(device: RenderingDevice) -> None:
-    both = list(synthesise(SHORT, device=device))
-    one = list(synthesise(replace(SHORT, cameras=1), device=device))
+    both = list(synthesise(BRIEF, device=device))
+    one = list(synthesise(replace(BRIEF, cameras=1), device=device))
     for two, alone in zip(both, one, strict=True):
         assert np.array_equal(two.images[0], alone.images[0])
         assert not np.array_equal(two.images[0], two.images[1])
@@ -102,7 +105,7 @@ def test_one_camera_sees_what_the_left_of_two_sees(device: RenderingDevice) -> N
 
 def test_the_same_options_give_the_same_frames_and_other_people_move_alike(device: RenderingDevice) -> None:
     one, again, other = (
-        list(synthesise(options, device=device)) for options in (SHORT, SHORT, replace(SHORT, identity=2))
+        list(synthesise(options, device=device)) for options in (BRIEF, BRIEF, replace(BRIEF, identity=2))
     )
     for a, b, c in zip(one, again, other, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a.images, b.images, strict=True))
@@ -114,7 +117,7 @@ def test_the_same_options_give_the_same_frames_and_other_people_move_alike(devic
 
 def test_an_object_hides_one_half_of_the_face_only(device: RenderingDevice) -> None:
     """Once it has come; the other half is as it would be without."""
-    options = replace(SHORT, frames=31, fps=10.0, motion="still", cameras=1, noise=0.0, light="steady")
+    options = replace(BRIEF, frames=31, fps=10.0, motion="still", cameras=1, noise=0.0, light="steady")
     plan = make_plan(replace(options, occlusion=True))
     assert plan.occluder is not None
     index = round((plan.occluder.start_s + 0.5) * 10.0)

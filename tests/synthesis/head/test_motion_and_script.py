@@ -9,16 +9,22 @@ import pytest
 
 from posetrack_cli.geometry import rotations
 from posetrack_cli.head.face.points import BROWS, MOUTH
-from posetrack_cli.synthesis.head.curves import minimum_jerk, pulse, random_sway
 from posetrack_cli.synthesis.head.expression_script import deforming_interval, make_script
 from posetrack_cli.synthesis.head.expressions import BOTH_WAYS, EXPRESSIONS
 from posetrack_cli.synthesis.head.identity import Identity
 from posetrack_cli.synthesis.head.illumination import make_illumination
-from posetrack_cli.synthesis.head.movement import FACING, TURN_RAD_S, make_movement
-from posetrack_cli.synthesis.head.occluder import BEFORE_MM, STAY_S, make_occluder
+from posetrack_cli.synthesis.head.movement import (
+    BEFORE_MM,
+    FACING,
+    STAY_S,
+    TURN_RAD_S,
+    make_movement,
+    make_occluder,
+)
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.person import make_person
 from posetrack_cli.synthesis.head.skin_grid import skin_grid
+from posetrack_cli.synthesis.head.smooth import minimum_jerk, pulse, random_sway
 
 MINUTE = HeadSynthOptions(frames=1800)
 seconds = np.arange(1800) / 30.0

@@ -30,8 +30,7 @@ METRES = 1e-9
 """mm: metres of a message and back, a quaternion and back."""
 
 
-@pytest.mark.parametrize("image_format", ["png", "raw"])
-@pytest.mark.parametrize("cameras", [1, 2])
+@pytest.mark.parametrize(("image_format", "cameras"), [("raw", 1), ("png", 2)])
 def test_a_file_reads_as_the_recording_that_was_made(tmp_path: Path, image_format: str, cameras: int) -> None:
     options = replace(SMALL, cameras=cameras, distortion=cameras == 1)
     write_synthetic(options, tmp_path / "a.mcap", image_format=image_format)
@@ -142,7 +141,7 @@ def test_an_interrupted_synthesis_leaves_nothing(tmp_path: Path, name: str) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("name", "cameras"), [("a.mcap", 1), ("a.mcap", 2), ("a", 1), ("a", 2)])
+@pytest.mark.parametrize(("name", "cameras"), [("a", 1), ("a.mcap", 2)])
 def test_images_that_are_missing_are_those_of_the_plan(tmp_path: Path, name: str, cameras: int) -> None:
     """The others are the same as without drops."""
     options = replace(SMALL, cameras=cameras, frames=12, seed=274, width=64, height=64, drops=True)

@@ -13,7 +13,6 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.adjustment.solver.cost import cost_with_basis, view_lengths
 from posetrack_cli.head.adjustment.solver.elimination import (
     Elimination,
     Held,
@@ -35,7 +34,9 @@ from posetrack_cli.head.adjustment.solver.problem import (
     Part,
     Problem,
     Unknowns,
+    cost_with_basis,
     deformation_basis,
+    view_lengths,
 )
 
 DAMPING, LEAST_DAMPING = 1e-3, 1e-12

@@ -28,7 +28,7 @@ def numbers(size: int) -> MonoDiagnostics:
 @given(st.integers(1, 30))
 def test_every_number_stands_under_its_name(size: int) -> None:
     one, names = numbers(size), mono_diagnostic_names(size)
-    found = dict(zip(names, one.array(), strict=True))
+    found = dict(zip(names, one.numbers(), strict=True))
     assert len(found) == len(names) == 2 * size + 4 + len(POINT_NAMES)
     np.testing.assert_array_equal([found[f"identity_{s + 1}"] for s in range(size)], one.identity)
     np.testing.assert_array_equal([found[f"identity_spread_{s + 1}"] for s in range(size)], one.spread)
@@ -39,7 +39,7 @@ def test_every_number_stands_under_its_name(size: int) -> None:
 
 def test_what_is_not_known_is_nan() -> None:
     unknown = np.full(3, np.nan)
-    found = dict(zip(mono_diagnostic_names(3), MonoDiagnostics(unknown, unknown).array(), strict=True))
+    found = dict(zip(mono_diagnostic_names(3), MonoDiagnostics(unknown, unknown).numbers(), strict=True))
     assert {name for name, number in found.items() if not np.isnan(number)} == {"person", "adjusted_frames"}
 
 
@@ -48,10 +48,10 @@ def test_a_subject_fits_what_the_tracker_says(identities: int, deformations: int
     model = random_model(0, identities, deformations)
     subject = mono_subject("left", model)
     mean, deviations = model.deformation_mean, model.deformation_deviations
-    face = Description(mean, deviations, numbers(identities).array())
+    face = Description(mean, deviations, numbers(identities).numbers())
     estimate = lost_estimate(Frame(0, 0, (None,)), None, face)
     check_estimate(estimate, subject)
     assert subject.camera_frame == "left" and len(subject.shape_names) == deformations
-    more = replace(estimate, numbers=numbers(identities + 1).array())
+    more = replace(estimate, numbers=numbers(identities + 1).numbers())
     with pytest.raises(ResultError, match="numbers has the wrong shape"):
         check_estimate(more, subject)

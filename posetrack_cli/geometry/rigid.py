@@ -1,4 +1,8 @@
-"""Rigid transforms between cameras: (3, 4) matrices [R | t] that take points p to R p + t, mm."""
+"""Rigid transforms, mm: an object's pose, a camera's place beside another's, one shape laid on another.
+
+A pose ``camera_T_object`` is a position t and the quaternion of R: p = R m + t goes from object to camera
+axes; leading axes broadcast. Between cameras it is a matrix (3, 4), [R | t], that takes points p to R p + t.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,18 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry.camera import IN_PLACE, Camera
+from posetrack_cli.geometry.rotations import conjugate, rotate
+
+
+def in_camera(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
+    """Return p = R m + t, (..., 3), of points m (..., 3) in object axes; unit quaternions (..., 4)."""
+    return rotate(quaternion, points) + position
+
+
+def in_object(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
+    """Return m = R^T (p - t), (..., 3), of points p (..., 3) in camera axes."""
+    return rotate(conjugate(quaternion), points - position)
+
 
 ROUNDED = 1e-3
 """A rotation written with three decimals is one; what differs more is none."""
@@ -65,3 +81,25 @@ def _no_rotation(matrix: FloatArray, where: object) -> PosetrackError:
     return PosetrackError(
         "is no rotation", where=where, found=found, expected="nine numbers, orthonormal rows"
     )
+
+
+def rigid_alignment(
+    source: FloatArray, target: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return R (3, 3) and t (3,) that minimise sum_k w_k |R a_k + t - b_k|^2 (Kabsch 1976).
+
+    With both sets about their weighted means, H = sum_k w_k a_k b_k^T = U S V^T and R = V D U^T, with
+    D = diag(1, 1, det(V U^T)) so that no mirror image is taken.
+
+    Args:
+        source: (K, 3) a.
+        target: (K, 3) b.
+        weights: (K,) w >= 0, not all zero.
+    """
+    share = weights / weights.sum()
+    from_middle, to_middle = share @ source, share @ target
+    covariance = (source - from_middle).T @ (share[:, None] * (target - to_middle))
+    U, _, Vt = np.linalg.svd(covariance)
+    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
+    R: FloatArray = Vt.T @ turn @ U.T
+    return R, to_middle - R @ from_middle

@@ -56,7 +56,7 @@ def test_arrays_are_plain() -> None:
 
 
 def test_what_was_learned_is_taken() -> None:
-    known_people(learned(), MODEL, SETTINGS)
+    known_people(learned(), people_codec(MODEL, SETTINGS))
 
 
 @pytest.mark.parametrize("name", [PEOPLE, "person0.identity", "person1.offsets"])
@@ -87,11 +87,11 @@ def test_what_is_not_finite_is_named(bad: float) -> None:
 
 def test_of_another_face_model_is_refused() -> None:
     with pytest.raises(ResultError, match=r"'person0.identity' as float64 \(10,\), not float64 \(7\)"):
-        known_people(learned(), random_model(0, identities=7), SETTINGS)
+        known_people(learned(), people_codec(random_model(0, identities=7), SETTINGS))
 
 
 def assert_refused(arrays: dict[str, np.ndarray], found: str) -> None:
     with pytest.raises(ResultError) as caught:
-        known_people(arrays, MODEL, SETTINGS)
+        known_people(arrays, people_codec(MODEL, SETTINGS))
     said = str(caught.value)
     assert found in said and "model is incomplete or damaged" in said and "\n" not in said

@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.track import Track
 from posetrack_cli.evaluation.truth.checks import truth_warnings
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.writer import ResultWriter
-from support.evaluation import hand_track
+from support.tracks import hand_track
 from support.truth import CAMERA, HAND, estimates
 
 

@@ -1,0 +1,240 @@
+"""Bundle adjustment of n views with a separated face model: poses, deformations, one person (thesis, 4.3).
+
+What the kernels read is whitened, and the lens is removed from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.distortion import distortion_jacobian
+from posetrack_cli.geometry.projection import largest_radius, normalised_from_pixels, pixels_from_normalised
+from posetrack_cli.geometry.rotations import canonical, exponential, matrices_from_quaternions, multiply
+from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
+from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns, cost
+from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
+from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings
+from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.refinement.refine import point_values
+
+UNDISTORTED_PX = 1e-3
+"""A pixel whose ray the lens does not put back there to within this has no ray."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjuster:
+    """Adjusts a person, and the views that one camera took of the person, to each other.
+
+    Attributes:
+        model: what faces are like.
+        camera: that saw them, with its lens; must be the reference camera.
+        settings: of the adjustment.
+    """
+
+    model: FaceModel
+    camera: Camera
+    settings: AdjustmentSettings
+
+    def adjust(
+        self,
+        views: Sequence[PointView],
+        person: PersonParameters,
+        *,
+        iterations: int,
+        hold_person: bool = False,
+        wide: bool = False,
+        deviations: bool = True,
+    ) -> Adjusted:
+        """Adjust views and person to each other, (4.29)-(4.37).
+
+        Stage 1 moves the poses only; stage 2 poses, deformations, identity and, with ``settings.offsets``,
+        the constant offsets of points **[ours]**. What is minimised stands in ``solver.problem``: Huber's
+        function of residuals instead of their squares, and priors, are **[ours]**. The result's cost is never
+        above that of the start (moved into its bounds, should it be outside).
+
+        Args:
+            views: n frames with start poses and deformations; points without weight or pixel are left out.
+            person: start.
+            iterations: steps of each of the two stages at most; fewer where F falls no more.
+            hold_person: leave identity and offsets as they are, also where they are out of bounds.
+            wide: no bounds about the start, only those about the mean of identity and deformation.
+            deviations: whether to tell the identity's; NaN without.
+        """
+        problem = self.problem(views)
+        start = self.start(views, person)
+        boxes = self.boxes(start, wide)
+        unknowns = clipped(start, boxes)
+        if hold_person:
+            unknowns = Unknowns(unknowns.local, start.shared)
+        shared = 0 if hold_person else self._shared_size
+        taken = adjust_in_stages(problem, boxes, unknowns, iterations, shared)
+        everything = Part(0, len(views), unknowns.local.shape[1], shared)
+        return Adjusted(
+            self._views(views, unknowns, problem),
+            person if hold_person else self._person(unknowns, problem),
+            cost(problem, unknowns, everything),
+            self._residuals(problem, unknowns),
+            taken,
+            self._deviations(problem, unknowns, everything)
+            if deviations
+            else np.full(self.model.identity_size, np.nan),
+        )
+
+    def problem(self, views: Sequence[PointView]) -> Problem:
+        """Return what is minimised, with the views' poses as start.
+
+        Residuals are taken between rays and brought to recorded pixels by the lens's derivative at the
+        observed point: the lens is undone once. Points without weight, pixel or ray are left out.
+        """
+        model, settings = self.model, self.settings
+        count = len(views), len(model.mean)
+        pixels = np.array([view.pixels for view in views], dtype=np.float64).reshape(*count, 2)
+        weights = np.array([view.weights for view in views], dtype=np.float64).reshape(count)
+        rays, seen = self._rays(pixels)
+        used = seen & np.isfinite(weights) & (weights > 0.0)
+        identity, deformation = model.identity_deviations, model.deformation_deviations
+        quaternions = np.array([view.pose.quaternion for view in views], dtype=np.float64).reshape(-1, 4)
+        return Problem(
+            np.array(model.mean, dtype=np.float64),  # its own: for numba read-only is another type
+            np.ascontiguousarray(model.core * (identity[:, None] * deformation)),
+            model.identity_mean / identity,
+            model.deformation_mean / deformation,
+            offset_deviations(settings.offset_mm),
+            np.ascontiguousarray(matrices_from_quaternions(quaternions)),
+            np.array([view.pose.position for view in views], dtype=np.float64).reshape(-1, 3),
+            np.ascontiguousarray(np.where(used[..., None], rays, 0.0)),
+            self._scales(rays, used),
+            np.where(used, weights, 0.0),
+            float(settings.huber),
+            float(settings.prior),
+        )
+
+    def start(self, views: Sequence[PointView], person: PersonParameters) -> Unknowns:
+        """Return the start: the views' own poses, deformations and the person, whitened."""
+        model, offsets = self.model, person.offsets / offset_deviations(self.settings.offset_mm)
+        local = np.zeros((len(views), POSE + model.deformation_size))
+        for row, view in zip(local, views, strict=True):
+            row[POSE:] = view.deformation
+        local[:, POSE:] /= model.deformation_deviations
+        local[:, POSE:] -= model.deformation_mean / model.deformation_deviations
+        identity = person.identity / model.identity_deviations
+        identity -= model.identity_mean / model.identity_deviations
+        return Unknowns(local, np.concatenate([identity, offsets.ravel()]))
+
+    def boxes(self, start: Unknowns, wide: bool) -> Boxes:
+        """Return C_p, C_a and C_s, (4.31), (4.35), (4.37); offsets have no bounds.
+
+        A start farther out than ``bound`` is taken for one at the bound. ``wide`` drops the bounds about the
+        start.
+        """
+        settings, who = self.settings, slice(self.model.identity_size)
+        pose = np.array([*settings.pose_mm, *settings.pose_rad])
+        local, shared = np.full_like(start.local, np.inf), np.full_like(start.shared, np.inf)
+        boxes = Boxes(-local, local, -shared, shared)
+        if not wide:
+            boxes.local_lower[:, :POSE], boxes.local_upper[:, :POSE] = -pose, pose
+        lower, upper = boxes.local_lower[:, POSE:], boxes.local_upper[:, POSE:]
+        for values, around, lowest, highest in (
+            (start.local[:, POSE:], settings.deformation, lower, upper),
+            (start.shared[who], settings.identity, boxes.shared_lower[who], boxes.shared_upper[who]),
+        ):
+            bound, reach = settings.bound, np.inf if wide else around
+            inside = np.clip(values, -bound, bound)  # the start must lie within its bounds
+            np.clip(inside - reach, -bound, bound, out=lowest)
+            np.clip(inside + reach, -bound, bound, out=highest)
+        return boxes
+
+    @property
+    def _shared_size(self) -> int:
+        """How many unknowns the views share."""
+        return self.model.identity_size + (self.model.mean.size if self.settings.offsets else 0)
+
+    def _rays(self, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return rays (n, K, 2) of pixels, and (n, K) which pixels have one."""
+        camera = self.camera
+        finite = np.isfinite(pixels[..., 0]) & np.isfinite(pixels[..., 1])
+        known = np.where(finite[..., None], pixels, [camera.cx, camera.cy])
+        if not camera.is_distorted:
+            return normalised_from_pixels(camera, known), finite
+        with np.errstate(all="ignore"):
+            rays = normalised_from_pixels(camera, known)
+            back = pixels_from_normalised(camera, rays)
+            same: BoolArray = np.abs(back - known).max(axis=-1) < UNDISTORTED_PX
+            same &= np.hypot(rays[..., 0], rays[..., 1]) < largest_radius(camera)
+        return rays, finite & same
+
+    def _scales(self, rays: FloatArray, used: BoolArray) -> FloatArray:
+        """Return (n, K, 2, 2) d pixel / d ray at the rays, in units of each point's standard deviation."""
+        scales = np.zeros((*used.shape, 2, 2))
+        focal = np.array([[self.camera.fx], [self.camera.fy]])
+        if self.camera.is_distorted:
+            at = np.where(used[..., None], rays, 0.0)
+            lens = np.stack(distortion_jacobian(self.camera, at[..., 0], at[..., 1]), axis=-1)
+            scales[:] = lens.reshape(*used.shape, 2, 2) * focal
+        else:
+            scales[:] = np.eye(2) * focal
+        scales /= point_values(self.settings.pixel_sd)[:, None, None]
+        return scales
+
+    def _views(
+        self, views: Sequence[PointView], unknowns: Unknowns, problem: Problem
+    ) -> tuple[PointView, ...]:
+        """Return the views with adjusted poses and deformations."""
+        tangents, whitened = unknowns.local[:, :POSE], unknowns.local[:, POSE:]
+        deformations = (whitened + problem.deformation_centre) * self.model.deformation_deviations
+        before = np.array([view.pose.quaternion for view in views]).reshape(-1, 4)
+        quaternions = canonical(multiply(exponential(tangents[:, 3:]), before))
+        positions = problem.positions + tangents[:, :3]
+        return tuple(
+            replace(view, pose=HeadPose(position, quaternion), deformation=deformation)
+            for view, position, quaternion, deformation in zip(
+                views, positions, quaternions, deformations, strict=True
+            )
+        )
+
+    def _person(self, unknowns: Unknowns, problem: Problem) -> PersonParameters:
+        """Return the adjusted person."""
+        size = self.model.identity_size
+        identity = (unknowns.shared[:size] + problem.identity_centre) * self.model.identity_deviations
+        return PersonParameters(identity, unknowns.shared[size:].reshape(-1, 3) * problem.offset_deviations)
+
+    def _residuals(self, problem: Problem, unknowns: Unknowns) -> FloatArray:
+        """Return (n, K) lengths of errors, recorded pixels."""
+        lengths, sd = np.empty(problem.weights.shape), point_values(self.settings.pixel_sd)
+        all_lengths(problem, unknowns, lengths)
+        pixels: FloatArray = np.where(problem.weights > 0.0, lengths * sd, np.nan)
+        return pixels
+
+    def _deviations(self, problem: Problem, unknowns: Unknowns, part: Part) -> FloatArray:
+        """Return (S,) posterior standard deviations of s."""
+        if part.shared == 0:
+            return self.model.identity_deviations
+        variances = np.empty(self.model.identity_size)
+        identity_variances(problem, unknowns, part, variances)
+        deviations: FloatArray = np.sqrt(variances) * self.model.identity_deviations
+        return deviations
+
+
+@lru_cache(maxsize=16)
+def offset_deviations(settings: OffsetSettings) -> FloatArray:
+    """Return (K, 3) mm, each point's deviations of its offset; not to be written to."""
+    deviations = np.empty((POINT_COUNT, 3))
+    deviations[EYES], deviations[MOUTH] = settings.eyes, settings.mouth
+    deviations[NOSTRILS], deviations[BROWS] = settings.nostrils, settings.brows
+    return deviations
+
+
+def clipped(start: Unknowns, boxes: Boxes) -> Unknowns:
+    """Return the start within its boxes, (4.27)."""
+    return Unknowns(
+        np.clip(start.local, boxes.local_lower, boxes.local_upper),
+        np.clip(start.shared, boxes.shared_lower, boxes.shared_upper),
+    )

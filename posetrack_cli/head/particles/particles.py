@@ -1,0 +1,135 @@
+"""Hypotheses of a head's pose and deformation, and how they move between two frames (thesis, 3.3.1).
+
+    s_t = s_{t-1} + tau v_{t-1} + omega                                                           (3.26)
+    sd(omega) = max(floor, gain |v| tau0) sqrt(tau / tau0),    tau0 = 1/30 s
+
+The thesis has the diffusion grow with the velocity (Oka et al. 2005) and gives no constants; floor and gain
+are ours, and so is that noise is a density: one step of 2 tau spreads as two of tau do **[ours]**.
+
+Particles are held as deviations from one pose and one deformation: moving the head that they stand for, by
+its velocity or to where a refinement found it, changes these two and leaves all particles alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.errors import check_time_step
+from posetrack_cli.head.config import ParticleSettings
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.particles.kernels import recentre
+
+FRAME_S = 1.0 / 30.0
+"""tau0, the thesis's time between frames, that floors and gain belong to."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeadParticles:
+    """Weighted hypotheses of pose and deformation.
+
+    Attributes:
+        pose: reference pose.
+        coefficients: (B,) reference deformation of the model, mm.
+        deviations: (N, 6 + B) tangent vectors from the reference pose (see ``HeadPose``), then what a
+            particle's coefficients have beyond the reference's.
+        weights: (N,), sum 1.
+        model: whose deformation coefficients these are.
+    """
+
+    pose: HeadPose
+    coefficients: FloatArray
+    deviations: FloatArray
+    weights: FloatArray
+    model: ShapeModel
+
+    def variance(self) -> FloatArray:
+        """Return the variances (6 + B,) of the weighted particles: of tangent vectors and coefficients."""
+        away = self.deviations - self.weights @ self.deviations
+        spread: FloatArray = self.weights @ np.square(away)
+        return spread
+
+    def moved_to(self, pose: HeadPose, coefficients: FloatArray) -> HeadParticles:
+        """Return the particles shifted as a whole: the reference goes to this pose and deformation."""
+        return replace(self, pose=pose, coefficients=coefficients)
+
+    def with_model(self, model: ShapeModel) -> HeadParticles:
+        """Return the particles with the shapes nearest to theirs that another model has.
+
+        a' = V'^T (M(a) - Mbar') for a model with orthonormal directions V'; a model that has learnt since
+        has others, perhaps more of them.
+        """
+        if model is self.model:
+            return self
+        onto = _flat(model).T
+        coefficients = onto @ (self.model.shapes(self.coefficients) - model.mean).ravel()
+        deformation = self.deviations[:, POSE_SIZE:] @ (onto @ _flat(self.model)).T
+        deviations = np.hstack([self.deviations[:, :POSE_SIZE], deformation])
+        return replace(self, coefficients=coefficients, deviations=deviations, model=model)
+
+    def about(self, mean: FloatArray) -> HeadParticles:
+        """Return the same particles as deviations from one of them, or from their mean (6 + B,)."""
+        away = self.deviations.copy()
+        recentre(away, mean)
+        away[:, POSE_SIZE:] -= mean[POSE_SIZE:]
+        return HeadParticles(
+            self.pose.moved(mean[:POSE_SIZE]),
+            self.coefficients + mean[POSE_SIZE:],
+            away,
+            self.weights,
+            self.model,
+        )
+
+
+def _flat(model: ShapeModel) -> FloatArray:
+    """The directions as a matrix (3K, B)."""
+    return model.basis.reshape(model.mean.size, -1)
+
+
+class HeadMotion:
+    """What a head does until the next frame: it keeps its velocity, and diffuses.
+
+    Args:
+        velocity: (6,) tangent vector per second, camera axes; its components count for no larger than those
+            of any head **[ours]**.
+        dt: s until that frame; long gaps count for shorter ones.
+        settings: floors, gain and limits.
+
+    Raises:
+        FilterError: dt is not > 0.
+    """
+
+    def __init__(self, velocity: FloatArray, dt: float, settings: ParticleSettings) -> None:
+        check_time_step(dt)
+        limits = np.repeat([settings.speed_mm_s, settings.speed_rad_s], 3)
+        self._velocity = np.clip(velocity, -limits, limits)
+        self._seconds, self._settings = min(dt, settings.gap_max_s), settings
+
+    def predicted(self, pose: HeadPose) -> HeadPose:
+        """Return the pose after that time of constant velocity."""
+        return pose.moved(self._velocity * self._seconds)
+
+    @property
+    def pose_diffusion(self) -> FloatArray:
+        """(6,) standard deviations of omega's pose part, mm and rad."""
+        settings = self._settings
+        floor = np.array([*settings.floor_mm, *settings.floor_rad])
+        frame: FloatArray = np.maximum(floor, settings.gain * FRAME_S * np.abs(self._velocity))
+        return frame * math.sqrt(self._seconds / FRAME_S)
+
+    def deformation_diffusion(self, deviations: FloatArray) -> FloatArray:
+        """Return kappa mu (B,), mm, of deviations mu (B,)."""
+        return self._settings.kappa * math.sqrt(self._seconds / FRAME_S) * deviations
+
+
+def velocity_between(before: HeadPose, after: HeadPose, dt: float) -> FloatArray:
+    """Return v = (x_t - x_{t-1}) / tau, (6,), mm/s and rad/s in camera axes; (3.31).
+
+    Raises:
+        FilterError: dt is not > 0.
+    """
+    check_time_step(dt)
+    return before.difference(after) / dt
