@@ -21,7 +21,7 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 from reproduction import hand_strangers
 from reproduction.running import Targets
-from reproduction.strangers import figures, tool
+from reproduction.strangers import figures, tasks, tool
 from reproduction.strangers.default import Defaults
 from reproduction.strangers.honesty import Honesty, confidence_figures
 from reproduction.strangers.intervals import joint_variances
@@ -201,10 +201,10 @@ def test_a_missing_tool_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.
 def test_every_recording_is_made_once_and_every_entrant_is_understood(tmp_path: Path) -> None:
     chosen = options(tmp_path)
     every = [task for part in hand_strangers.PARTS for task in part.tasks(chosen)]
-    tasks = merged(task for task in every if isinstance(task, Task))
-    assert len({task.recording for task in tasks}) == len(tasks) == 4 * len(FEW)
-    assert {task.name: task for task in tasks}[f"800-{ARM}-30"].entrants.keys() == {EXACT, DEFAULT, PICTURE}
-    for task in tasks:
+    found = merged(task for task in every if isinstance(task, Task))
+    assert len({task.recording for task in found}) == len(found) == 4 * len(FEW)
+    assert {task.name: task for task in found}[f"800-{ARM}-30"].entrants.keys() == {EXACT, DEFAULT, PICTURE}
+    for task in found:
         assert Task.of_text(task.text) == task
         assert not {"left", "right", "--hand-side"} & {word for of in task.entrants.values() for word in of}
         for arguments in task.entrants.values():
@@ -223,6 +223,26 @@ def test_a_picture_is_drawn_after_its_result_and_anew_when_that_changes(
     assert both.result(tmp_path, PICTURE).suffix == ".png"
     other = Task(task.name, task.tool, task.recording, {**task.entrants, DEFAULT: ("--seed", "1")})
     assert other.facts(PICTURE) != task.facts(PICTURE) != task.facts(DEFAULT)
+
+
+def test_a_task_is_done_in_a_folder_that_is_named_from_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def commanded(*arguments: str) -> None:
+        if "-o" in arguments:
+            Path(arguments[arguments.index("-o") + 1]).write_text(" ".join(arguments[:2]))
+            assert Path("hand.glb").exists()  # in the working folder, where view looks for it
+
+    monkeypatch.setattr(tasks, "command", commanded)
+    monkeypatch.setattr(tasks, "tool_digest", lambda tool: "a tool")
+    monkeypatch.setattr(tasks, "draw", lambda tool, folder, arguments: (folder / "hand.glb").touch())
+    monkeypatch.chdir(tmp_path)
+    Path("runs").mkdir()
+    [task] = Sheets().tasks(options(tmp_path, FEW[:1]))
+    task.run(Path("runs"))
+    assert Path.cwd() == tmp_path
+    assert task.is_current(Path("runs"), DEFAULT) and task.is_current(tmp_path / "runs", PICTURE)
+    assert task.result(Path("runs"), DEFAULT).read_text() == "hand run"
 
 
 def test_the_exact_mesh_is_judged(tmp_path: Path) -> None:

@@ -55,25 +55,28 @@ class Task(EntrantsTask):
 
     @contextmanager
     def prepared(self, out: Path) -> Iterator[Callable[[str], None]]:
-        """Make the recording, and delete it in the end; a mesh is looked for in the folder meanwhile."""
-        out = out.resolve()
+        """Make the recording, and delete it in the end."""
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             draw(Path(self.tool), folder, self.recording)
             recording = folder / f"{self.name}.mcap"
             command("convert", str(folder / "depth"), str(recording), "--truth", str(folder / "truth.csv"))
-            with chdir(folder):
-                yield lambda entrant: self._done(entrant, recording, out)
+            yield lambda entrant: self._done(entrant, recording, out.resolve())
 
     def _done(self, entrant: str, recording: Path, out: Path) -> None:
-        """Track, or draw."""
+        """Track, or draw, in the recording's folder: there ``view`` looks for the mesh of a result."""
+        with chdir(recording.parent):
+            command(*self._command(entrant, recording, out), "--overwrite")
+
+    def _command(self, entrant: str, recording: Path, out: Path) -> tuple[str, ...]:
+        """What tracks or draws; the results' folder is absolute."""
         arguments, result = self.entrants[entrant], str(self.result(out, entrant))
         if self._is_picture(entrant):
             drawn, given = str(self.result(out, arguments[1])), ("--recording", str(recording))
-            return command("view", drawn, "-o", result, *given, *arguments[2:], "--overwrite")
+            return ("view", drawn, "-o", result, *given, *arguments[2:])
         mesh = str(recording.with_name("hand.glb"))
         used = [mesh if argument == MESH else argument for argument in arguments]
-        return command("hand", "run", str(recording), "-o", result, *used, "--overwrite")
+        return ("hand", "run", str(recording), "-o", result, *used)
 
     def _is_picture(self, entrant: str) -> bool:
         return self.entrants[entrant][:1] == (VIEW,)
