@@ -1,4 +1,4 @@
-"""How a study of a tracker is run: its command line, its parts, report.md and its figures as JSON."""
+"""How a study of a tracker is run: its command line, its parts, its report and its figures as JSON."""
 
 from __future__ import annotations
 
@@ -78,6 +78,7 @@ class Study(Generic[OptionsT, PartT]):
         make: makes what parts need, so many processes at a time; returns what went wrong, a line each.
         measured: opens what was made.
         head: begin of the report.
+        report: name of its file.
     """
 
     name: str
@@ -86,11 +87,13 @@ class Study(Generic[OptionsT, PartT]):
     make: Callable[[Sequence[PartT], OptionsT, int], list[str]]
     measured: Callable[[OptionsT], Figures]
     head: Callable[[OptionsT], Iterable[str]]
+    report: str = "report.md"
 
     def command(self, function: Command) -> click.Command:
         """Make a command that begins with the option of the output folder."""
         place = click.Path(path_type=Path)
-        option = click.option("-o", "--output", default=Path("out", self.name), type=place, show_default=True)
+        names, default = ("-o", "--out", "--output"), Path("out", self.name)
+        option = click.option(*names, "output", default=default, type=place, show_default=True)
         return click.command(context_settings={"help_option_names": ["-h", "--help"]})(option(function))
 
     def running_options(self, first: str, quick: str) -> Callable[[Command], Command]:
@@ -100,25 +103,20 @@ class Study(Generic[OptionsT, PartT]):
             first: the option of the first seed.
             quick: what ``--quick`` does less.
         """
-        names = click.Choice([part.name for part in self.parts])
         seed_help = "Of what is made; smaller ones than the default are for trying things out."
-        options = (
-            click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1)),
-            click.option(
-                "--only", "chosen", multiple=True, type=names, help="Do this part alone; repeatable."
-            ),
-            click.option(
-                first, default=FIRST_SEED, show_default=True, type=click.IntRange(0), help=seed_help
-            ),
-            click.option("--quick", is_flag=True, help=f"Try it out: {quick}."),
+        seed = click.option(
+            first, default=FIRST_SEED, show_default=True, type=click.IntRange(0), help=seed_help
         )
+        trial = click.option("--quick", is_flag=True, help=f"Try it out: {quick}.")
+        return lambda function: self.choosing_options(seed(trial(function)))
 
-        def add(function: Command) -> Command:
-            for option in reversed(options):
-                function = option(function)
-            return function
-
-        return add
+    def choosing_options(self, function: Command) -> Command:
+        """Add how many processes run at a time, and which parts of the study are done."""
+        parts = click.Choice([part.name for part in self.parts])
+        jobs = click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1))
+        told = "Do this part alone; repeatable."
+        chosen = click.option("--part", "--only", "chosen", multiple=True, type=parts, help=told)
+        return jobs(chosen(function))
 
     def run(self, options: OptionsT, chosen: Sequence[str], jobs: int) -> None:
         """Do the chosen parts, all where none is; write the report and say where it is.
@@ -129,17 +127,17 @@ class Study(Generic[OptionsT, PartT]):
         parts = [part for part in self.parts if not chosen or part.name in chosen]
         failures = self.make(parts, options, jobs)
         self._write(parts, options, failures)
-        click.echo(f"written: {options.output / 'report.md'}")
+        click.echo(f"written: {options.output / self.report}")
         if failures:
             click.echo(f"{len(failures)} recordings failed, first {failures[0]}", err=True)
             sys.exit(EXIT_DATA_LOST)
 
     def _write(self, parts: Sequence[PartT], options: OptionsT, failures: Sequence[str]) -> None:
-        """Write report.md, and beside it the figures; all parts are read first, for they fill the targets."""
+        """Write the report, and beside it the figures; all parts are read first: they fill the targets."""
         measured, targets = self.measured(options), Targets()
         body = [line for part in parts for line in part.lines(options, measured, targets)]
         lines = [*self.head(options), *_summary(targets), *body, *_failed(failures)]
-        (options.output / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (options.output / self.report).write_text("\n".join(lines) + "\n", encoding="utf-8")
         found = {"targets": targets.rows, "figures": measured.everything, "failures": list(failures)}
         text = json.dumps(finite(found), indent=1, ensure_ascii=False) + "\n"
         (options.output / self.figures).write_text(text, encoding="utf-8")

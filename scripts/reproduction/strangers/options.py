@@ -1,0 +1,70 @@
+"""What the study is asked for, and what every part of it has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from reproduction import running
+from reproduction.accuracy.options import NO_MESH
+from reproduction.accuracy.tasks import Task as AccuracyTask
+from reproduction.strangers.measuring import Measured
+from reproduction.strangers.people import Person
+from reproduction.strangers.tasks import MESH, Task
+
+EXACT, DEFAULT = "mesh", "default"
+"""Names of the entrants: with the person's own mesh, and without being told anything."""
+ENTRANTS = {EXACT: ("--hand-mesh", MESH, "--smooth", *NO_MESH), DEFAULT: NO_MESH}
+ARM, NO_ARM, DOUBLE_SPEED, FREE_ELBOW = "arm", "no-arm", "double-speed", "free-elbow"
+"""Kinds of recordings."""
+RECORDINGS: dict[str, tuple[str, ...]] = {
+    ARM: (),
+    NO_ARM: ("--no-arm",),
+    DOUBLE_SPEED: ("--speed", "2"),
+    FREE_ELBOW: ("--free-elbow",),
+}
+"""By kind the further arguments of the tool."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is done.
+
+    Attributes:
+        output: folder of everything.
+        tool: that draws strangers' hands.
+        people: who is recorded.
+        drawn: of whom pictures are made.
+        frames: per recording.
+        cvar: folder of the annotated, head-mounted recordings; None leaves them out.
+    """
+
+    output: Path
+    tool: Path
+    people: tuple[Person, ...]
+    drawn: tuple[Person, ...] = ()
+    frames: int = 300
+    cvar: Path | None = None
+
+    @property
+    def runs(self) -> Path:
+        """Where results lie."""
+        return self.output / "runs"
+
+    def task(self, person: Person, kind: str, entrant: str) -> Task:
+        """A person's recording of a kind, tracked by one entrant."""
+        recording = person.recording(self.frames, *RECORDINGS[kind])
+        name = f"{person.number}-{kind}-{self.frames}"
+        return Task(name, str(self.tool), recording, {entrant: ENTRANTS[entrant]})
+
+
+AnyTask = Task | AccuracyTask
+
+
+class Part(running.Part[Options, Measured], Protocol):
+    """One part of the study: the recordings it needs, and what it says about their results."""
+
+    def tasks(self, options: Options) -> Sequence[AnyTask]:
+        """What has to be tracked."""

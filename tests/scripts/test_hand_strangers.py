@@ -1,0 +1,326 @@
+"""The study of scripts/reproduce hand-strangers: its figures, whom it refuses, what it runs, what it says."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy import stats
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.cli.hand import hand_run
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.evaluate import EvalOptions
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.results.tracks import FILTERED, SMOOTHED
+from reproduction import hand_strangers
+from reproduction.running import Targets
+from reproduction.strangers import figures, tasks, tool
+from reproduction.strangers.default import Defaults
+from reproduction.strangers.honesty import Honesty, confidence_figures
+from reproduction.strangers.intervals import joint_variances
+from reproduction.strangers.measuring import Frames, Measured, path_lengths
+from reproduction.strangers.mesh import OwnMesh
+from reproduction.strangers.options import ARM, DEFAULT, EXACT, FREE_ELBOW, Options
+from reproduction.strangers.people import Person, people_of
+from reproduction.strangers.sheet import PICTURE, Sheets
+from reproduction.strangers.smooth import Smoothing
+from reproduction.strangers.tasks import MESH, VIEW, Task, merged
+from reproduction.task import EntrantsTask
+
+FEW = tuple(map(Person, (800, 801, 804)))
+
+
+def frames(
+    error: list[float],
+    wrist: list[float] | None = None,
+    lost: list[int] | None = None,
+    confidence: float = 1.0,
+) -> Frames:
+    """Frames with these errors, mm; the wrist's are the same, and nothing is lost, if it is not said."""
+    count = len(error)
+    gone = np.array(lost or [0] * count, dtype=np.bool_)
+    still = np.zeros(count)
+    of_wrist = np.array(wrist or error, dtype=np.float64)
+    sure = np.full(count, confidence)
+    return Frames(np.array(error, dtype=np.float64), of_wrist, still, still, gone, ~gone, sure)
+
+
+class MadeUp(Measured):
+    """Frames by task's name, entrant and track, given instead of measured."""
+
+    def __init__(self, given: dict[tuple[str, str, str], Frames], side: str = "right") -> None:
+        super().__init__(Path("nowhere"))
+        self._given, self._side = given, side
+
+    def frames(self, task: EntrantsTask, entrant: str, track: str = FILTERED) -> Frames | None:
+        return self._given.get((task.name, entrant, track))
+
+    def side(self, task: EntrantsTask, entrant: str) -> str:
+        return self._side
+
+    def evaluation(self, task: EntrantsTask, entrant: str, options: EvalOptions) -> Evaluation | None:
+        return None
+
+
+def options(tmp_path: Path, people: tuple[Person, ...] = FEW) -> Options:
+    return Options(tmp_path, Path("foreign_hand.py"), people, people, frames=30)
+
+
+def judged(targets: Targets) -> dict[str, tuple[str, str]]:
+    return {what: (measured, said) for what, _, measured, said in targets.rows}
+
+
+def test_a_jump_is_more_than_100_mm_beyond_what_the_truth_moves() -> None:
+    moved, truly = np.array([0.0, 101.0, 250.0, 100.0, 180.0]), np.array([0.0, 0.0, 151.0, 0.0, 70.0])
+    # beyond the truth: 0, 101, 99, 100, 110 mm
+    assert figures.jumps(moved, truly) == 2
+
+
+def test_paths_are_the_mean_of_the_points_own() -> None:
+    # one point goes 3, 4 (5 mm), the other stays; then both go 2 mm, one back and one forth
+    points = np.array([[[0, 0, 0], [9, 9, 9]], [[3, 4, 0], [9, 9, 9]], [[3, 4, 2], [9, 9, 7]]], dtype=float)
+    assert path_lengths(points).tolist() == [0.0, 2.5, 2.0]
+    assert path_lengths(points[:0]).tolist() == []
+
+
+def test_found_is_the_first_frame_on_the_wrist_that_does_not_say_it_is_lost() -> None:
+    wrist, lost = np.array([200.0, 10.0, 61.0, 60.0, 5.0]), np.array([True, True, False, False, False])
+    assert figures.found_within(wrist, lost) == 4
+    assert figures.found_within(wrist[:3], lost[:3]) is None
+    assert figures.found_within(wrist[:0], lost[:0]) is None
+    assert figures.off_unsaid(wrist, lost) == 1  # the third; the first says that it is lost
+    assert figures.kept(wrist) == pytest.approx(2 / 5)  # less than 60 mm: 10 and 5
+
+
+def brute_force(scores: FloatArray, right: BoolArray) -> float:
+    pairs = list(product(scores[right], scores[~right]))
+    return sum(1.0 if a > b else 0.5 if a == b else 0.0 for a, b in pairs) / len(pairs)
+
+
+@pytest.mark.parametrize("levels", [3, 10, 10**6])
+def test_the_roc_area_is_that_of_all_pairs_and_of_mann_and_whitney(levels: int) -> None:
+    rng = np.random.default_rng(levels)
+    right = rng.random(80) < 0.7
+    scores = rng.integers(levels, size=80) / levels + 0.2 * right  # few levels: many ties
+    area = figures.roc_area(scores, right)
+    statistic = stats.mannwhitneyu(scores[right], scores[~right]).statistic
+    assert area == pytest.approx(brute_force(scores, right), abs=1e-12)
+    assert area == pytest.approx(statistic / (right.sum() * (~right).sum()), abs=1e-12)
+
+
+def test_the_roc_area_of_ties_alone_is_a_half_and_of_one_kind_unknown() -> None:
+    right = np.array([True, False, True])
+    assert figures.roc_area(np.ones(3), right) == 0.5
+    assert figures.roc_area(np.array([1.0, 0.0, 0.5]), right) == 1.0
+    assert figures.roc_area(np.array([0.0, 1.0, 0.5]), right) == 0.0
+    assert np.isnan(figures.roc_area(np.ones(3), right | True))
+    assert np.isnan(figures.roc_area(np.ones(3), right & False))
+
+
+def test_brier_and_reliability() -> None:
+    confidence, right = np.array([0.0, 0.05, 0.1, 0.95, 1.0]), np.array([False, True, False, True, False])
+    # squares: 0, 0.9025, 0.01, 0.0025, 1
+    assert figures.brier_score(confidence, right) == pytest.approx(1.915 / 5)
+    bins = list(figures.reliability(confidence, right))
+    assert [one.count for one in bins] == [2, 1, 0, 0, 0, 0, 0, 0, 0, 2]
+    assert (bins[0].low, bins[0].high, bins[9].high) == (0.0, 0.1, 1.0)
+    assert (bins[0].confidence, bins[0].right) == (pytest.approx(0.025), 0.5)
+    assert (bins[9].confidence, bins[9].right) == (pytest.approx(0.975), 0.5)
+    assert np.isnan(bins[5].right)
+
+
+def test_pooled_frames_count_each() -> None:
+    good, bad = frames([5.0, 20.0], confidence=0.9), frames([30.0, 50.0], lost=[0, 1], confidence=0.2)
+    told = confidence_figures([good, bad])
+    assert (told["frames"], told["wrong"], told["roc_area"]) == (4, 0.5, 1.0)
+    assert told["far_tracking"] == 0.0  # 50 mm off, but it says so
+    assert told["brier_score"] == pytest.approx((2 * 0.01 + 2 * 0.04) / 4)
+    assert confidence_figures([frames([41.0, 39.0, 40.0])])["far_tracking"] == pytest.approx(1 / 3)
+
+
+def test_intervals_of_joints_hold_as_often_as_they_say() -> None:
+    anatomy, rng, draws = make_anatomy("right"), np.random.default_rng(0), 2000
+    pose = np.zeros(22)
+    pose[2], pose[6], pose[7:] = 600.0, 1.0, 0.2
+    variances = np.full(21, 1e-4)  # rad^2 and mm^2: small enough to be linear
+    moved = np.repeat(pose[None], draws, axis=0)
+    steps = rng.normal(0.0, np.sqrt(variances), (draws, 21))
+    moved[:, :3] += steps[:, :3]
+    moved[:, 3:6], moved[:, 7:] = steps[:, 3:6] / 2, pose[7:] + steps[:, 6:]  # a small turn w: (w / 2, 1)
+    moved[:, 6] = np.sqrt(1.0 - (moved[:, 3:6] ** 2).sum(axis=1))
+    sd = np.sqrt(joint_variances(anatomy, pose[None], variances[None])[0])
+    inside = np.abs(joint_positions(anatomy, moved) - joint_positions(anatomy, pose[None])) <= INSIDE_90 * sd
+    tolerance = 4.0 * np.sqrt(0.9 * 0.1 / draws)
+    assert np.abs(inside.mean(axis=0) - 0.9).max() < tolerance + 0.01  # 0.01: what is not linear
+    assert sd[0] == pytest.approx([0.01] * 3)  # the wrist's are stated
+
+
+def test_people_are_named_once_each_and_differ_in_side_and_view() -> None:
+    people = people_of("803, 800-802,801", final=False)
+    assert [person.number for person in people] == [800, 801, 802, 803]
+    assert [person.side for person in people] == ["right", "left", "right", "left"]
+    assert [person.shows_back for person in people] == [False, True, False, False]
+    arguments = " ".join(Person(801).recording(7, "--no-arm"))
+    assert arguments == "--person 801 --motion 801 --frames 7 --left --back --no-arm"
+
+
+@pytest.mark.parametrize("text", ["", "800-", "a", "810-800", "-3", "800,,801", "0-5000"])
+def test_people_that_cannot_be_understood_are_told(text: str) -> None:
+    with pytest.raises(UsageError, match="people cannot be understood"):
+        people_of(text, final=False)
+
+
+def test_people_for_final_measurements_are_refused_in_one_line(tmp_path: Path) -> None:
+    assert [person.number for person in people_of("900", final=True)] == [900]
+    drawing = tmp_path / "foreign_hand.py"
+    drawing.touch()
+    for given in (["--people", "899-900"], ["--people", "800", "--sheets", "900"]):
+        said = CliRunner().invoke(
+            hand_strangers.main, [*given, "--tool", str(drawing), "--out", str(tmp_path / "out")]
+        )
+        assert said.exit_code == 1 and said.output.count("\n") == 1
+        assert "final measurements only, found 900" in said.output and "--final" in said.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_tool_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tool, "TOOL", tmp_path / "elsewhere" / "foreign_hand.py")
+    for given in ([], ["--tool", str(tmp_path / "none.py")]):
+        said = CliRunner().invoke(hand_strangers.main, [*given, "--out", str(tmp_path / "out")])
+        assert said.exit_code == 1 and said.output.count("\n") == 1
+        assert "is missing; give the path of foreign_hand.py with --tool" in said.output
+
+
+def test_every_recording_is_made_once_and_every_entrant_is_understood(tmp_path: Path) -> None:
+    chosen = options(tmp_path)
+    every = [task for part in hand_strangers.PARTS for task in part.tasks(chosen)]
+    found = merged(task for task in every if isinstance(task, Task))
+    assert len({task.recording for task in found}) == len(found) == 4 * len(FEW)
+    assert {task.name: task for task in found}[f"800-{ARM}-30"].entrants.keys() == {EXACT, DEFAULT, PICTURE}
+    for task in found:
+        assert Task.of_text(task.text) == task
+        assert not {"left", "right", "--hand-side"} & {word for of in task.entrants.values() for word in of}
+        for arguments in task.entrants.values():
+            if arguments[:1] != (VIEW,):
+                used = ["hand.glb" if argument == MESH else argument for argument in arguments]
+                hand_run.make_context("run", ["in.mcap", "-o", "out.mcap", *used])
+
+
+def test_a_picture_is_drawn_after_its_result_and_anew_when_that_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("reproduction.strangers.tasks.tool_digest", lambda tool: "a tool")
+    [task] = Sheets().tasks(options(tmp_path, FEW[:1]))
+    [both] = merged([task, options(tmp_path).task(FEW[0], ARM, EXACT)])
+    assert list(both.entrants) == [DEFAULT, EXACT, PICTURE]
+    assert both.result(tmp_path, PICTURE).suffix == ".png"
+    other = Task(task.name, task.tool, task.recording, {**task.entrants, DEFAULT: ("--seed", "1")})
+    assert other.facts(PICTURE) != task.facts(PICTURE) != task.facts(DEFAULT)
+
+
+def test_a_task_is_done_in_a_folder_that_is_named_from_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def commanded(*arguments: str) -> None:
+        if "-o" in arguments:
+            Path(arguments[arguments.index("-o") + 1]).write_text(" ".join(arguments[:2]))
+            assert Path("hand.glb").exists()  # in the working folder, where view looks for it
+
+    monkeypatch.setattr(tasks, "command", commanded)
+    monkeypatch.setattr(tasks, "tool_digest", lambda tool: "a tool")
+    monkeypatch.setattr(tasks, "draw", lambda tool, folder, arguments: (folder / "hand.glb").touch())
+    monkeypatch.chdir(tmp_path)
+    Path("runs").mkdir()
+    [task] = Sheets().tasks(options(tmp_path, FEW[:1]))
+    task.run(Path("runs"))
+    assert Path.cwd() == tmp_path
+    assert task.is_current(Path("runs"), DEFAULT) and task.is_current(tmp_path / "runs", PICTURE)
+    assert task.result(Path("runs"), DEFAULT).read_text() == "hand run"
+
+
+def test_the_exact_mesh_is_judged(tmp_path: Path) -> None:
+    chosen, targets = options(tmp_path, FEW[:2]), Targets()
+    errors = {"arm": (3.0, 6.0), "no-arm": (2.0, 4.0), "double-speed": (5.0, 6.0)}
+    given = {
+        (f"{person.number}-{kind}-30", EXACT, FILTERED): frames([found[k]] * 4)
+        for kind, found in errors.items()
+        for k, person in enumerate(FEW[:2])
+    }
+    measured = MadeUp(given)
+    text = "\n".join(OwnMesh().lines(chosen, measured, targets))
+    said = judged(targets)
+    assert said["exact mesh: mean joint error, mm"] == ("4.50", "**missed**")
+    assert said["exact mesh: error with arm over without"] == ("1.50", "**missed**")
+    assert said["exact mesh, double speed: mean joint error, mm"] == ("5.50", "reached")
+    assert "| 800 right | 3.00 | 2.00 | 1.50 | 5.00 | 0 | 0 | 3.0 | 0 |" in text
+    assert "| all | 4.50 | 3.00 | 1.50 | 5.50 | 0 | 0 | 6.0 | 0 |" in text
+    assert measured.everything["mesh"]["801"]["arm_ratio"] == 1.5
+
+
+def test_defaults_are_judged_with_one_who_is_never_found(tmp_path: Path) -> None:
+    chosen, targets = options(tmp_path), Targets()
+    wrists = {800: [99.0] * 4 + [9.0], 801: [99.0] * 5, 804: [9.0] * 5}
+    given = {
+        (f"{number}-{ARM}-30", DEFAULT, FILTERED): frames([1.0] * 5, wrist, [1, 1, 1, 0, 0])
+        for number, wrist in wrists.items()
+    }
+    text = "\n".join(Defaults().lines(chosen, MadeUp(given), targets))
+    said = judged(targets)
+    assert said["defaults: side right"] == ("2 of 3", "**missed**")  # 801 shows the left one
+    assert said["defaults: found within 5 frames"] == ("2 of 3", "**missed**")
+    off = said["defaults: frames with the wrist > 60 mm off and not lost"]
+    assert off == ("3 in 3 recordings", "**missed**")  # the fourth of 800, the last two of 801
+    assert "| 801 left, back | right | 0 | 2 | never |" in text
+    assert "| all |  | 2 | 3 | never | 1.00 |" in text
+    assert "| 800 right | right | 1 | 1 | 5 |" in text
+
+
+def test_smoothing_is_judged_by_the_worst(tmp_path: Path) -> None:
+    people = tuple(map(Person, range(800, 820)))
+    chosen, targets = options(tmp_path, people), Targets()
+    smoothed = {**dict.fromkeys(people, 1.8), people[0]: 2.03, people[1]: 2.0}
+    given = {
+        (f"{person.number}-{ARM}-30", EXACT, track): frames([error] * 2)
+        for person in people
+        for track, error in ((FILTERED, 2.0), (SMOOTHED, smoothed[person]))
+    }
+    list(Smoothing().lines(chosen, MadeUp(given), targets))
+    assert judged(targets) == {
+        "smoothing: better": ("18 of 20", "reached"),
+        "smoothing: worst ratio": ("1.015", "reached"),
+    }
+
+
+def test_the_area_is_told_of_hard_recordings_alone_too(tmp_path: Path) -> None:
+    class OnlyP7(Honesty):
+        def tasks(self, options: Options) -> list[Task]:  # type: ignore[override]
+            return [Task("P7", "tool", (), {DEFAULT: ()})]
+
+    targets = Targets()
+    measured = MadeUp({("P7", DEFAULT, FILTERED): frames([5.0, 50.0])})
+    list(OnlyP7().lines(options(tmp_path), measured, targets))
+    said = judged(targets)
+    assert said["confidence, P7: area under the ROC curve"] == ("0.500", "**missed**")
+    assert said["confidence, P1: area under the ROC curve"] == ("-", "not measured")
+    assert said["frames > 40 mm off that say tracking"] == ("50.00 %", "**missed**")
+
+
+def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:
+    chosen, targets = options(tmp_path), Targets()
+    for part in hand_strangers.PARTS:
+        if part.name != "sheet":
+            assert "nan" not in "\n".join(part.lines(chosen, MadeUp({}), targets))
+    assert {said for _, _, _, said in targets.rows} == {"not measured"}
+
+
+def test_only_the_first_people_free_their_elbow(tmp_path: Path) -> None:
+    many = options(tmp_path, tuple(map(Person, range(800, 820))))
+    found = [task.name for part in hand_strangers.PARTS for task in part.tasks(many)]
+    assert [name for name in found if FREE_ELBOW in name] == [f"{n}-{FREE_ELBOW}-30" for n in range(800, 805)]
