@@ -7,7 +7,7 @@ Confidence is the probability that the mean error of the joints is below ``RIGHT
 with D the union cost, mm, and s the stated standard deviations of position (mm), angles and rotation (rad).
 The weights were fitted to 5,916 frames, every recording counting alike: 14 people of the synthetic strangers
 (600-605, 610-617, motions alike), each with the average hand and with the person's own, and CVAR's P1, P4 and
-P7 with the average hand. On these the area under the ROC curve is .87, and probabilities that are stated differ
+P7 with the average hand. On these the area under the ROC curve is .87, and stated probabilities differ
 from the shares of right frames by at most .12 in any tenth of the range.
 """
 

@@ -119,7 +119,7 @@ FIELDS = (
     Field(
         "confidence",
         "number",
-        "0 (guess) to 1 (certain).",
+        "0 (guess) to 1 (certain); of a hand, the probability that its joints are right to 20 mm on average.",
         NUMBER,
         meaning="0 (guess) to 1 (certain)",
     ),
