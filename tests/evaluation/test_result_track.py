@@ -28,7 +28,7 @@ def test_every_array_is_the_estimates_own(tmp_path: Path, subject: Subject) -> N
     assert found.shape_names == subject.shape_names
     assert (found.point_names, found.point_parents) == (subject.point_names, subject.point_parents)
     arrays = {field.name for field in fields(Estimate)} & {field.name for field in fields(Track)}
-    assert len(arrays) == 15
+    assert len(arrays) == 16
     for name in arrays:
         expected = [getattr(one, name) for one in own]
         if all(value is None for value in expected) and name not in ("cost", "milliseconds"):
