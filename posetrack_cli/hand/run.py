@@ -24,7 +24,7 @@ from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.protocol import HandTrackerProtocol
 from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
-from posetrack_cli.hand.tracker import dynamics
+from posetrack_cli.hand.tracker import HandState, dynamics
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output
@@ -140,6 +140,16 @@ class HandRun(Run):
         """Remember frames without any reading."""
         if not frame.depth.any():
             self._blank.append(frame.index)
+
+    def remarks(self, state: Any) -> tuple[str, ...]:
+        """Return whether most frames are doubtful, and what helps."""
+        if not isinstance(state, HandState) or 2 * state.doubtful <= state.frames:
+            return ()
+        told = "the hand's size and shape (--calibrate, --hand-mesh), its side (--hand-side)"
+        return (
+            f"{state.doubtful} of {state.frames} frames are more probably wrong than right (confidence below"
+            f" 0.5); posetrack view shows them, and what may help is to tell {told}",
+        )
 
     def losses(self) -> tuple[Loss, ...]:
         """Return what could not be read, and frames without any reading."""

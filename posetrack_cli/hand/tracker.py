@@ -51,6 +51,7 @@ class HandState:
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         monitor: how well frames were fitted.
         log_girth: of the forearm, as in ``Observation``: a running mean.
+        frames, doubtful: how many were tracked, and how many of them are more probably wrong than right.
         unseen_ns: time since the last frame in which there was something to compare with.
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
@@ -64,6 +65,8 @@ class HandState:
     velocity: FloatArray
     monitor: TrackMonitor = field(default_factory=TrackMonitor)
     log_girth: float = 0.0
+    frames: int = 0
+    doubtful: int = 0
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
@@ -179,6 +182,8 @@ class HandTracker:
             velocity,
             monitor,
             _girth_after(seen),
+            state.frames + 1,
+            state.doubtful + int(confidence < PROBABLY),
             unseen_ns,
             max(seen.dt, 0.0),
             seen.restarted,
@@ -417,6 +422,8 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         velocity=Value(floats(TANGENT_SIZE)),
         monitor=monitor,
         log_girth=real(floats()),
+        frames=whole(),
+        doubtful=whole(),
         unseen_ns=whole((0, STAMPS_NS[1])),
     )
 
