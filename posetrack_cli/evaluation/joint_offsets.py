@@ -30,8 +30,9 @@ AXES: dict[str, str] = {
     "camera": "in camera axes",
 }
 NO_FRAME = "no constant offset per joint removed: no frame has a truth"
-MOST_MM = 40.0
-"""Two people who mark the same joint differ by less, however thick the finger."""
+MOST_MM = 25.0
+"""As far apart two conventions put a joint; what is farther is an error, and stays one. Two rigs of one hand, and
+people who mark joints on the skin or inside, differ by 5 to 20 mm."""
 _PALM = 0
 
 Turns: TypeAlias = Callable[[slice], FloatArray]
@@ -48,11 +49,13 @@ class JointOffsets:
         frame: whose axes they are in.
         offsets: (P, 3) mm, truth minus estimate; at zero angles and with the identity rotation every frame's
             axes are the camera's (x towards a right hand's thumb, y to the wrist, z out of its back).
+        capped: those whose offset was longer than ``MOST_MM``, of which so much was removed.
     """
 
     names: tuple[str, ...]
     frame: OffsetFrame
     offsets: FloatArray
+    capped: tuple[str, ...] = ()
 
     @property
     def lengths(self) -> FloatArray:
@@ -63,7 +66,8 @@ class JointOffsets:
     def note(self) -> str:
         """One line for those who read the figures."""
         largest = float(self.lengths.max())
-        doubt = "; that large they are errors, no convention" if largest > MOST_MM else ""
+        names = ", ".join(self.capped)
+        doubt = f"; of {names} no more, for what is longer is an error, no convention" if names else ""
         return (
             f"one constant offset per joint removed, {AXES[self.frame]}: {self.lengths.mean():.1f} mm on "
             f"average, up to {largest:.1f} mm{doubt}"
@@ -79,7 +83,8 @@ def remove_joint_offsets(
 
         o_j = median_i R_ij^T (p_true,ij - p_ij),        p'_ij = p_ij + R_ij o_j
 
-    The median is taken by component: frames in which the estimate is off, fewer than half, do not pull it.
+    The median is taken by component: frames in which the estimate is off, fewer than half, do not pull it. An
+    offset longer than ``MOST_MM`` is shortened to it.
 
     Args:
         track: the estimate of a hand, with pose, finger angles and joints.
@@ -99,9 +104,13 @@ def remove_joint_offsets(
     if not len(pairs.estimate):
         return track, None
     turns = _turns(track, anatomy, frame)
-    offsets = JointOffsets(
-        track.point_names, frame, _offsets(track, truth, tracked_pairs(track, pairs), turns)
+    found = _offsets(track, truth, tracked_pairs(track, pairs), turns)
+    lengths = np.linalg.norm(found, axis=1, keepdims=True)
+    capped = tuple(
+        name for name, long in zip(track.point_names, lengths[:, 0] > MOST_MM, strict=True) if long
     )
+    shares = np.minimum(1.0, MOST_MM / np.maximum(lengths, 1e-9))
+    offsets = JointOffsets(track.point_names, frame, found * shares, capped)
     return replace(track, points=_moved(track, offsets.offsets, turns)), offsets
 
 

@@ -15,6 +15,7 @@ from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.joint_offsets import (
     AXES,
+    MOST_MM,
     JointOffsets,
     OffsetFrame,
     bone_of_joints,
@@ -159,8 +160,25 @@ def test_offsets_too_large_for_a_convention_are_doubted() -> None:
     assert small.note == (
         "one constant offset per joint removed, in the palm's axes: 10.0 mm on average, up to 15.0 mm"
     )
-    large = JointOffsets(("wrist",), "bone", np.array([[0.0, 0.0, -90.0]]))
-    assert large.note.endswith("up to 90.0 mm; that large they are errors, no convention")
+
+
+def test_what_is_too_long_for_a_convention_stays_an_error_and_its_joint_is_named() -> None:
+    """Of 90 mm 25 are removed, in the same direction; every other joint as before."""
+    track, offsets = random_hand(20), offsets_of()
+    place = JOINT_NAMES.index("ring_pip")
+    offsets[place] = [0.0, 54.0, -72.0]
+    truth = marked(track, offsets, "bone")
+    without, removed = remove_joint_offsets(track, truth, all_pairs(20), ANATOMY)
+    assert removed is not None and removed.capped == ("ring_pip",)
+    others = np.arange(len(JOINT_NAMES)) != place
+    np.testing.assert_allclose(removed.offsets[others], offsets[others], atol=SINGLE)
+    np.testing.assert_allclose(removed.offsets[place], [0.0, 15.0, -20.0], atol=SINGLE)
+    left = np.linalg.norm(points_of(without) - points_of(truth), axis=2)
+    np.testing.assert_allclose(left[:, others], 0.0, atol=SINGLE)
+    np.testing.assert_allclose(left[:, place], 90.0 - MOST_MM, atol=SINGLE)
+    assert removed.note.endswith(
+        "up to 25.0 mm; of ring_pip no more, for what is longer is an error, no convention"
+    )
 
 
 def test_without_pairs_nothing_is_removed() -> None:
