@@ -31,8 +31,8 @@ AXES: dict[str, str] = {
 }
 NO_FRAME = "no constant offset per joint removed: no frame has a truth"
 MOST_MM = 25.0
-"""As far apart two conventions put a joint; what is farther is an error, and stays one. Two rigs of one hand, and
-people who mark joints on the skin or inside, differ by 5 to 20 mm."""
+"""As far apart two conventions put a joint; what is farther is an error, and stays one. Two rigs of one hand,
+and people who mark joints on the skin or inside, differ by 5 to 20 mm."""
 _PALM = 0
 
 Turns: TypeAlias = Callable[[slice], FloatArray]
