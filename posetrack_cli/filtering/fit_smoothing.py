@@ -39,8 +39,8 @@ from posetrack_cli.filtering.gaussian_smoothing import (
 from posetrack_cli.filtering.kalman import constant_velocity
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.resampling import normalise, truncated
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
-from posetrack_cli.filtering.weights import normalise, truncated
 
 BELIEF = ("pose", "velocity", "covariance")
 _RIDGE = 1e-9

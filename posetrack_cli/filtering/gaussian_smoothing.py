@@ -29,8 +29,8 @@ from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_smooth
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.resampling import effective_count, normalise, truncated
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of
-from posetrack_cli.filtering.weights import effective_count, normalise, truncated
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,10 +32,9 @@ from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import StepNoise, VelocityGain, velocity_gain
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import precisions
-from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.resampling import normalise, resample
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of
 from posetrack_cli.filtering.step import pose_moments, velocity_moments
-from posetrack_cli.filtering.weights import normalise
 
 SMALLEST_SHARE = 1e-12
 """Of the increment's variance that is pose noise, at the least: no step tells the velocity exactly."""
