@@ -23,6 +23,11 @@ CHUNK_BYTES = 64 * 1024 * 1024
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
+def serialised(message: Any) -> bytes:
+    """Return the bytes of a protobuf message; equal messages have equal bytes."""
+    return bytes(message.SerializeToString(deterministic=True))
+
+
 class McapSink:
     """An MCAP file that is being written: channels, messages, metadata and attachments.
 

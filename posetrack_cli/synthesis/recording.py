@@ -11,7 +11,7 @@ import numpy as np
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.conversion import CHUNK_BYTES
@@ -141,11 +141,6 @@ class TruthChannels:
     def write(self, frame: SyntheticFrame) -> None:
         """Write the truth about one frame."""
         truth = frame.truth()
-        write_message(self._sink, self._odometry, frame.stamp_ns, messages.odometry(truth, self._subject))
-        write_message(self._sink, self._joints, frame.stamp_ns, frame.joint_states())
+        self._sink.write(self._odometry, frame.stamp_ns, serialised(messages.odometry(truth, self._subject)))
+        self._sink.write(self._joints, frame.stamp_ns, serialised(frame.joint_states()))
         self._sink.write(self._estimate, frame.stamp_ns, estimate_to_json(truth))
-
-
-def write_message(sink: McapSink, channel: int, stamp_ns: int, message: Any) -> None:
-    """Write a protobuf message; equal messages have equal bytes."""
-    sink.write(channel, stamp_ns, message.SerializeToString(deterministic=True))
