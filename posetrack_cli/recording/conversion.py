@@ -15,7 +15,7 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.mcap.sink import McapSink, serialised
+from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
@@ -132,9 +132,7 @@ class _Writer:
         if message.topic not in self._truth_channels:
             self._truth_channels[message.topic] = sink.raw_channel(
                 message.topic,
-                message.schema_name,
-                message.schema_encoding,
-                message.schema_data,
+                SchemaText(message.schema_name, message.schema_encoding, message.schema_data),
                 message.message_encoding,
                 message.channel_metadata,
             )

@@ -12,7 +12,7 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.mcap.sink import McapSink, serialised
+from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.results import messages
@@ -188,10 +188,11 @@ class ResultChannels:
         """Return the channel of a truth message's topic and schema, registered when it is new."""
         if not message.topic.startswith(TRUTH_PREFIX):
             raise ResultError("no truth topic", where=message.topic, expected=f"{TRUTH_PREFIX}...")
-        schema = (message.schema_name, message.schema_encoding, message.schema_data, message.message_encoding)
-        key = (message.topic, *schema, tuple(sorted(message.channel_metadata.items())))
+        schema = SchemaText(message.schema_name, message.schema_encoding, message.schema_data)
+        about = message.topic, schema, message.message_encoding
+        key = (*about, tuple(sorted(message.channel_metadata.items())))
         if key not in self._truth:
-            self._truth[key] = self._sink.raw_channel(message.topic, *schema, message.channel_metadata)
+            self._truth[key] = self._sink.raw_channel(*about, message.channel_metadata)
         return self._truth[key]
 
     def write_replayed(self, channel_id: int, stamp_ns: int, data: bytes) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -93,10 +94,9 @@ def numbers_text(values: Any) -> str:
     return " ".join(f"{value:.6g}" for value in np.ravel(values))
 
 
-def write_file(
-    out: Path, record: Mapping[str, str], frames: Iterator[Frame], writer: Callable[[McapSink], Writer[Frame]]
-) -> None:
-    """Write a recording as an MCAP file: ``out`` + ``.part``, renamed when it is complete.
+@contextmanager
+def recording_file(out: Path) -> Iterator[McapSink]:
+    """Yield the MCAP file of a recording: ``out`` + ``.part``, renamed when it is complete.
 
     Raises:
         ResultError: the file cannot be written.
@@ -105,7 +105,7 @@ def write_file(
         whole_or_nothing(out) as part,
         McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink,
     ):
-        write_all(sink, record, frames, writer)
+        yield sink
 
 
 def write_all(

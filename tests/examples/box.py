@@ -42,7 +42,7 @@ from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.results.messages import JointStates
-from posetrack_cli.synthesis.recording import TruthChannels, write_file
+from posetrack_cli.synthesis.recording import TruthChannels, recording_file, write_all
 from posetrack_cli.tracking.options import RunOptions, common_record
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, stamp
@@ -284,7 +284,8 @@ def write_boxes(path: Path, count: int, device: RenderingDevice) -> None:
             drawn = renderer.depth(transforms(true_pose(index)[None]), CAMERA, Window.whole(CAMERA))
             yield BoxFrame(index, np.rint(drawn[0]).astype(np.uint16))
 
-    write_file(path, {}, frames(), _Channels)
+    with recording_file(path) as sink:
+        write_all(sink, {}, frames(), _Channels)
 
 
 class _Channels:

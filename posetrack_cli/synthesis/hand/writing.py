@@ -23,9 +23,10 @@ from posetrack_cli.synthesis.recording import (
     Synthesis,
     TruthChannels,
     numbers_text,
+    recording_file,
     reported,
     synth_record,
-    write_file,
+    write_all,
 )
 
 PNG_LEVEL = 1
@@ -65,7 +66,9 @@ def write_synthetic(
     plan = make_plan(options, noise)
     stamps = plan.timeline.stamps_ns[plan.written]
     record = synth_record(options, _facts(plan, noise))
-    write_file(out, record, reported(render_plan(plan), report), lambda sink: _Channels(sink, int(stamps[0])))
+    frames = reported(render_plan(plan), report)
+    with recording_file(out) as sink:
+        write_all(sink, record, frames, lambda sink: _Channels(sink, int(stamps[0])))
     return Synthesis(len(stamps), int(plan.timeline.dropped.sum()), float(stamps[-1] - stamps[0]) * 1e-9)
 
 

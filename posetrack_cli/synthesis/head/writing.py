@@ -31,10 +31,10 @@ from posetrack_cli.synthesis.recording import (
     TruthChannels,
     check_option,
     numbers_text,
+    recording_file,
     reported,
     synth_record,
     write_all,
-    write_file,
 )
 
 FORMATS = ("jpeg", "png", "raw")
@@ -85,7 +85,8 @@ def write_synthetic(
     plan = make_plan(options)
     record, frames = synth_record(options, _facts(plan)), reported(render_plan(plan), report)
     if is_file:
-        write_file(out, record, frames, lambda sink: _Channels(sink, plan, image_format))
+        with recording_file(out) as sink:
+            write_all(sink, record, frames, lambda sink: _Channels(sink, plan, image_format))
     else:
         with _whole_folder(out) as folder:
             _write_cameras(folder, plan, SUFFIXES[image_format])
