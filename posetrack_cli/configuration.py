@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.files import read_text
-from posetrack_cli.toml_text import parse_toml
+from posetrack_cli.text import parse_toml
 
 # What pydantic calls an error, and what we say was expected; {names} are of the error's context.
 _EXPECTED = {

@@ -1,8 +1,15 @@
-"""Text from files, made safe to print: terminals obey control characters, readers believe reversed text."""
+"""Text from strangers: made safe to print, and read as TOML without taking time without end.
+
+Terminals obey control characters, and readers believe reversed text.
+"""
 
 from __future__ import annotations
 
 import re
+import tomllib
+from typing import Any
+
+from posetrack_cli import limits
 
 # C0 but tab and line feed, DEL, C1; marks, embeddings, overrides and isolates of bidirectional text; the
 # line and paragraph separators, which some viewers take for line feeds.
@@ -29,3 +36,21 @@ def printable_json(text: str) -> str:
 def _escape(found: re.Match[str]) -> str:
     code = ord(found.group())
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+
+
+_PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*"""
+_DEEP_KEY = re.compile(rf"(?:^[ \t\[]*|[{{,][ \t]*){_PART * limits.KEY_PARTS}", re.MULTILINE)
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises:
+        ValueError: it is no TOML, nested without end, or has integers of thousands of digits.
+    """
+    if _DEEP_KEY.search(text):  # the standard library's parser takes a second for a key of some kilobytes
+        raise ValueError(f"a key of more than {limits.KEY_PARTS} parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("values nested too deeply") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from posetrack_cli.toml_text import parse_toml
+from posetrack_cli.text import parse_toml
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from posetrack_cli.cli.options import (
     recording_options,
     result_options,
 )
+from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import close, compiling_said, kept, progress
-from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.cli.standard_output import print_note
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from posetrack_cli.cli.options import RUN_OPTIONS, Command, configuration_of, option_group
+from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import close, compiling_said, kept, progress
-from posetrack_cli.cli.signals import stop_signals
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:

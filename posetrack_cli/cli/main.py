@@ -19,8 +19,7 @@ from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
-from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process
-from posetrack_cli.cli.signals import terminate_as_interrupted
+from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process, terminate_as_interrupted
 from posetrack_cli.cli.standard_output import discard_output, print_note
 from posetrack_cli.cli.view import view
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError

@@ -1,8 +1,10 @@
-"""What the process of a command line does once, before it runs: streams, and what libraries print.
+"""What the process of a command line does once, before it runs: streams, what libraries print, and signals.
 
 A failure is one line on standard error, and C libraries do not know that: libpng, libtiff, FFmpeg, OpenCV and
 GL drivers write to file descriptor 2 whatever they think of a file. So Python's standard error moves to
 another descriptor, and the second one leads nowhere. With POSETRACK_DEBUG=1 everything is shown.
+
+Ctrl-C ends a command after the frame at hand, and waits for no compiler.
 """
 
 from __future__ import annotations
@@ -10,9 +12,12 @@ from __future__ import annotations
 import faulthandler
 import logging
 import os
+import signal
 import sys
+import threading
 import warnings
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import NoReturn
 
@@ -80,3 +85,68 @@ def _silence_python_libraries() -> None:
     if not sys.warnoptions:  # of -W and PYTHONWARNINGS
         warnings.simplefilter("ignore")
     logging.getLogger().addHandler(logging.NullHandler())  # without any, warnings go to standard error
+
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+GRACE_S = 1.0
+"""How long a stop may take while kernels are compiled: a compiler's single steps take up to 10 s."""
+
+
+def terminate_as_interrupted() -> None:
+    """Let SIGTERM end a command as Ctrl-C does, so that nothing half-written stays behind."""
+    if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:  # whoever started this wants it to be ignored
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+@contextmanager
+def stop_signals(at_once: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], bool]]:
+    """Yield a function that tells whether Ctrl-C or SIGTERM came.
+
+    A second Ctrl-C stops at once, by KeyboardInterrupt, and so does what comes while ``at_once`` says so.
+    """
+    asked = threading.Event()
+
+    def stop(number: int, frame: object) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if at_once():
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in SIGNALS}
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def signals_watched(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -> Iterator[threading.Event]:
+    """Yield an event that a signal to stop sets, also while the main thread is in a library and handles none.
+
+    Args:
+        is_stuck: asked ``GRACE_S`` after a signal, unless the context is left by then.
+        give_up: called where it is, in a thread of its own.
+    """
+    asked, left = threading.Event(), threading.Event()
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def watch() -> None:
+        while number := os.read(reading, 1):
+            if number[0] in SIGNALS:
+                asked.set()
+                if not left.wait(GRACE_S) and is_stuck():
+                    give_up()
+
+    thread = threading.Thread(target=watch, name="signals", daemon=True)
+    thread.start()
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    try:
+        yield asked
+    finally:
+        signal.set_wakeup_fd(before)
+        left.set()
+        os.close(writing)
+        thread.join()
+        os.close(reading)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.process import leave_process
-from posetrack_cli.cli.signals import signals_watched
+from posetrack_cli.cli.process import leave_process, signals_watched
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 

@@ -20,7 +20,7 @@ from posetrack_cli.cli.options import (
     reading_options,
     recording_options,
 )
-from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 

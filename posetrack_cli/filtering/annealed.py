@@ -23,9 +23,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace
-from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.resampling import effective_count, normalise, resample
 from posetrack_cli.filtering.step import Prediction, Proposed, Weighing, equal_log_weights, scored
-from posetrack_cli.filtering.weights import effective_count, normalise
 
 SMALLEST_STEP = 1e-4
 """Of the temperature: bounds the number of steps, however sharp the likelihood."""

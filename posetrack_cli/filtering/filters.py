@@ -22,6 +22,7 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, Registry, check_time_step
 from posetrack_cli.filtering.kalman import VelocityGain, velocity_gain
 from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace, checked_variance
+from posetrack_cli.filtering.resampling import truncated
 from posetrack_cli.filtering.step import (
     Posterior,
     Prediction,
@@ -36,7 +37,6 @@ from posetrack_cli.filtering.step import (
     velocity_moments,
     weigh,
 )
-from posetrack_cli.filtering.weights import truncated
 
 
 class Prior(NamedTuple):

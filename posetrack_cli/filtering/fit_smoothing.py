@@ -39,8 +39,8 @@ from posetrack_cli.filtering.gaussian_smoothing import (
 from posetrack_cli.filtering.kalman import constant_velocity
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.resampling import normalise, truncated
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
-from posetrack_cli.filtering.weights import normalise, truncated
 
 BELIEF = ("pose", "velocity", "covariance")
 _RIDGE = 1e-9
@@ -100,7 +100,9 @@ class FitSmoother:
         """Go on after a frame that was remembered before."""
         expected = _belief_of(last)
         modes = None if last["first"] else self._fits.known(last)
-        self._belief = expected if modes is None else self._updated(expected, modes)
+        self._belief = expected
+        if modes is not None:
+            self._belief = fitted(expected, self._chosen(expected, modes), 0, self._space)
 
     def begin(self, last: Memory) -> Smoothed:
         """Start from a chain's last frame; see `Smoother`."""
@@ -130,9 +132,6 @@ class FitSmoother:
         fit = self._chosen(belief, self._fits.more(memory, known, belief))
         self._message = with_fit(message, fit, 0, self._space)
         return fitted(belief, fit, 0, self._space).smoothed
-
-    def _updated(self, belief: StateGaussian, modes: LikelihoodModes) -> StateGaussian:
-        return fitted(belief, self._chosen(belief, modes), 0, self._space)
 
     def _chosen(self, belief: StateGaussian, modes: LikelihoodModes) -> LikelihoodModes:
         """The fit that explains a frame best, trusted as far as it agrees with the others."""

@@ -29,8 +29,8 @@ from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_smooth
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of
-from posetrack_cli.filtering.weights import effective_count, normalise, truncated
+from posetrack_cli.filtering.resampling import effective_count, normalise, truncated
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +52,13 @@ class GaussianSmoother:
     """The backward pass as a `Smoother`; it remembers the moments of each frame.
 
     Args:
-        dynamics: those of the filter.
+        dynamics: the noise that the filter had, see `noise_of`.
         space: the poses' space.
-        moving: whether the filter has a velocity.
         guided: whether its steps are guided: their estimates, and so the moments, take `truncated` weights.
     """
 
-    def __init__(
-        self, dynamics: Dynamics, space: StateSpace, moving: bool = True, guided: bool = False
-    ) -> None:
-        self._dynamics, self._space, self._guided = noise_of(dynamics, moving), space, guided
+    def __init__(self, dynamics: Dynamics, space: StateSpace, guided: bool = False) -> None:
+        self._dynamics, self._space, self._guided = dynamics, space, guided
         self._later: StateGaussian | None = None
 
     def remember(self, state: FilterState, step: Step | None = None) -> Memory:

@@ -32,9 +32,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes, laplace_mixture
-from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.resampling import normalise, resample
 from posetrack_cli.filtering.step import Prediction, Proposed, weigh_drawn
-from posetrack_cli.filtering.weights import normalise
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,10 +32,9 @@ from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import StepNoise, VelocityGain, velocity_gain
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import precisions
-from posetrack_cli.filtering.resampling import resample
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step, noise_of
+from posetrack_cli.filtering.resampling import normalise, resample
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
 from posetrack_cli.filtering.step import pose_moments, velocity_moments
-from posetrack_cli.filtering.weights import normalise
 
 SMALLEST_SHARE = 1e-12
 """Of the increment's variance that is pose noise, at the least: no step tells the velocity exactly."""
@@ -60,22 +59,16 @@ class ParticleSmoother:
     """Backward simulation as a `Smoother`; it remembers all particles.
 
     Args:
-        dynamics: those of the filter.
+        dynamics: the noise that the filter had, see `noise_of`.
         space: the poses' space.
         trajectories: M; each frame costs M times the number of particles.
         rng: source of randomness.
-        moving: whether the filter has a velocity.
     """
 
     def __init__(
-        self,
-        dynamics: Dynamics,
-        space: StateSpace,
-        trajectories: int,
-        rng: np.random.Generator,
-        moving: bool = True,
+        self, dynamics: Dynamics, space: StateSpace, trajectories: int, rng: np.random.Generator
     ) -> None:
-        self._dynamics, self._space = noise_of(dynamics, moving), space
+        self._dynamics, self._space = dynamics, space
         self._count, self._rng = trajectories, rng
         self._later: Trajectories | None = None
 

@@ -23,9 +23,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.model import LogLikelihood
-from posetrack_cli.filtering.resampling import resample
+from posetrack_cli.filtering.resampling import normalise, resample
 from posetrack_cli.filtering.step import Weighing, scored, weigh_drawn
-from posetrack_cli.filtering.weights import normalise
 
 Sampling: TypeAlias = Literal["weighted", "printed"]
 

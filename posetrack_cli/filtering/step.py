@@ -10,8 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.model import Constrain, FilterModel, LogLikelihood, StateSpace
-from posetrack_cli.filtering.resampling import Resampling, resample
-from posetrack_cli.filtering.weights import effective_count, normalise
+from posetrack_cli.filtering.resampling import Resampling, effective_count, normalise, resample
 
 
 class Weighing(NamedTuple):

@@ -70,7 +70,7 @@ def _linear(cameras: Sequence[Camera], pixels: FloatArray, seen: BoolArray) -> t
     matrix, right = np.zeros((pixels.shape[1], 3, 3)), np.zeros((pixels.shape[1], 3))
     for camera, own, mask in zip(cameras, pixels, seen, strict=True):
         transform = np.array(camera.camera_T_reference)
-        rays = _unit_rays(camera, own) @ transform[:, :3]
+        rays = _unit_rays(normalised_from_pixels(camera, own)) @ transform[:, :3]
         across = (np.eye(3) - rays[:, :, None] * rays[:, None, :]) * mask[:, None, None]
         matrix += across
         right += across @ (-transform[:, :3].T @ transform[:, 3])
@@ -81,8 +81,7 @@ def _linear(cameras: Sequence[Camera], pixels: FloatArray, seen: BoolArray) -> t
     return points, valid & _in_front(cameras, points, seen)
 
 
-def _unit_rays(camera: Camera, pixels: FloatArray) -> FloatArray:
-    normalised = normalised_from_pixels(camera, pixels)
+def _unit_rays(normalised: FloatArray) -> FloatArray:
     rays = np.concatenate([normalised, np.ones_like(normalised[:, :1])], axis=-1)
     unit: FloatArray = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     return unit

@@ -14,7 +14,7 @@ from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
 from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
-from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Smoother, Step
+from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Smoother, Step, noise_of
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
@@ -211,10 +211,10 @@ def make_smoother(
     moving = FILTERS.find(config.filter.kind).has_velocity
     space, settings = HandSpace(), config.smoothing
     if settings.method == "particles":
-        return ParticleSmoother(dynamics, space, settings.trajectories, rng, moving)
+        return ParticleSmoother(noise_of(dynamics, moving), space, settings.trajectories, rng)
     if fits is not None:
         pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
         return FitSmoother(Dynamics(pose**2, velocity**2), space, fits, BLOCKS, settings.freedom)
     return GaussianSmoother(
-        dynamics, space, moving, guided=PROPOSALS.find(config.filter.proposal).looks_at_frames
+        noise_of(dynamics, moving), space, guided=PROPOSALS.find(config.filter.proposal).looks_at_frames
     )

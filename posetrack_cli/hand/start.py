@@ -22,7 +22,7 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.results.estimate_json import estimate_from_json
-from posetrack_cli.toml_text import parse_toml
+from posetrack_cli.text import parse_toml
 
 ESTIMATE_TOPICS = ("/hand/estimate", "/truth/hand/estimate")
 USUAL_DEPTH_MM = 650.0

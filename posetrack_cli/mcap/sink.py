@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -21,6 +21,25 @@ LIBRARY = "posetrack"
 
 CHUNK_BYTES = 64 * 1024 * 1024
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
+
+
+class SchemaText(NamedTuple):
+    """What describes the messages of a channel; all empty for a channel without schema.
+
+    Attributes:
+        name: of the type.
+        encoding: ``protobuf``, ``jsonschema``, ``ros1msg``...
+        data: the definition.
+    """
+
+    name: str
+    encoding: str
+    data: bytes
+
+
+def serialised(message: Any) -> bytes:
+    """Return the bytes of a protobuf message; equal messages have equal bytes."""
+    return bytes(message.SerializeToString(deterministic=True))
 
 
 class McapSink:
@@ -47,7 +66,7 @@ class McapSink:
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
         self.path = path
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._schemas: dict[SchemaText, int] = {}
         self._sequences: dict[int, int] = {}
         self._failed = False
         with self._reported():
@@ -60,29 +79,26 @@ class McapSink:
         """Register a topic of protobuf messages of one generated class and return its channel id."""
         name = message_class.DESCRIPTOR.full_name
         data = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
-        return self.raw_channel(topic, name, "protobuf", data, "protobuf", metadata)
+        return self.raw_channel(topic, SchemaText(name, "protobuf", data), "protobuf", metadata)
 
     def json_channel(self, topic: str, schema_name: str, schema: Mapping[str, Any]) -> int:
         """Register a topic of JSON messages described by a JSON schema and return its channel id."""
         data = json.dumps(schema, separators=(",", ":")).encode()
-        return self.raw_channel(topic, schema_name, "jsonschema", data, "json")
+        return self.raw_channel(topic, SchemaText(schema_name, "jsonschema", data), "json")
 
     def raw_channel(
         self,
         topic: str,
-        schema_name: str,
-        schema_encoding: str,
-        schema_data: bytes,
+        schema: SchemaText,
         message_encoding: str,
         metadata: Mapping[str, str] | None = None,
     ) -> int:
         """Register a topic of messages that are encoded already and return its channel id.
 
-        Schemas equal in name, encoding and data are written once. An empty name and encoding stand
-        for a channel without schema.
+        Equal schemas are written once.
         """
         with self._reported():
-            schema_id = self._schema(schema_name, schema_encoding, schema_data)
+            schema_id = self._schema(schema)
             channel_id = self._writer.register_channel(
                 topic, message_encoding, schema_id, dict(metadata or {})
             )
@@ -135,13 +151,12 @@ class McapSink:
     ) -> None:
         self.close()
 
-    def _schema(self, name: str, encoding: str, data: bytes) -> int:
-        if not (name or encoding or data):
+    def _schema(self, schema: SchemaText) -> int:
+        if not any(schema):
             return 0
-        key = (name, encoding, data)
-        if key not in self._schemas:
-            self._schemas[key] = int(self._writer.register_schema(name, encoding, data))
-        return self._schemas[key]
+        if schema not in self._schemas:
+            self._schemas[schema] = int(self._writer.register_schema(*schema))
+        return self._schemas[schema]
 
     def _abandon(self) -> None:
         """Close after a failed write: the rest of the buffer fails again, which was told already."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.stream import McapItem
+
+if TYPE_CHECKING:
+    from posetrack_cli.mcap.stream import McapItem
 
 TRUTH_PREFIX = "/truth/"
 """Topics of ground truth begin so, in recordings and in results."""

@@ -21,8 +21,7 @@ from posetrack_cli.geometry.rigid import inverse, placed, relative_to, rotation_
 from posetrack_cli.recording.base import CAMERA_EXAMPLE, CAMERA_FILE_NAME, not_calibrated
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.pixels import Window
-from posetrack_cli.text import one_line, printable_json
-from posetrack_cli.toml_text import parse_toml
+from posetrack_cli.text import one_line, parse_toml, printable_json
 
 LONE_NAME = "camera"
 """What frames and run records call the one camera to which no file gives a name."""

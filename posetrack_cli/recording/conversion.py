@@ -15,7 +15,7 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
@@ -126,15 +126,13 @@ class _Writer:
         channel = sink.channel(CALIBRATION_TOPIC, type(calibration))
         self._image_channel = sink.channel(IMAGE_TOPIC, _message_class(self.encoding))
         sink.metadata(SOURCE_RECORD, self.recording.identity())
-        sink.write(channel, stamp_ns, calibration.SerializeToString(deterministic=True))
+        sink.write(channel, stamp_ns, serialised(calibration))
 
     def _truth_channel(self, sink: McapSink, message: TruthMessage) -> int:
         if message.topic not in self._truth_channels:
             self._truth_channels[message.topic] = sink.raw_channel(
                 message.topic,
-                message.schema_name,
-                message.schema_encoding,
-                message.schema_data,
+                SchemaText(message.schema_name, message.schema_encoding, message.schema_data),
                 message.message_encoding,
                 message.channel_metadata,
             )
@@ -147,7 +145,7 @@ class _Writer:
             frame_id=self.recording.cameras[0].name, **_content(stored, depth, self.encoding)
         )
         message.timestamp.FromNanoseconds(stored.stamp_ns)
-        return bytes(message.SerializeToString(deterministic=True))
+        return serialised(message)
 
 
 def _encoding(recording: Recording) -> DepthEncoding:

@@ -15,7 +15,7 @@ from posetrack_cli.recording.camera_file import DepthCamera, Rig, found_rig, loa
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.guess import check_one_camera
-from posetrack_cli.recording.identity import files_identity
+from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
     PNG_SIGNATURE,
     decode_codes,
@@ -61,7 +61,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         files = [(image.name, image) for image in images]
         files += [] if fps is not None else [(STAMPS_FILE_NAME, path / STAMPS_FILE_NAME)]
         return {
-            **files_identity(path, "folder", [*files, (CAMERA_FILE_NAME, file)]),
+            **identity_record(path, "folder", files_digest([*files, (CAMERA_FILE_NAME, file)])),
             "frames": str(len(images)),
             "depth_unit_mm": str(settings.depth_unit_mm),
             "missing": str(settings.missing),
@@ -99,7 +99,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         files += [(f"{i} {file.name}", file) for i, file in enumerate(chosen.stamps_files(fps))]
         files += [] if rig.is_guessed else [(CAMERA_FILE_NAME, rig.path)]
         return {
-            **files_identity(path, "folder", files),
+            **identity_record(path, "folder", files_digest(files)),
             "frames": str(count),
             "cameras": ",".join(stream.camera.name for stream in streams),
             "stored": ", ".join(dict.fromkeys(kind.words for kind in kinds.values())),

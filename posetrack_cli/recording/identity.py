@@ -34,23 +34,21 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
     return total, digest.hexdigest()
 
 
-def file_identity(path: Path, kind: str) -> dict[str, str]:
-    """Return name, kind, size and SHA-256 of a recording that is one file, for run records."""
-    return _identity(path, kind, *file_digest(path))
+def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[str, str]:
+    """Return name, kind, size and SHA-256 of a recording for run records.
 
-
-def files_identity(path: Path, kind: str, files: Iterable[tuple[str, Path]]) -> dict[str, str]:
-    """Return name, kind, size and SHA-256 of a recording that is several files, for run records."""
-    return _identity(path, kind, *files_digest(files))
+    Args:
+        path: the file or folder.
+        kind: ``mcap``, ``video`` or ``folder``.
+        digested: size and SHA-256, of ``file_digest`` or ``files_digest``.
+    """
+    size, digest = digested
+    return {"name": shown_name(path.resolve()), "kind": kind, "bytes": str(size), "sha256": digest}
 
 
 def shown_name(path: Path) -> str:
     """Return the name of a file or folder as text that every file can hold, whatever its bytes are."""
     return os.fsencode(path.name).decode(errors="replace")
-
-
-def _identity(path: Path, kind: str, size: int, digest: str) -> dict[str, str]:
-    return {"name": shown_name(path.resolve()), "kind": kind, "bytes": str(size), "sha256": digest}
 
 
 def _size(path: Path) -> int:

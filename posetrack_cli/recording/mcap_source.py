@@ -29,7 +29,7 @@ from posetrack_cli.recording.base import (
 from posetrack_cli.recording.camera_file import DepthCamera, Rig, load_depth_camera, load_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import Guess, check_one_camera
-from posetrack_cli.recording.identity import file_identity
+from posetrack_cli.recording.identity import file_digest, identity_record
 from posetrack_cli.recording.matching import NS_PER_MS
 from posetrack_cli.recording.mcap_calibration import choose_calibration
 from posetrack_cli.recording.mcap_cameras import (
@@ -75,7 +75,7 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
 
     def identity() -> Mapping[str, str]:
         return {
-            **file_identity(path, "mcap"),
+            **identity_record(path, "mcap", file_digest(path)),
             "topic": source.topic.name,
             "camera_topic": calibration,
             "frames": str(source.topic.count),
@@ -113,7 +113,7 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
 
     def identity() -> Mapping[str, str]:
         return {
-            **file_identity(path, "mcap"),
+            **identity_record(path, "mcap", file_digest(path)),
             "frames": "" if count is None else str(count),
             "cameras": ",".join(stream.camera.name for stream in streams),
             "topics": ",".join(source.topic.name for source in sources),

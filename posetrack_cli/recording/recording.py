@@ -120,13 +120,12 @@ class Recording:
         """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""
         check_range(start, end, stride)
         log = self._log = LossLog()
-        return read_ahead(self._decoded(self.stored_frames(log, start=start, end=end, stride=stride), log))
+        selected = select_frames(self.matched(log), log, start=start, end=end, stride=stride)
+        return read_ahead(self._decoded(selected, log))
 
-    def stored_frames(
-        self, losses: LossLog, *, start: int = 0, end: int | None = None, stride: int = 1
-    ) -> Iterator[tuple[int, StoredFrame]]:
-        """Yield index and undecoded frame, selected and ordered as ``frames`` does."""
-        return select_frames(self.matched(losses), losses, start=start, end=end, stride=stride)
+    def stored_frames(self, losses: LossLog) -> Iterator[tuple[int, StoredFrame]]:
+        """Yield index and undecoded frame of all that ``frames`` gives."""
+        return select_frames(self.matched(losses), losses)
 
     def matched(self, losses: LossLog) -> Iterator[StoredFrame | None]:
         """Yield all frames undecoded; None for one that cannot be used and keeps its number all the same."""

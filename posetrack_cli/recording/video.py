@@ -21,7 +21,7 @@ from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage
 from posetrack_cli.recording.camera_file import Rig, found_rig
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import grey_like
-from posetrack_cli.recording.identity import file_identity, shown_name
+from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.matching import NS_PER_MS
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
@@ -80,7 +80,7 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
 
     def identity() -> Mapping[str, str]:
         return {
-            **file_identity(path, "video"),
+            **identity_record(path, "video", file_digest(path)),
             "frames": "" if video.count is None else str(video.count),
             "cameras": stream.camera.name,
             "stored": video.pixels.words,

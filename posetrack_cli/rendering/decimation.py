@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.rendering.closest import closest_points
-from posetrack_cli.rendering.mesh import SkinnedMesh, edges_of
+from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, edges_of
 
 SHARES = (0.0, 0.5, 1.0)
 """Of an edge's second end in the weights of the vertex that replaces both."""

@@ -12,7 +12,7 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.results import messages
@@ -81,10 +81,12 @@ class TrackChannels:
         check_estimate(estimate, self._subject)
         stamp = estimate.stamp_ns
         scene = self._drawn(estimate, vertices)
-        self._write(self._transforms, stamp, messages.frame_transforms(estimate, self._subject))
-        self._write(self._odometry, stamp, messages.odometry(estimate, self._subject))
+        self._sink.write(
+            self._transforms, stamp, serialised(messages.frame_transforms(estimate, self._subject))
+        )
+        self._sink.write(self._odometry, stamp, serialised(messages.odometry(estimate, self._subject)))
         if self._joints is not None:
-            self._write(self._joints, stamp, messages.joint_states(estimate, self._subject))
+            self._sink.write(self._joints, stamp, serialised(messages.joint_states(estimate, self._subject)))
         if self._scene is not None and scene is not None:
             self._sink.write(self._scene, stamp, scene)
         self._sink.write(self.estimate_id, stamp, estimate_to_json(estimate, self._subject.number_names))
@@ -94,11 +96,8 @@ class TrackChannels:
         if self._encoder is not None and vertices is not None:
             return self._encoder.encode(estimate.stamp_ns, estimate.status, vertices)
         if self._encoder is None and self._subject.lines:
-            return bytes(line_scene(estimate, self._subject).SerializeToString(deterministic=True))
+            return serialised(line_scene(estimate, self._subject))
         return None
-
-    def _write(self, channel_id: int, stamp_ns: int, message: messages.Message) -> None:
-        self._sink.write(channel_id, stamp_ns, message.SerializeToString(deterministic=True))
 
 
 def camera_topic(camera: Camera, what: str, cameras: int) -> str:
@@ -154,7 +153,7 @@ class ResultChannels:
             self._sink.write(channel_id, stamp_ns, self._calibration_bytes(camera, stamp_ns))
         if len(self._cameras) > 1:
             placed = messages.camera_transforms(self._cameras, self._subject.camera_frame, stamp_ns)
-            self._sink.write(self._places, stamp_ns, placed.SerializeToString(deterministic=True))
+            self._sink.write(self._places, stamp_ns, serialised(placed))
 
     def write_estimate(self, estimate: Estimate, vertices: FloatArray | None) -> None:
         """Write one estimate on every topic that shows it.
@@ -165,7 +164,7 @@ class ResultChannels:
         self._filtered.write(estimate, vertices)
         for channel_id, camera in self._annotations.items():
             drawn = image_annotations(estimate, self._subject, camera)
-            self._sink.write(channel_id, estimate.stamp_ns, drawn.SerializeToString(deterministic=True))
+            self._sink.write(channel_id, estimate.stamp_ns, serialised(drawn))
 
     def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None) -> None:
         """Write one estimate of the smoothed track; its topics are registered with the first.
@@ -189,10 +188,11 @@ class ResultChannels:
         """Return the channel of a truth message's topic and schema, registered when it is new."""
         if not message.topic.startswith(TRUTH_PREFIX):
             raise ResultError("no truth topic", where=message.topic, expected=f"{TRUTH_PREFIX}...")
-        schema = (message.schema_name, message.schema_encoding, message.schema_data, message.message_encoding)
-        key = (message.topic, *schema, tuple(sorted(message.channel_metadata.items())))
+        schema = SchemaText(message.schema_name, message.schema_encoding, message.schema_data)
+        about = message.topic, schema, message.message_encoding
+        key = (*about, tuple(sorted(message.channel_metadata.items())))
         if key not in self._truth:
-            self._truth[key] = self._sink.raw_channel(message.topic, *schema, message.channel_metadata)
+            self._truth[key] = self._sink.raw_channel(*about, message.channel_metadata)
         return self._truth[key]
 
     def write_replayed(self, channel_id: int, stamp_ns: int, data: bytes) -> None:
@@ -222,5 +222,4 @@ class ResultChannels:
 
     def _calibration_bytes(self, camera: Camera, stamp_ns: int) -> bytes:
         frame = self._subject.camera_frame if camera is self._cameras[0] else camera.name
-        message = calibration_message(camera, stamp_ns, frame)
-        return bytes(message.SerializeToString(deterministic=True))
+        return serialised(calibration_message(camera, stamp_ns, frame))

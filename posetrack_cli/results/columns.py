@@ -20,6 +20,7 @@ from posetrack_cli.results.fields import (
     NUMBERS,
     UNKNOWN_ARRAYS,
     UNKNOWN_NUMBERS,
+    Sizes,
     array_shapes,
 )
 
@@ -60,7 +61,8 @@ def column_blocks(
     for number, data in enumerate(messages):
         try:
             values = parse_fields(data)
-            rows = rows or _Rows(fields, len(values["shape"]), len(values["points"]), number_names)
+            sizes = Sizes(len(values["shape"]), len(values["points"]), len(number_names))
+            rows = rows or _Rows(fields, sizes, number_names)
             rows.add(values)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ResultError(
@@ -72,13 +74,13 @@ def column_blocks(
         yield rows.take()
 
 
-def empty_columns(fields: Collection[str], k: int, p: int, m: int = 0) -> Columns:
-    """Return columns of no rows: each field's array for K shape entries, P points and M further numbers.
+def empty_columns(fields: Collection[str], sizes: Sizes) -> Columns:
+    """Return columns of no rows: each field's array, for estimates of these sizes.
 
     Frame indices and stamps are integers, ``status`` is text, ``resampled`` boolean, everything else float64.
     What a message need not have (``UNKNOWN_ARRAYS``, ``UNKNOWN_NUMBERS``) and has not is NaN.
     """
-    shapes = array_shapes(k, p, m)
+    shapes = array_shapes(sizes)
     return {name: np.empty((0, *shapes.get(name, ())), dtype=BY_NAME[name].column) for name in fields}
 
 
@@ -112,19 +114,19 @@ class _Rows:
 
     Args:
         fields: the fields to keep.
-        k, p: numbers of shape entries and points.
+        sizes: of the estimates.
         number_names: of the further numbers.
     """
 
-    def __init__(self, fields: Collection[str], k: int, p: int, number_names: Sequence[str] = ()) -> None:
+    def __init__(self, fields: Collection[str], sizes: Sizes, number_names: Sequence[str]) -> None:
         self.count = 0
-        self._empty = empty_columns(fields, k, p, len(number_names))
+        self._empty = empty_columns(fields, sizes)
         self._number_names = number_names
-        sizes = {name: math.prod(shape) for name, shape in array_shapes(k, p).items()}
-        self._points = p
-        self._sizes = {name: sizes[name] for name in self._empty if name in sizes and name not in _APART}
+        lengths = {name: math.prod(shape) for name, shape in array_shapes(sizes).items()}
+        self._points = sizes.points
+        self._sizes = {name: lengths[name] for name in self._empty if name in lengths and name not in _APART}
         self._optional = [name for name in self._empty if name in UNKNOWN_NUMBERS]
-        others = {*sizes, *self._optional, "status"}
+        others = {*lengths, *self._optional, "status"}
         self._numbers = [name for name in self._empty if name not in others]
         self._clear()
 

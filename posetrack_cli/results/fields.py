@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic_core import CoreSchema
@@ -82,11 +82,6 @@ _JSON_DETAILS: dict[str, dict[str, Any]] = {
 }
 
 
-def _array(name: str, description: str, shape: Shape, entry: CoreSchema = NUMBER, **more: Any) -> Field:
-    length = shape(0, 0, 0)[0] if shape(0, 0, 0) == shape(1, 1, 1) else None
-    return Field(name, "array", description, list_of(entry, length), shape, **more)
-
-
 FIELDS = (
     Field(
         "frame_index",
@@ -123,62 +118,74 @@ FIELDS = (
         NUMBER,
         meaning="0 (guess) to 1 (certain)",
     ),
-    _array(
+    Field(
         "position",
+        "array",
         "x, y, z of the object's origin in camera axes, millimetres.",
+        list_of(LENGTH_MM, 3),
         lambda k, p, m: (3,),
-        LENGTH_MM,
         unit="mm, camera axes",
     ),
-    _array(
+    Field(
         "quaternion",
+        "array",
         "x, y, z, w (w >= 0) of the rotation from object to camera coordinates.",
+        list_of(NUMBER, 4),
         lambda k, p, m: (4,),
         unit="x y z w, object to camera axes",
     ),
-    _array(
+    Field(
         "shape",
+        "array",
         "Hand: finger angles, radians. Head: shape coefficients. K entries.",
+        list_of(NUMBER),
         lambda k, p, m: (k,),
         unit="hand: finger angles, rad; head: coefficients",
     ),
-    _array(
+    Field(
         "pose_rate",
+        "array",
         "Time derivative of (position, quaternion, shape), 7 + K entries: mm/s, 1/s, shape per second; "
         "this and the fields of twist are left out where no velocity is known.",
+        list_of(NUMBER),
         lambda k, p, m: (7 + k,),
         required=False,
         unit="rate of position, quaternion, shape: mm/s, 1/s, rad/s (head: 1/s)",
     ),
-    _array(
+    Field(
         "twist",
+        "array",
         "Velocity, 6 + K entries: in camera axes, mm/s; rotation in the body frame, rad/s; shape per second.",
+        list_of(NUMBER),
         lambda k, p, m: (6 + k,),
         required=False,
         unit="mm/s in camera axes, rad/s in the object's own axes, shape per second",
     ),
-    _array(
+    Field(
         "pose_variance",
+        "array",
         "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape; "
         "left out where the tracker knows none.",
+        list_of(NOT_NEGATIVE),
         lambda k, p, m: (6 + k,),
-        NOT_NEGATIVE,
         required=False,
         unit="mm^2, rad^2 (small rotation in the object's own axes), shape^2",
     ),
-    _array(
+    Field(
         "twist_variance",
+        "array",
         "Variance of twist, 6 + K entries: (mm/s)^2, (rad/s)^2, (shape per second)^2.",
+        list_of(NOT_NEGATIVE),
         lambda k, p, m: (6 + k,),
-        NOT_NEGATIVE,
         required=False,
         unit="(mm/s)^2, (rad/s)^2, (shape per second)^2",
     ),
-    _array(
+    Field(
         "points",
+        "array",
         "Joints or landmarks in camera axes.",
+        list_of(object_of(dict.fromkeys("xyz", LENGTH_MM))),
         lambda k, p, m: (p, 3),
-        object_of(dict.fromkeys("xyz", LENGTH_MM)),
         unit="mm, camera axes",
     ),
     Field(
@@ -250,9 +257,28 @@ VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
 """The fields that are None, all of them, where no velocity is known."""
 
 
-def array_shapes(k: int, p: int, m: int = 0) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array field for K shape entries, P points and M further numbers."""
-    return {name: field.shape(k, p, m) for name, field in BY_NAME.items() if field.shape is not None}
+class Sizes(NamedTuple):
+    """How long the arrays of estimates are.
+
+    Attributes:
+        shape: K, number of shape entries.
+        points: P.
+        numbers: M, of the further numbers.
+    """
+
+    shape: int
+    points: int
+    numbers: int = 0
+
+    @classmethod
+    def of(cls, subject: Subject) -> Sizes:
+        """Return those of a subject's estimates."""
+        return cls(len(subject.shape_names), len(subject.point_names), len(subject.number_names))
+
+
+def array_shapes(sizes: Sizes) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array field of estimates of these sizes."""
+    return {name: field.shape(*sizes) for name, field in BY_NAME.items() if field.shape is not None}
 
 
 def check_estimate(estimate: Estimate, subject: Subject) -> None:
@@ -276,8 +302,7 @@ def _check_arrays(estimate: Estimate, subject: Subject, where: str) -> None:
     unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
     if unknown and len(unknown) < len(VELOCITY_FIELDS):
         raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
-    sizes = len(subject.shape_names), len(subject.point_names), len(subject.number_names)
-    for name, shape in array_shapes(*sizes).items():
+    for name, shape in array_shapes(Sizes.of(subject)).items():
         array = getattr(estimate, name)
         if array is None and not BY_NAME[name].required:
             continue

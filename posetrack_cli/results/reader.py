@@ -35,7 +35,7 @@ from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
-from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS
+from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS, Sizes
 from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.records import (
     CAMERAS_RECORD,
@@ -217,9 +217,8 @@ class Result:
             ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points,
                 on the topics of tracks from those of the subject, too.
         """
-        names = self.subject.shape_names, self.subject.point_names, self.subject.number_names
         fields = fields or self.field_names
-        return joined(self.column_blocks(topic, fields)) or empty_columns(fields, *map(len, names))
+        return joined(self.column_blocks(topic, fields)) or empty_columns(fields, Sizes.of(self.subject))
 
     def numbers(self) -> dict[str, FloatArray]:
         """Return the further numbers of the result's own estimates, (N,) by name; NaN where one is not known.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -11,7 +12,7 @@ import numpy as np
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.conversion import CHUNK_BYTES
@@ -93,10 +94,9 @@ def numbers_text(values: Any) -> str:
     return " ".join(f"{value:.6g}" for value in np.ravel(values))
 
 
-def write_file(
-    out: Path, record: Mapping[str, str], frames: Iterator[Frame], writer: Callable[[McapSink], Writer[Frame]]
-) -> None:
-    """Write a recording as an MCAP file: ``out`` + ``.part``, renamed when it is complete.
+@contextmanager
+def recording_file(out: Path) -> Iterator[McapSink]:
+    """Yield the MCAP file of a recording: ``out`` + ``.part``, renamed when it is complete.
 
     Raises:
         ResultError: the file cannot be written.
@@ -105,7 +105,7 @@ def write_file(
         whole_or_nothing(out) as part,
         McapSink(part, compression="none", chunk_bytes=CHUNK_BYTES) as sink,
     ):
-        write_all(sink, record, frames, writer)
+        yield sink
 
 
 def write_all(
@@ -141,11 +141,6 @@ class TruthChannels:
     def write(self, frame: SyntheticFrame) -> None:
         """Write the truth about one frame."""
         truth = frame.truth()
-        write_message(self._sink, self._odometry, frame.stamp_ns, messages.odometry(truth, self._subject))
-        write_message(self._sink, self._joints, frame.stamp_ns, frame.joint_states())
+        self._sink.write(self._odometry, frame.stamp_ns, serialised(messages.odometry(truth, self._subject)))
+        self._sink.write(self._joints, frame.stamp_ns, serialised(frame.joint_states()))
         self._sink.write(self._estimate, frame.stamp_ns, estimate_to_json(truth))
-
-
-def write_message(sink: McapSink, channel: int, stamp_ns: int, message: Any) -> None:
-    """Write a protobuf message; equal messages have equal bytes."""
-    sink.write(channel, stamp_ns, message.SerializeToString(deterministic=True))

@@ -153,7 +153,8 @@ class Run(ABC):
             if going_on is None:
                 return self._outcome(writer, began, stopped=True)
             run_state = going_on
-            with closing(self._truth(writer)) as truth, self.open_memory(writer) as memory:
+            carrier = truth_carrier(iter(self._recording.truth()), writer)
+            with closing(carrier) as truth, self.open_memory(writer) as memory:
                 for step in self.steps(self._watched(frames), run_state):
                     truth.send(step.frame.stamp_ns)
                     run_state = step.after
@@ -208,9 +209,6 @@ class Run(ABC):
     def _frames(self) -> Any:
         options = self._options
         return self._recording.frames(start=options.start, end=options.end, stride=options.stride)
-
-    def _truth(self, writer: ResultWriter) -> Generator[None, int]:
-        return truth_carrier(iter(self._recording.truth()), writer)
 
     def _close(self, writer: ResultWriter, state: Any, remarks: tuple[str, ...]) -> None:
         said, losses = self.finish(writer, state), self.losses()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.cli.signals import terminate_as_interrupted
+from posetrack_cli.cli.process import terminate_as_interrupted
 from posetrack_cli.errors import EXIT_INTERRUPTED
 from posetrack_cli.outputs import part_path, state_path
 
@@ -21,7 +21,7 @@ import click
 from numba.core.event import trigger_event
 from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.main import cli, main
-from posetrack_cli.cli.signals import stop_signals
+from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.standard_output import print_note
 
 def kernel(kind):

@@ -29,7 +29,7 @@ from posetrack_cli.filtering.model import Dynamics, FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.image_files import encode_png
@@ -42,7 +42,7 @@ from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.results.messages import JointStates
-from posetrack_cli.synthesis.recording import TruthChannels, write_file, write_message
+from posetrack_cli.synthesis.recording import TruthChannels, recording_file, write_all
 from posetrack_cli.tracking.options import RunOptions, common_record
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, stamp
@@ -284,7 +284,8 @@ def write_boxes(path: Path, count: int, device: RenderingDevice) -> None:
             drawn = renderer.depth(transforms(true_pose(index)[None]), CAMERA, Window.whole(CAMERA))
             yield BoxFrame(index, np.rint(drawn[0]).astype(np.uint16))
 
-    write_file(path, {}, frames(), _Channels)
+    with recording_file(path) as sink:
+        write_all(sink, {}, frames(), _Channels)
 
 
 class _Channels:
@@ -293,7 +294,7 @@ class _Channels:
     def __init__(self, sink: McapSink) -> None:
         self._sink = sink
         calibration = calibration_message(CAMERA, FIRST_NS, CAMERA.name)
-        write_message(sink, sink.channel(CALIBRATION_TOPIC, type(calibration)), FIRST_NS, calibration)
+        sink.write(sink.channel(CALIBRATION_TOPIC, type(calibration)), FIRST_NS, serialised(calibration))
         self._images = sink.channel(IMAGE_TOPIC, CompressedImage)
         self._truth = TruthChannels(sink, SUBJECT, "joint_states")
 
@@ -301,7 +302,7 @@ class _Channels:
         """Write one frame and the truth about it."""
         image = CompressedImage(frame_id=CAMERA.name, format="png", data=encode_png(frame.depth, 1))
         image.timestamp.FromNanoseconds(frame.stamp_ns)
-        write_message(self._sink, self._images, frame.stamp_ns, image)
+        self._sink.write(self._images, frame.stamp_ns, serialised(image))
         self._truth.write(frame)
 
 

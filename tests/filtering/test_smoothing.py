@@ -13,7 +13,7 @@ from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_smoo
 from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
 from posetrack_cli.filtering.resampling import Resampling
-from posetrack_cli.filtering.smoothing import Smoothed, Smoother
+from posetrack_cli.filtering.smoothing import Smoothed, Smoother, noise_of
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.geometry import rotations as rot
 
@@ -28,8 +28,8 @@ State = MarginalState | ParticleState
 
 def smoother(method: str, dynamics: Dynamics, seed: int, space=SPACE, moving: bool = True) -> Smoother:
     if method == "gaussian":
-        return GaussianSmoother(dynamics, space, moving)
-    return ParticleSmoother(dynamics, space, 50, np.random.default_rng(seed), moving)
+        return GaussianSmoother(noise_of(dynamics, moving), space)
+    return ParticleSmoother(noise_of(dynamics, moving), space, 50, np.random.default_rng(seed))
 
 
 def backward(smoother: Smoother, states: list[State], steps: np.ndarray) -> list[Smoothed]:

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.weights import (
+from posetrack_cli.filtering.resampling import (
     TRUNCATION,
     effective_count,
     normalise,

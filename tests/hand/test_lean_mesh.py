@@ -10,8 +10,7 @@ from posetrack_cli.hand.anatomy import MIRROR, HandAnatomy, make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import LEAN_TRIANGLES, bent_hands, lean_mesh
-from posetrack_cli.rendering.closest import closest_points
-from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
+from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed
 from support.hand import random_poses
 
 WIDE = make_anatomy("right", 1.1, (1.1, 0.9, 1.0, 1.05, 0.95), (1.2, 1.1, 1.2, 0.9, 1.0))

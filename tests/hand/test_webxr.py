@@ -20,9 +20,8 @@ from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import HandModel, hand_maker, hand_model
 from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.hand.webxr import load_hand
-from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.rendering.gltf import read_glb
-from posetrack_cli.rendering.mesh import is_closed
+from posetrack_cli.rendering.mesh import closest_points, is_closed
 from support.glb import GlbWriter, hand_glb, joint_names, write_hand
 from support.hand import enclosed_volume, posed_from, random_poses
 

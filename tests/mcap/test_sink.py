@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.sink import LIBRARY, McapSink
+from posetrack_cli.mcap.sink import LIBRARY, McapSink, SchemaText
 from posetrack_cli.mcap.stream import McapFile, read_summary
 
 
@@ -77,7 +77,7 @@ def test_one_schema_per_type_and_a_fixed_library(tmp_path: Path) -> None:
 def test_channel_without_schema(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with McapSink(path, compression="none") as sink:
-        sink.write(sink.raw_channel("/x", "", "", b"", "json"), 1, b"{}")
+        sink.write(sink.raw_channel("/x", SchemaText("", "", b""), "json"), 1, b"{}")
         sink.finish()
     ((schema, channel, _),) = McapFile(path).messages()
     assert schema is None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, SchemaText
 from posetrack_cli.recording.opening import open_recording
 
 FLAVOURS = ["foxglove", "ros1", "ros2"]
@@ -342,7 +342,9 @@ def test_truth_is_passed_on_undecoded(tmp_path: Path, make: SimpleNamespace) -> 
         from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
         info, image = sink.channel("/cam/info", CameraCalibration), sink.channel("/cam/image", RawImage)
-        truth = sink.raw_channel("/truth/hand", "hand", "jsonschema", b"{}", "json", {"units": "mm"})
+        truth = sink.raw_channel(
+            "/truth/hand", SchemaText("hand", "jsonschema", b"{}"), "json", {"units": "mm"}
+        )
         sink.write(info, 1, CameraCalibration(**make.calibration_fields()).SerializeToString())
         sink.write(image, 1, RawImage(**make.raw_fields(make.depth_codes(1)[0], "16UC1")).SerializeToString())
         sink.write(truth, 7, b'{"a":1}')

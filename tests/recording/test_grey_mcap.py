@@ -274,13 +274,14 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
 
 
 def copy_messages(path: Path, sink: Any) -> None:
+    from posetrack_cli.mcap.sink import SchemaText
     from posetrack_cli.mcap.stream import McapFile
 
     channels: dict[str, int] = {}
     for schema, channel, message in McapFile(path).messages():
         if channel.topic not in channels:
             channels[channel.topic] = sink.raw_channel(
-                channel.topic, schema.name, schema.encoding, schema.data, channel.message_encoding
+                channel.topic, SchemaText(schema.name, schema.encoding, schema.data), channel.message_encoding
             )
         sink.write(channels[channel.topic], message.log_time, message.data)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.rendering.closest import closest_points
+from posetrack_cli.rendering.mesh import closest_points
 from support.rendering import sphere
 
 ROUNDING = 1e-9

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.rendering.closest import closest_points
 from posetrack_cli.rendering.decimation import decimated, decimation
-from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
+from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed
 from support.rendering import plane, rigid, sphere
 
 EXACT = 1e-6

@@ -17,7 +17,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import ESTIMATE_SCHEMA_NAME, Estimate, estimate_to_json, read_result
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
-from posetrack_cli.results.fields import FIELD_NAMES, VELOCITY_FIELDS
+from posetrack_cli.results.fields import FIELD_NAMES, VELOCITY_FIELDS, Sizes
 from support.results import K, P, begin, make_estimate, with_fields, write_frames, write_result
 
 NO_VELOCITY: dict[str, object] = dict.fromkeys(VELOCITY_FIELDS)
@@ -54,7 +54,7 @@ def test_blocks_hold_every_frame_once_and_in_order(count: int, frames: int) -> N
     of = estimates(count)
     blocks = list(column_blocks(map(estimate_to_json, of), frames=frames))
     assert [len(block["stamp_ns"]) for block in blocks[:-1]] == [frames] * (len(blocks) - 1)
-    assert_columns(joined(iter(blocks)) or empty_columns(FIELD_NAMES, K, P), of)
+    assert_columns(joined(iter(blocks)) or empty_columns(FIELD_NAMES, Sizes(K, P)), of)
 
 
 def test_long_columns_grow_without_a_second_copy() -> None:

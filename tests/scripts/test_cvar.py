@@ -11,7 +11,7 @@ import pytest
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.evaluation.truth.topics import points_topic, points_track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
-from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Subject
 from reproduction import cvar
@@ -35,7 +35,7 @@ def test_depth_and_joints_come_through(tmp_path: Path, width: int) -> None:
         assert frame.depth[0, 0] == 0.0
         assert (frame.depth.ravel()[1:] == 600.0 + index).all()
     assert (recording.cameras[0].fx, recording.cameras[0].cy) == (224.5, 120.0)
-    truth = points_track(out, HAND, "truth", LossLog())
+    truth = points_track(McapFile(out), HAND, "truth")
     assert truth.stamp_ns.tolist() == [frame.stamp_ns for frame in frames]
     at = dict(zip(truth.point_names, truth.points[0], strict=True))
     assert at["wrist"] == pytest.approx(((100 - 160) * 500 / 224.5, (50 - 120) * 500 / 230.5, 500))
@@ -48,7 +48,7 @@ def test_a_frame_without_annotation_has_no_truth(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "P9")
     (folder / "joint.txt").write_text(annotated(["000000_depth.png", "000002_depth.png"]))
     out = cvar.convert(folder, tmp_path / "P9.mcap")
-    assert points_track(out, HAND, "truth", LossLog()).stamp_ns.tolist() == [0, 66_666_667]
+    assert points_track(McapFile(out), HAND, "truth").stamp_ns.tolist() == [0, 66_666_667]
 
 
 def test_joints_project_to_where_they_are_annotated() -> None:
@@ -81,7 +81,7 @@ def test_real_joints_lie_on_the_hand(tmp_path: Path, measured_data: Path) -> Non
     rows = (source / "joint.txt").read_text().splitlines(keepends=True)
     (part / "joint.txt").write_text("".join([f"{REAL}\n", *rows[1 : REAL + 1]]))
     out = cvar.convert(part, tmp_path / "P1.mcap")
-    recording, truth = open_recording(out), points_track(out, HAND, "truth", LossLog())
+    recording, truth = open_recording(out), points_track(McapFile(out), HAND, "truth")
     camera, behind = recording.cameras[0], []
     assert truth.points is not None
     for points, frame in zip(truth.points, recording.frames(), strict=True):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation.evaluation import Value, statistics
 from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.evaluation.track import Track
@@ -62,7 +62,8 @@ def jitter(track: Track) -> FloatArray | None:
     points = track.position[:, None] if track.points is None and track.position is not None else track.points
     if points is None:
         return None
-    first = _first_of_three(track)
+    whole = ~_gaps(track)
+    first = np.flatnonzero(whole[:-1] & whole[1:])  # of three frames with no gap between them
     before, now, after = (track.stamp_ns[first + k] for k in range(3))
     a = (after - now) / (after - before)
     scale = 1.0 / np.sqrt(1.0 + a**2 + (1.0 - a) ** 2)
@@ -82,12 +83,6 @@ def _gaps(track: Track) -> BoolArray:
         return np.zeros(0, dtype=np.bool_)
     gaps: BoolArray = intervals > GAP_FACTOR * np.median(intervals)
     return gaps
-
-
-def _first_of_three(track: Track) -> IntArray:
-    """Return the rows that begin three frames with no gap between them."""
-    whole = ~_gaps(track)
-    return np.flatnonzero(whole[:-1] & whole[1:])
 
 
 def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> None:

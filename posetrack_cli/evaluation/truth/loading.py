@@ -27,6 +27,7 @@ from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
+from posetrack_cli.results.fields import Sizes
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.units import NS_PER_S
 
@@ -68,7 +69,9 @@ def load_truth(
     if truth is None:
         return None
     truth = _shifted(truth, time_offset_s)
-    return _arranged(truth, result.subject, path or result.path)
+    # points and, if it has the same entries, its shape in the subject's order
+    truth = _with_points_of(truth, result.subject, path or result.path)
+    return _with_shape_of(truth, result.subject)
 
 
 def _given(result: Result, path: Path, losses: LossLog) -> Track:
@@ -123,17 +126,17 @@ def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the truth of a topic of ``posetrack.Estimate``, which is of the result's subject."""
     messages = file.messages([_estimate_topic(subject.name)])
     columns = joined(column_blocks((message.data for _, _, message in messages), MOTION_FIELDS))
-    sizes = len(subject.shape_names), len(subject.point_names)
-    columns = columns or empty_columns(MOTION_FIELDS, *sizes)
+    sizes = Sizes.of(subject)
+    columns = columns or empty_columns(MOTION_FIELDS, sizes)
     found = columns["shape"].shape[1], columns["points"].shape[1]
-    if found == (0, sizes[1]):  # such as a head's, whose deformation only its points tell
+    if found == (0, sizes.points):  # such as a head's, whose deformation only its points tell
         subject = replace(subject, shape_names=())
-    elif found != sizes:
+    elif found != sizes[:2]:
         raise TruthError(
             "truth has other shape entries or points than the result",
             where=f"{file.path}, {_estimate_topic(subject.name)}",
             found=f"{found[0]} and {found[1]}",
-            expected=f"{sizes[0]} and {sizes[1]}",
+            expected=f"{sizes.shape} and {sizes.points}",
         )
     return truth_of_columns(columns, name, subject)
 
@@ -155,11 +158,6 @@ def _shifted(truth: Track, offset_s: float) -> Track:
     if max(abs(int(truth.stamp_ns[0]) + offset), abs(int(truth.stamp_ns[-1]) + offset)) > LATEST_NS:
         raise UsageError("time offset leads beyond 64-bit stamps", found=f"{offset_s} s")
     return replace(truth, stamp_ns=truth.stamp_ns + offset)
-
-
-def _arranged(truth: Track, subject: Subject, where: Path) -> Track:
-    """Return the truth with points and, if it has the same entries, its shape in the subject's order."""
-    return _with_shape_of(_with_points_of(truth, subject, where), subject)
 
 
 def _with_points_of(truth: Track, subject: Subject, where: Path) -> Track:

@@ -65,7 +65,7 @@ def truncated_svd(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition
         tensor: T.
         ranks: J_n by mode; modes that are not named are not decomposed.
     """
-    bases = {mode: _leading(tensor, mode, rank) for mode, rank in ranks.items()}
+    bases = {mode: _leading(unfold(tensor, mode), rank) for mode, rank in ranks.items()}
     return Decomposition(_projected(tensor, bases), bases)
 
 
@@ -86,16 +86,16 @@ def hooi(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
     for _ in range(SWEEPS):
         for mode, rank in ranks.items():
             others = {other: basis for other, basis in bases.items() if other != mode}
-            bases[mode] = _leading(_projected(tensor, others), mode, rank)
+            bases[mode] = _leading(unfold(_projected(tensor, others), mode), rank)
         before, kept = kept, float(np.sum(_projected(tensor, bases) ** 2))
         if kept - before <= SETTLED * square:
             break
     return Decomposition(_projected(tensor, bases), bases)
 
 
-def _leading(tensor: FloatArray, mode: int, rank: int) -> FloatArray:
-    """The first left singular vectors (I_n, rank) along a mode; the largest entry of each is positive."""
-    vectors: FloatArray = np.linalg.svd(unfold(tensor, mode), full_matrices=False)[0][:, :rank]
+def _leading(matrix: FloatArray, rank: int) -> FloatArray:
+    """The first left singular vectors (I_n, rank) of X_(n); the largest entry of each is positive."""
+    vectors: FloatArray = np.linalg.svd(matrix, full_matrices=False)[0][:, :rank]
     largest = np.take_along_axis(vectors, np.argmax(np.abs(vectors), axis=0)[None], axis=0)
     signed: FloatArray = vectors * np.where(largest < 0.0, -1.0, 1.0)
     return signed

@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.partitioned import Motion, local_mean, partitioned_step
-from posetrack_cli.filtering.weights import effective_count
+from posetrack_cli.filtering.resampling import effective_count
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import ParticleSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel

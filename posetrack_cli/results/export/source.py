@@ -13,7 +13,7 @@ from posetrack_cli.losses import loss_line
 from posetrack_cli.results.columns import Columns, empty_columns, joined
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.results.export.table import table_of
-from posetrack_cli.results.fields import BY_NAME
+from posetrack_cli.results.fields import BY_NAME, Sizes
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.subject_kind import kind_of
 
@@ -51,7 +51,7 @@ class ExportSource:
     def columns(self) -> Columns:
         """Return all columns at once."""
         return joined(self.blocks()) or empty_columns(
-            self.result.field_names, *self._counts, len(self.result.subject.number_names)
+            self.result.field_names, Sizes(*self._counts, len(self.result.subject.number_names))
         )
 
     def begun_blocks(self, fields: Collection[str] | None = None) -> Iterator[Columns]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli.hand.model import MESH_DIGEST
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import check_output
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.identity import file_digest
@@ -23,10 +23,10 @@ from posetrack_cli.synthesis.recording import (
     Synthesis,
     TruthChannels,
     numbers_text,
+    recording_file,
     reported,
     synth_record,
-    write_file,
-    write_message,
+    write_all,
 )
 
 PNG_LEVEL = 1
@@ -66,7 +66,9 @@ def write_synthetic(
     plan = make_plan(options, noise)
     stamps = plan.timeline.stamps_ns[plan.written]
     record = synth_record(options, _facts(plan, noise))
-    write_file(out, record, reported(render_plan(plan), report), lambda sink: _Channels(sink, int(stamps[0])))
+    frames = reported(render_plan(plan), report)
+    with recording_file(out) as sink:
+        write_all(sink, record, frames, lambda sink: _Channels(sink, int(stamps[0])))
     return Synthesis(len(stamps), int(plan.timeline.dropped.sum()), float(stamps[-1] - stamps[0]) * 1e-9)
 
 
@@ -99,12 +101,12 @@ class _Channels:
         calibrations = sink.channel(CALIBRATION_TOPIC, type(calibration))
         self._images = sink.channel(IMAGE_TOPIC, CompressedImage)
         self._truth = TruthChannels(sink, SUBJECT, "joint_states")
-        write_message(sink, calibrations, first_ns, calibration)
+        sink.write(calibrations, first_ns, serialised(calibration))
 
     def write(self, frame: SyntheticHandFrame) -> None:
         """Write one frame and the truth about it."""
         image = encode_png(frame.depth, PNG_LEVEL)
         message = CompressedImage(frame_id=CAMERA.name, format="png", data=image)
         message.timestamp.FromNanoseconds(frame.stamp_ns)
-        write_message(self._sink, self._images, frame.stamp_ns, message)
+        self._sink.write(self._images, frame.stamp_ns, serialised(message))
         self._truth.write(frame)

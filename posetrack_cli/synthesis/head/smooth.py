@@ -85,6 +85,8 @@ MINIMUM_JERK_PEAK = 1.875
 def minimum_jerk(s: FloatArray) -> FloatArray:
     """Return 10 s^3 - 15 s^4 + 6 s^5 of s (...) clipped to [0, 1]: from 0 to 1, at rest at both ends."""
     s = np.clip(s, 0.0, 1.0)
+    # Hands have the same polynomial, whose cube is s s s: it differs in the last bit in one case of four, and
+    # so would the bytes of recordings that are made again of the same seed.
     step: FloatArray = s**3 * (10.0 + s * (6.0 * s - 15.0))
     return step
 

@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import check_output, check_place, is_taken, part_path
 from posetrack_cli.recording.base import CAMERA_FILE_NAME
 from posetrack_cli.recording.camera_file import camera_file_text
@@ -31,11 +31,10 @@ from posetrack_cli.synthesis.recording import (
     TruthChannels,
     check_option,
     numbers_text,
+    recording_file,
     reported,
     synth_record,
     write_all,
-    write_file,
-    write_message,
 )
 
 FORMATS = ("jpeg", "png", "raw")
@@ -86,7 +85,8 @@ def write_synthetic(
     plan = make_plan(options)
     record, frames = synth_record(options, _facts(plan)), reported(render_plan(plan), report)
     if is_file:
-        write_file(out, record, frames, lambda sink: _Channels(sink, plan, image_format))
+        with recording_file(out) as sink:
+            write_all(sink, record, frames, lambda sink: _Channels(sink, plan, image_format))
     else:
         with _whole_folder(out) as folder:
             _write_cameras(folder, plan, SUFFIXES[image_format])
@@ -124,7 +124,7 @@ class _Channels:
         for channel, camera, image in zip(self._images, self._plan.cameras, frame.images, strict=True):
             if image is not None:
                 message = image_message(image, self._format, camera.name, frame.stamp_ns)
-                write_message(self._sink, channel, frame.stamp_ns, message)
+                self._sink.write(channel, frame.stamp_ns, serialised(message))
         self._truth.write(frame)
 
     def _calibrate(self, stamp_ns: int) -> None:
@@ -133,7 +133,7 @@ class _Channels:
         if len(cameras) > 1:
             said[TRANSFORMS_TOPIC] = messages.camera_transforms(cameras, cameras[0].name, stamp_ns)
         for topic, message in said.items():
-            write_message(self._sink, self._sink.channel(topic, type(message)), stamp_ns, message)
+            self._sink.write(self._sink.channel(topic, type(message)), stamp_ns, serialised(message))
 
 
 def image_message(image: ImageArray, image_format: str, frame_id: str, stamp_ns: int) -> Any:

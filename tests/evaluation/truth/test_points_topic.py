@@ -68,13 +68,13 @@ def test_points_in_another_order_are_matched_by_name(tmp_path: Path) -> None:
 
 def test_a_recording_s_points_are_a_truth_given_by_path(tmp_path: Path) -> None:
     plain = read_result(write_result(tmp_path / "plain.mcap", HAND, estimates(HAND, FRAMES)))
-    from posetrack_cli.mcap.sink import McapSink
+    from posetrack_cli.mcap.sink import McapSink, SchemaText
 
     with McapSink(tmp_path / "in.mcap") as sink:
         for message in points_messages(joints()):
             if message.log_time_ns == 0:
                 channel = sink.raw_channel(
-                    message.topic, message.schema_name, "jsonschema", message.schema_data, "json"
+                    message.topic, SchemaText(message.schema_name, "jsonschema", message.schema_data), "json"
                 )
             sink.write(channel, message.log_time_ns, message.data)
         sink.finish()

@@ -7,7 +7,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
-from posetrack_cli.rendering.closest import closest_points
+from posetrack_cli.rendering.mesh import closest_points
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
 from posetrack_cli.synthesis.head.form import MOUTH_X
 from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed, random_points
