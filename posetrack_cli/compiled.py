@@ -26,6 +26,7 @@ KERNEL_SOURCES = (
     "geometry/kernels.py",
     "hand/anatomy.py",
     "hand/fitting/*.py",
+    "hand/observation.py",
     "head/face/patches.py",
     "head/face/points.py",
     "head/face/templates.py",
