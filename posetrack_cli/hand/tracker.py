@@ -51,7 +51,8 @@ class HandState:
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         monitor: how well frames were fitted.
         log_girth: of the forearm, as in ``Observation``: a running mean.
-        frames, doubtful: how many were tracked, and how many of them are more probably wrong than right.
+        frames, doubtful: how many showed anything to compare with, and how many of them are more probably
+            wrong than right.
         unseen_ns: time since the last frame in which there was something to compare with.
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
@@ -182,8 +183,8 @@ class HandTracker:
             velocity,
             monitor,
             _girth_after(seen),
-            state.frames + 1,
-            state.doubtful + int(confidence < PROBABLY),
+            state.frames + int(seen.observation is not None),
+            state.doubtful + int(seen.observation is not None and confidence < PROBABLY),
             unseen_ns,
             max(seen.dt, 0.0),
             seen.restarted,

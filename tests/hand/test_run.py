@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from posetrack_cli import __version__
@@ -216,3 +217,17 @@ def test_frames_none_of_which_can_be_used_are_told_and_leave_no_file(
     with pytest.raises(RecordingError, match=r"no frame can be tracked, found stamp gone: 9, first frame 0"):
         track(Memory(0, known=False, losses=(Loss("stamp gone", 9, "frame 0"),)))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_is_remarked_on_whose_frames_are_mostly_doubtful(
+    device: RenderingDevice, tmp_path: Path
+) -> None:
+    """Half of them are not most, and of no frames none are."""
+    run = HandRun(Memory(), CONFIG, RunOptions(tmp_path / "r.mcap"), device)
+    rng = np.random.default_rng(0)
+    pose = np.eye(1, 22, 6)[0]
+    state = run.tracker.start(pose, 0, rng)
+    assert run.remarks(state) == ()
+    assert run.remarks(replace(state, frames=10, doubtful=5)) == ()
+    (line,) = run.remarks(replace(state, frames=10, doubtful=6))
+    assert line.startswith("6 of 10 frames are more probably wrong than right") and "--hand-side" in line
