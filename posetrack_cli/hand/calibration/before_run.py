@@ -45,7 +45,7 @@ _RATIO, _STEPS = 1.16, (-2, -1, 0, 1, 2)
 """Of sizes that are tried, and how many such steps from the one that is configured: 0.74 to 1.35 of it."""
 _FRAMES_FOR_SIZE, _OWN_MM, _SAME_SIZE = 3, 4.0, 0.03
 """Frames that tell a size; at what cost a hand is of the size that is configured, or how near to it."""
-_SIZE_SD = (0.08, 0.15)
+_SIZE_SD = (0.12, 0.15)
 """Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
 larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
 sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4)."""
