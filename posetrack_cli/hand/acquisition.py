@@ -127,8 +127,9 @@ def _doubt_of(detection: Detection) -> float:
     return lacking - fingers_bonus(detection.fingers_mm2) + depth_doubt(float(detection.palm[2]))
 
 
-_HOPELESS_MM = 8.0
-"""Costs of what is fitted differ by less."""
+_HOPELESS_MM, _CLOSE_MM = 8.0, 2.0
+"""Costs of what is fitted differ by less than the first; what is closer to the best than the second is looked
+at in all turns and folds, which takes longer than all else."""
 
 
 def depth_doubt(depth_mm: float) -> float:
@@ -231,8 +232,19 @@ class Acquisition:
         doubts = [_doubt_of(place) for place in places]
         least = min(doubts, default=0.0)
         near = [(d, place) for d, place in zip(doubts, places, strict=True) if d < least + _HOPELESS_MM]
-        found = ((doubt, self._fitted(depth, place)) for doubt, place in near)
-        return [replace(one, doubt=one.cost + doubt) for doubt, one in found if one is not None]
+        fitted = ((doubt, self._fitted(depth, place)) for doubt, place in near)
+        found = [replace(one, doubt=one.cost + doubt) for doubt, one in fitted if one is not None]
+        best = min((one.doubt for one in found), default=0.0)
+        return [self._settled(depth, one) if one.doubt < best + _CLOSE_MM else one for one in found]
+
+    def _settled(self, depth: ImageArray, found: Candidate) -> Candidate:
+        """A candidate, or what looks like it and costs less where it fits badly."""
+        if found.cost <= self._config.status.sure_mm:
+            return found
+        other = self.reconsider(self.observer.observe(depth, found.pose), found.pose)
+        if other is None or other.cost >= found.cost:
+            return found
+        return replace(other, doubt=found.doubt + other.cost - found.cost)
 
     def reconsider(self, observation: Observation, pose: FloatArray) -> Candidate | None:
         """Return the best fit to an observation among hands that look much like a pose (22,)."""
@@ -250,10 +262,7 @@ class Acquisition:
             return first
         if again.reversed:
             return None
-        second = self._best(again, first.pose[None])
-        if second.cost <= self._config.status.sure_mm:
-            return second
-        return better_of(second, self.reconsider(again, second.pose))
+        return self._best(again, first.pose[None])
 
     def _best(self, observation: Observation, poses: FloatArray) -> Candidate:
         """The best fit from the most different of the best hypotheses (H, 22), refined once more."""
