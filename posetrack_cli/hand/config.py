@@ -235,7 +235,7 @@ class StatusSettings(Settings):
     A frame's cost D is compared with the usual one, a running mean over well-tracked frames: above
     ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and
     replaced by another one in the image if that costs less than ``better`` times as much, or ``better_mm``
-    less. Confidence 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
+    less. A share 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
     hand is then searched for in the whole image. A track is left for a hand at another place once
     ``leave_after_frames`` searches in a row found that better.
     """

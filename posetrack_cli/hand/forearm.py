@@ -13,8 +13,9 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
-from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.hand.anatomy import HandAnatomy
+from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.rendering.mesh import SkinnedMesh, joined
 
 FOREARM_NUMBERS = ("forearm_x", "forearm_y", "forearm_z", "forearm_girth")
 """What estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a
@@ -40,19 +41,11 @@ def with_forearm(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int
         anatomy: of the hand.
         sides, rings: how many points a ring has, and how many rings there are.
     """
-    vertices, triangles = _tube(hand, anatomy, sides, rings)
-    count = len(hand.vertices)
-    weights = np.zeros((count + len(vertices), BONE_COUNT + 1))
-    weights[:count, :BONE_COUNT], weights[count:, BONE_COUNT] = hand.weights, 1.0
-    return SkinnedMesh(
-        np.concatenate([hand.vertices, vertices]),
-        weights,
-        np.concatenate([hand.triangles, triangles + count]),
-    )
+    return joined([hand, _tube(hand, anatomy, sides, rings)])
 
 
-def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> tuple[FloatArray, FloatArray]:
-    """Vertices (rings sides + 1, 3) and triangles of a tube that begins at the origin and runs along y."""
+def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:
+    """A tube of one bone that begins at the origin and runs along y, closed at its far end."""
     low, high = _wrist(hand, anatomy.scale)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     end = float(hand.vertices[:, 1].max())
@@ -72,7 +65,8 @@ def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> tu
             faces += [(a, a + sides, b), (b, a + sides, b + sides)]
     first = (rings - 1) * sides
     faces += [(first + k, rings * sides, first + (k + 1) % sides) for k in range(sides)]
-    return np.concatenate([points, last]), np.array(faces, dtype=np.int64)
+    vertices = np.concatenate([points, last])
+    return SkinnedMesh(vertices, np.ones((len(vertices), 1)), np.array(faces, dtype=np.int64))
 
 
 def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:
@@ -91,6 +85,11 @@ def forearm_of(numbers: FloatArray) -> FloatArray:
     """The forearm (4,) as in ``Observation`` that numbers (4,) of ``forearm_numbers`` tell."""
     known = bool(np.isfinite(numbers).all()) and numbers[3] > 0.0
     return np.append(numbers[:3], np.log(numbers[3])) if known else np.zeros(4)
+
+
+def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, arm: FloatArray) -> Float32Array:
+    """camera_T_rest (N, 17, 3, 4) of hands in poses (N, 22), and of a forearm (4,) behind them."""
+    return np.concatenate([skinning_transforms(anatomy, poses), forearm_transforms(poses, arm)], axis=1)
 
 
 def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:

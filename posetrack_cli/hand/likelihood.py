@@ -10,8 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
-from posetrack_cli.hand.forearm import forearm_transforms
-from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.forearm import transforms_with_forearm
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.rendering.pixel_model import PixelMixture
@@ -190,8 +189,7 @@ class RenderedCosts:
 
     def _sums(self, poses: FloatArray, observation: Observation) -> TileSums:
         renderer = self._one if len(poses) == 1 else self._many
-        hands = skinning_transforms(self._anatomy, poses)
-        transforms = np.concatenate([hands, forearm_transforms(poses, observation.arm)], axis=1)
+        transforms = transforms_with_forearm(self._anatomy, poses, observation.arm)
         clamp = self._settings.clamp_mm
         return renderer.sums(
             transforms, self._camera, observation.window, Comparison(observation.image, clamp, self._model)

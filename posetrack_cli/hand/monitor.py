@@ -19,7 +19,7 @@ class TrackMonitor:
     Attributes:
         lost: whether the hand is gone and has to be found in the whole image.
         found: whether it was ever found; before, a first find is no re-initialisation.
-        misses: frames in a row without confidence.
+        misses: frames in a row that no hand fits.
         usual_mm: running mean of the fits' costs, 0 before the first.
         wait: frames to skip before the next costly search.
         next_wait: frames to skip after the next search that fails.
@@ -102,9 +102,9 @@ class TrackMonitor:
         usual = cost_mm if self.usual_mm == 0.0 else min(self.usual_mm, cost_mm)
         return replace(self, lost=False, found=True, misses=0, usual_mm=usual, elsewhere=0, fingers_mm=0.0)
 
-    def after_fit(self, cost_mm: float, confidence: float, settings: StatusSettings) -> TrackMonitor:
+    def after_fit(self, cost_mm: float, quality: float, settings: StatusSettings) -> TrackMonitor:
         """Return the record after a frame in which the hand was fitted."""
-        if confidence < settings.lost_below:
+        if quality < settings.lost_below:
             return self.after_miss(settings)
         usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
         back = replace(self, misses=0, lost=False)
@@ -116,7 +116,7 @@ class TrackMonitor:
         return replace(back, usual_mm=usual, wait=0, next_wait=1)
 
     def after_miss(self, settings: StatusSettings) -> TrackMonitor:
-        """Return the record after a frame without confidence."""
+        """Return the record after a frame that no hand fits."""
         misses = self.misses + 1
         lost = self.lost or misses >= settings.lost_after_frames
         return replace(self, misses=misses, lost=lost)

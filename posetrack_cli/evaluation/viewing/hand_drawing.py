@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown, SkeletonDraw
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import FOREARM_NUMBERS, forearm_of, forearm_transforms
+from posetrack_cli.hand.forearm import FOREARM_NUMBERS, forearm_of, transforms_with_forearm
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
@@ -43,19 +43,16 @@ class HandDrawer:
 
     def __init__(self, device: RenderingDevice, hand: HandModel) -> None:
         self._device, self._hand = device, hand
-        self._mesh = hand.skin(MESH_LEVEL)
-        self._renderer: DepthRenderer | None = None
-        self._with_arm: DepthRenderer | None = None
+        self._renderers: dict[bool, DepthRenderer] = {}
         self._skeleton = SkeletonDrawer(JOINT_PARENTS, axes=False)
 
     def depth(self, camera: Camera, shown: Shown) -> Float32Array | None:
         """Depth (h, w), mm, 0 where the hand is not; None where its pose is not known."""
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
-        pose = _pose_of(shown)
-        renderer = self._renderer_of((camera.width, camera.height))
-        depth: Float32Array = renderer.depth(
-            skinning_transforms(self._hand.anatomy, pose[None]), camera, Window.whole(camera)
+        bones = skinning_transforms(self._hand.anatomy, _pose_of(shown)[None])
+        depth: Float32Array = self._renderer(camera, with_arm=False).depth(
+            bones, camera, Window.whole(camera)
         )[0]
         return depth
 
@@ -88,21 +85,17 @@ class HandDrawer:
         arm = forearm_of(shown.numbers)
         if not arm[:3].any():
             return
-        size = (canvas.camera.width, canvas.camera.height)
-        if self._with_arm is None or self._with_arm.tile != size:
-            self._with_arm = self._device.depth_renderer(self._hand.smooth_with_arm, size, 1)
-        pose = _pose_of(shown)
-        bones = [skinning_transforms(self._hand.anatomy, pose[None]), forearm_transforms(pose[None], arm)]
-        depth = self._with_arm.depth(
-            np.concatenate(bones, axis=1), canvas.camera, Window.whole(canvas.camera)
-        )[0]
+        camera, bones = canvas.camera, transforms_with_forearm(self._hand.anatomy, _pose_of(shown)[None], arm)
+        depth = self._renderer(camera, with_arm=True).depth(bones, camera, Window.whole(camera))[0]
         canvas.picture[_rim((depth > 0) & ~hand)] = LABEL_COLOURS[Label.FOREARM]
 
-    def _renderer_of(self, size: tuple[int, int]) -> DepthRenderer:
+    def _renderer(self, camera: Camera, *, with_arm: bool) -> DepthRenderer:
         """A renderer for pictures of this size; those of one view are all alike."""
-        if self._renderer is None or self._renderer.tile != size:
-            self._renderer = self._device.depth_renderer(self._mesh, size, 1)
-        return self._renderer
+        size = (camera.width, camera.height)
+        if with_arm not in self._renderers or self._renderers[with_arm].tile != size:
+            mesh = self._hand.smooth_with_arm if with_arm else self._hand.skin(MESH_LEVEL)
+            self._renderers[with_arm] = self._device.depth_renderer(mesh, size, 1)
+        return self._renderers[with_arm]
 
 
 def _pose_of(shown: Shown) -> FloatArray:

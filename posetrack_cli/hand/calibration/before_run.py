@@ -159,7 +159,7 @@ class _Trial:
             sides = range(len(self._sides))
             return [self._finder(side, k).best_cost(frame.depth, places) for side in sides]
 
-        costs = np.full(self._costs.shape, np.inf)
+        costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
         costs[:, own] = of_all_sides(own)
         if not self._tried:
             fits = costs[:, own].min() <= _OWN_MM
@@ -167,7 +167,6 @@ class _Trial:
         for k in self._tried:
             if k != own:
                 costs[:, k] = of_all_sides(k)
-        costs = np.where(np.isfinite(costs), costs, self._config.observation.clamp_mm)
         self._costs += costs
         self.asked += 1
         self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
