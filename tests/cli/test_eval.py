@@ -82,7 +82,7 @@ def test_the_figures_are_those_of_the_result(result: Path, capsys: pytest.Captur
     track, truth = hand_track("", 90, 5.0, 1), hand_track("", 90, 0.0)
     errors = np.linalg.norm(track.points - truth.points, axis=2)
     table = shown(out)
-    assert table["rbpf"] == ["mean/value", "sd", "median", "p95", "max"]
+    assert table["rbpf"] == ["mean/value", "sd", "median", "p95", "max", "p5"]
     expected = [errors.mean(), errors.std(), np.median(errors), np.percentile(errors, 95), errors.max()]
     # four digits are shown: half a unit of the fourth
     np.testing.assert_allclose([float(cell) for cell in table["joint_error_mm"]], expected, rtol=5e-4)
@@ -204,7 +204,7 @@ def test_the_metrics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate("--list-metrics") == 0
     out = lines(capsys.readouterr().out)
     assert "joint_error_mm[.JOINT].STATISTIC, mm, lower is better" in out
-    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 1
+    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 2
 
 
 def test_no_result_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
