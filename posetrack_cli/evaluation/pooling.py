@@ -41,7 +41,7 @@ class Pool:
     which: str
     results: tuple[str, ...]
     coverage: Coverage
-    metrics: Mapping[str, Value]
+    metrics: Mapping[str, float]
     absent: Mapping[str, str]
     judged: JudgedFrames | None
 
@@ -110,7 +110,8 @@ def pool(name: str, members: Sequence[Evaluation], reason: str = "") -> Pool:
         measures.metrics |= coverage_metrics(coverage) | _shares(members)
         if judged is not None:
             honesty_metrics(measures, judged)
-    every = dict.fromkeys((*_addresses(members), *measures.metrics, *measures.absent))
+    found = {base: value for base, value in measures.metrics.items() if isinstance(value, float)}
+    every = dict.fromkeys((*_addresses(members), *found, *measures.absent))
     addresses = sorted(every, key=place_of)
     return Pool(
         name,
@@ -118,11 +119,11 @@ def pool(name: str, members: Sequence[Evaluation], reason: str = "") -> Pool:
         members[0].which,
         tuple(one.name for one in members),
         coverage,
-        {base: measures.metrics[base] for base in addresses if base in measures.metrics},
+        {base: found[base] for base in addresses if base in found},
         {
             base: reason or measures.absent.get(base) or _lacking(members, base)
             for base in addresses
-            if base not in measures.metrics
+            if base not in found
         },
         judged,
     )

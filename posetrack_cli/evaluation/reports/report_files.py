@@ -213,7 +213,8 @@ def csv_report(
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADER)
-    for one in (*evaluations, *(pool for pool in pools if pool.says_more)):
+    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
+    for one in every:
         for base, value in one.metrics.items():
             writer.writerows(_lines(one.name, base, value))
     if comparison is not None:

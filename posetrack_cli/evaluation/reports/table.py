@@ -123,7 +123,7 @@ def reliability_table(evaluations: Sequence[Evaluation], pools: Sequence[Pool]) 
 
     One result has columns of counts, mean confidences and shares right; of several each has a column.
     """
-    every = (*evaluations, *(pool for pool in pools if pool.says_more))
+    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
     found = {one.name: reliability(*one.judged.scored) for one in every if one.judged is not None}
     if not found:
         return None

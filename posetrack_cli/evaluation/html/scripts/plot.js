@@ -222,7 +222,12 @@ class Plot {
     const last = points.length - 1;
     const place = this.cursorAt === undefined ? -1 : nearestIndex(points, this.cursorAt);
     const step = event.shiftKey ? Math.max(1, Math.round(points.length / 50)) : 1;
-    const next = { ArrowLeft: place < 0 ? last : place - step, ArrowRight: place + step, Home: 0, End: last }[event.key];
+    const along = (by) => {
+      let at = place + by;
+      while (points[at] === points[place] && at > 0 && at < last) at += Math.sign(by);  // a curve may rise upright
+      return at;
+    };
+    const next = { ArrowLeft: place < 0 ? last : along(-step), ArrowRight: along(step), Home: 0, End: last }[event.key];
     if (next !== undefined && last >= 0) {
       event.preventDefault();
       this.showTip(points[Math.min(last, Math.max(0, next))]);
