@@ -84,7 +84,8 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     "conditions",
     metavar="CONDITION",
     multiple=True,
-    help="Gate, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; repeatable.",
+    help="Gate, such as 'joint_error_mm.mean > 10', 'coverage < 0.99' or, of all results together, "
+    "'pooled.confidence_roc_area < 0.9'; repeatable.",
 )
 @click.option(
     "--gates", "gate_files", type=FILE, multiple=True, help="File of gates, one a line; repeatable."

@@ -25,7 +25,7 @@ class JudgedFrames:
     """The frames (M,) of a track whose error is known, lost ones among them, and what it says of them.
 
     Attributes:
-        confidence: as stated, 0 to 1; NaN where there is none.
+        confidence: as stated; what is not within 0 and 1, NaN too, counts as none.
         right: the error is within its limits.
         far: the error is far beyond.
         lost: frames that say themselves that they are lost.
@@ -42,8 +42,8 @@ class JudgedFrames:
 
     @property
     def scored(self) -> tuple[FloatArray, BoolArray]:
-        """Confidence and whether it is right, of the frames that have a confidence."""
-        known = np.isfinite(self.confidence)
+        """Confidence and whether it is right, of the frames that state a probability."""
+        known = (self.confidence >= 0.0) & (self.confidence <= 1.0)
         return self.confidence[known], self.right[known]
 
 

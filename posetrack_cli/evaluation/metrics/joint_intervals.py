@@ -37,8 +37,9 @@ def joint_variances(anatomy: HandAnatomy, poses: FloatArray, variances: FloatArr
     """
     found: FloatArray = np.empty((len(poses), len(JOINT_NAMES), 3))
     for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
-        squares = joint_jacobian(anatomy, poses[rows]) ** 2
-        found[rows] = np.einsum("njck,nk->njc", squares, variances[rows])
+        with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+            squares = joint_jacobian(anatomy, poses[rows]) ** 2
+            found[rows] = np.einsum("njck,nk->njc", squares, variances[rows])
     return found
 
 

@@ -131,6 +131,14 @@ def test_frames_without_confidence_are_judged_by_their_status_alone() -> None:
     assert measures.absent["confidence_roc_area"] == ALL_RIGHT
 
 
+@pytest.mark.parametrize("absurd", [1e308, -0.1, 1.1, np.inf, np.nan])
+def test_what_is_no_probability_is_no_confidence(absurd: float) -> None:
+    stated = np.array([0.9, absurd, 0.2])
+    measures, judged = judge(*hand_off_by(1.0, 50.0, 30.0, confidence=stated))
+    assert judged is not None and judged.scored[0].tolist() == [0.9, 0.2]
+    assert number(measures, "confidence_brier_score") == pytest.approx((0.01 + 0.04) / 2)
+
+
 def test_frames_whose_error_is_unknown_are_not_judged() -> None:
     estimate, truth = hand_off_by(1.0, 50.0, 30.0)
     assert truth.points is not None

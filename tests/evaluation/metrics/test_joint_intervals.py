@@ -100,6 +100,15 @@ def test_a_truth_of_some_joints_is_compared_by_name() -> None:
     assert measures.counts["joint_inside_90"].of == DRAWS * 3 * 3
 
 
+def test_what_no_pose_can_be_is_outside_and_no_error() -> None:
+    estimate, truth = drawn()
+    assert estimate.position is not None and estimate.points is not None
+    position, points = estimate.position.copy(), estimate.points.copy()
+    position[: DRAWS // 2], points[: DRAWS // 2] = 1e308, np.nan
+    measures = measured(replace(estimate, position=position, points=points), truth)
+    assert number(measures, "joint_inside_90") == pytest.approx(0.45, abs=0.05)
+
+
 def unknown_bones() -> HandAnatomy:
     raise ResultError("the hand that the run tracked is not found")
 
