@@ -257,9 +257,9 @@ def _check_written(events: list[str], event: str, path: Any, own: tuple[str, ...
 
 
 def _cache_folder() -> str:
-    from posetrack_cli.compiled import cache_folder
+    from posetrack_cli.compiled import kernel_folder
 
-    return cache_folder() or os.devnull
+    return kernel_folder() or os.devnull
 
 
 def _foreign(names: set[str]) -> list[str]:

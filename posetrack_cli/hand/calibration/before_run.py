@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, takewhile
+from itertools import chain, product, takewhile
 
 import numpy as np
 
@@ -155,18 +155,21 @@ class _Trial:
         if not places:
             return
 
-        def of_all_sides(k: int) -> list[float]:
-            sides = range(len(self._sides))
-            return [self._finder(side, k).best_cost(frame.depth, places) for side in sides]
-
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
-        costs[:, own] = of_all_sides(own)
+        costs[0, own], likely = self._finder(0, own).appraise(frame.depth, places)
+
+        def appraise(side: int, k: int) -> None:
+            costs[side, k] = self._finder(side, k).appraise(frame.depth, likely)[0]
+
+        sides = range(len(self._sides))
+        for side in sides[1:]:
+            appraise(side, own)
         if not self._tried:
             fits = costs[:, own].min() <= _OWN_MM
             self._tried = (own,) if fits else range(len(self._scales))
-        for k in self._tried:
+        for side, k in product(sides, self._tried):
             if k != own:
-                costs[:, k] = of_all_sides(k)
+                appraise(side, k)
         self._costs += costs
         self.asked += 1
         self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
