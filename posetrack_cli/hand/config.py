@@ -227,7 +227,7 @@ class AcquisitionSettings(Settings):
     swapped: Annotated[int, Field(ge=1, le=64)] = 6
     refined: Annotated[int, Field(ge=0, le=64)] = 4
     scattered: Annotated[int, Field(ge=1, le=64)] = 8
-    finished: Annotated[int, Field(ge=1, le=64)] = 3
+    finished: Annotated[int, Field(ge=1, le=64)] = 6
     accept_mm: Positive = 18.0
 
 

@@ -224,7 +224,7 @@ def _redirect(request: dict[str, Any]) -> None:
 def _audited(folder: str, temporary: str) -> list[str]:
     """Return a list that grows with what this process does and no recording may make it do, until "end"."""
     events: list[str] = []
-    own = tuple(os.path.realpath(name) + os.sep for name in (folder, temporary, _cache_folder()))
+    own = tuple(os.path.realpath(name) + os.sep for name in (folder, temporary, *_caches()))
 
     def heard(event: str, arguments: tuple[Any, ...]) -> None:
         if events[-1:] == ["end"]:
@@ -256,10 +256,11 @@ def _check_written(events: list[str], event: str, path: Any, own: tuple[str, ...
             events.append(f"{event} {whole}")
 
 
-def _cache_folder() -> str:
+def _caches() -> list[str]:
+    from posetrack_cli.cache import cache_folder
     from posetrack_cli.compiled import kernel_folder
 
-    return kernel_folder() or os.devnull
+    return [str(folder or os.devnull) for folder in (kernel_folder(), cache_folder("meshes"))]
 
 
 def _foreign(names: set[str]) -> list[str]:
