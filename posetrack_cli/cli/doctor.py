@@ -45,7 +45,8 @@ def doctor(device: int | None, particles: int) -> None:
     Hands are scored on a GPU if there is one, else by the processor; all else is drawn with OpenGL.
     """
     _print_versions()
-    _check_processor(particles)
+    if device is None:
+        _check_processor(particles)
     works = _check("default" if device is None else f"device {device}", device, particles)
     numbers = _working_devices() if device is None else []
     if len(numbers) > 1 or not works:  # a single device is the default one, which was reported
