@@ -1,0 +1,199 @@
+"""What keypoints tell a tracker: poses near the track, hands at other places, and the likelier side.
+
+**[ours]** None of it is believed. A pose is one more start of a frame's fits, and costs there what the image says;
+a hand at another place competes with those that a search finds, some millimetres of cost ahead; labels of sides
+move the odds by a bounded amount, less than what makes a side certain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rigid import rigid_alignment
+from posetrack_cli.hand.acquisition import Acquisition, Candidate, depth_doubt, fingers_bonus
+from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
+from posetrack_cli.hand.fitting.anatomy_terms import RELAXED, plausibility_of
+from posetrack_cli.hand.fitting.fitter import PosePrior
+from posetrack_cli.hand.fitting.gauss_newton import Steps
+from posetrack_cli.hand.fitting.points import PlacesToFit, fit_places, make_point_workspace, misfits
+from posetrack_cli.hand.fitting.skeleton import skeleton_of
+from posetrack_cli.hand.keypoints.file import KeypointFile
+from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
+from posetrack_cli.hand.keypoints.sets import POINTS
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.recording.base import Frame
+
+MOST_HANDS = 4
+"""Sets of one frame that are looked at, those of the highest scores."""
+NEAR_MM = 80.0
+"""Mean distance of the joints up to which a set is of the hand that is tracked, and a start of its fits."""
+_ITERATIONS = 14
+_STEPS = Steps(60.0, 0.6, 0.6)
+_OPEN, _BENT = 0.0, 2.5
+"""Shapes that fits begin with, in relaxed angles."""
+_PALM = (0, 1, 5, 9, 13, 17)
+_OFF_SD, _LEAST_ON = 3.0, 0.6
+"""A point is off from so many standard deviations on; a set with fewer points on a hand is of none."""
+_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))
+"""(21,) of a pose about what keypoints tell, 1 / mm^2 and 1 / rad^2."""
+_TOLD_MM = 2.0
+"""What being told is worth, mm of cost: less than the fingers of a hand that are seen (``fingers_bonus``)."""
+_ITERATIONS_THERE = 8
+_LABEL_A_FRAME, _LABELS_IN_ALL = 0.8, 2.2
+"""Log odds of a side by labels, at most. Detectors err in one frame of three at worst (.69), but in a whole
+recording alike: one in ten is labelled the wrong way round by convention (.9)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToldHand:
+    """A hand that keypoints tell of.
+
+    Attributes:
+        pose: (22,) fitted to them.
+        right: probability that it is said to be a right one; NaN where nothing is said.
+        score: mean of its points'.
+    """
+
+    pose: FloatArray
+    right: float
+    score: float
+
+
+def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray, float] | None:
+    """Return the pose (22,) of a hand whose joints are at places, and the share of these that it is on.
+
+    None where no palm can be laid on them.
+    """
+    palm = np.array(_PALM)[about.precision[list(_PALM), 0] > 0.0]
+    known = palm if len(palm) >= 4 else np.flatnonzero(about.precision[:, 0] > 0.0)
+    if len(known) < 4:
+        return None
+    skeleton, plausibility, workspace = skeleton_of(anatomy), plausibility_of(anatomy), make_point_workspace()
+    found: list[tuple[float, FloatArray]] = []
+    off = np.empty(POINTS)
+    weights = about.precision[:, 0] / about.precision[:, 0].sum()
+    for bend in (_OPEN, _BENT):
+        pose = _laid_on(about, known, anatomy, bend)
+        fit_places(skeleton, plausibility, about, pose, _STEPS, _ITERATIONS, workspace)
+        misfits(skeleton, about, pose, workspace.posed, off)
+        if np.isfinite(pose).all():
+            found.append((float(weights @ (off < _OFF_SD) - weights @ np.minimum(off, 10.0) * 1e-2), pose))
+    if not found:
+        return None
+    pose = max(found, key=lambda one: one[0])[1]
+    misfits(skeleton, about, pose, workspace.posed, off)
+    return pose, float(weights @ (off < _OFF_SD))
+
+
+def _laid_on(about: PlacesToFit, known: FloatArray, anatomy: HandAnatomy, bend: float) -> FloatArray:
+    """The pose (22,) of a hand of one shape that is laid on places as well as a rigid one can be."""
+    pose = np.zeros(POSE_SIZE)
+    pose[6] = 1.0
+    pose[ANGLES] = bend * RELAXED
+    joints = joint_positions(anatomy, pose[None])[0]
+    turn, pose[:3] = rigid_alignment(joints[known], about.places[known], about.precision[known, 0])
+    pose[3:7] = rotations.canonical(rotations.quaternions_from_matrices(turn))
+    return pose
+
+
+class ToldHands:
+    """What keypoints tell of the frames of a recording, for one hand.
+
+    Args:
+        keypoints: the file.
+        camera: of the depth images.
+        anatomy: the hand that is fitted to them.
+    """
+
+    def __init__(self, keypoints: KeypointFile, camera: Camera, anatomy: HandAnatomy) -> None:
+        self._file, self._camera, self._anatomy = keypoints, camera, anatomy
+
+    def of(self, frame: Frame) -> tuple[ToldHand, ...]:
+        """Return the hands that a frame's sets tell of; what is like no hand is left out."""
+        sets = self._file.sets
+        rows = range(*sets.of(frame.index, frame.stamp_ns).indices(len(sets)))
+        best = sorted(rows, key=lambda k: (-float(sets.scores[k].mean()), k))[:MOST_HANDS]
+        return tuple(hand for k in best if (hand := self._hand(frame.depth, k)) is not None)
+
+    def _hand(self, depth: ImageArray, k: int) -> ToldHand | None:
+        sets = self._file.sets
+        points, scores = sets.points[k], sets.scores[k]
+        if self._file.in_pixels:
+            about = places_in_image(points[:, :2], scores, depth, self._camera, self._anatomy)
+        else:
+            about = places_in_space(points, scores)
+        fitted = None if about is None else pose_of_places(about, self._anatomy)
+        if fitted is None or fitted[1] < _LEAST_ON:
+            return None
+        known = np.isfinite(points[:, 0])
+        return ToldHand(fitted[0], float(sets.right[k]), float(scores[known].mean()))
+
+    def split(
+        self, hands: Sequence[ToldHand], pose: FloatArray
+    ) -> tuple[FloatArray, tuple[ToldHand, ...]]:
+        """Return the poses (K, 22) of hands near a pose (22,), and the hands elsewhere."""
+        joints = joint_positions(self._anatomy, np.array([pose, *(hand.pose for hand in hands)]))
+        apart = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
+        near = [hand.pose for hand, mm in zip(hands, apart, strict=True) if mm < NEAR_MM]
+        elsewhere = tuple(hand for hand, mm in zip(hands, apart, strict=True) if mm >= NEAR_MM)
+        return np.array(near).reshape(-1, POSE_SIZE), elsewhere
+
+    def candidates(
+        self, finder: Acquisition, depth: ImageArray, hands: Sequence[ToldHand], accept_mm: float
+    ) -> list[Candidate]:
+        """Return what hands cost in the image once they are fitted to it, those that cost no more than a limit."""
+        found = (self._candidate(finder, depth, hand) for hand in hands)
+        return [one for one in found if one is not None and one.cost <= accept_mm]
+
+    def _candidate(self, finder: Acquisition, depth: ImageArray, hand: ToldHand) -> Candidate | None:
+        observation = finder.observer.observe(depth, hand.pose)
+        if observation.target_pixels == 0 or observation.reversed:
+            return None
+        fitter = finder.local_fitter.fitter
+        tile = fitter.tile(observation)
+        starts = np.concatenate([hand.pose[None], fitter.aligned(tile, hand.pose[None])])
+        priors = [PosePrior(start, _PRECISION) for start in starts]
+        fits = fitter.descend(tile, starts, priors, _ITERATIONS_THERE)
+        best = min(fits, key=lambda fit: float(fit.cost[0]))
+        fingers = fingers_bonus(finder.observer.fingers_mm2(observation))
+        doubt = float(best.cost[0]) - fingers + depth_doubt(float(best.pose[2])) - self._worth(hand)
+        return Candidate(best.pose.copy(), float(best.cost[0]), doubt)
+
+    def _worth(self, hand: ToldHand) -> float:
+        """What being told of a hand is worth, mm of cost; against it where it is said to be of the other side."""
+        if np.isnan(hand.right):
+            return _TOLD_MM * hand.score
+        ours = 1.0 - hand.right if self._anatomy.is_left else hand.right
+        return _TOLD_MM * hand.score * (2.0 * ours - 1.0)
+
+
+class ToldSide:
+    """The log odds of a right hand by the labels of frames, bounded.
+
+    Args:
+        keypoints: the file; None for none, which tells nothing.
+    """
+
+    def __init__(self, keypoints: KeypointFile | None) -> None:
+        self._file, self._sum = keypoints, 0.0
+
+    def ask(self, frame: Frame) -> None:
+        """Add what a frame's labels tell; nothing where they contradict each other, as those of two hands do."""
+        if self._file is None:
+            return
+        right = self._file.sets.right[self._file.sets.of(frame.index, frame.stamp_ns)]
+        right = right[np.isfinite(right)]
+        if right.size and ((right > 0.5).all() or (right < 0.5).all()):
+            odds = np.log((right + 1e-3) / (1.0 - right + 1e-3))
+            self._sum += float(np.clip(odds[np.argmin(np.abs(odds))], -_LABEL_A_FRAME, _LABEL_A_FRAME))
+
+    @property
+    def log_odds(self) -> float:
+        """Of a right hand."""
+        return float(np.clip(self._sum, -_LABELS_IN_ALL, _LABELS_IN_ALL))
