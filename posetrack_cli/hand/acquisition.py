@@ -186,6 +186,7 @@ class Acquisition:
     Attributes:
         observer: cuts out and segments windows.
         local_fitter: makes local fits.
+        accept_mm: what a hand costs at most.
     """
 
     def __init__(
@@ -196,30 +197,37 @@ class Acquisition:
         scorer: Costs | None = None,
     ) -> None:
         self._config, self._settings = config, config.acquisition
+        self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, HandSpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
         self.local_fitter = LocalFitter(config, hand, camera)
         self._scorer = scorer or DrawnCosts(self.local_fitter.fitter)
 
-    def search(self, depth: ImageArray) -> Candidate | None:
+    def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.
 
         Args:
             depth: (height, width) mm.
+            told: further candidates, found otherwise.
         """
         fitting = [
-            one for one in self._likely(depth, self.detect(depth)) if one.cost <= self._settings.accept_mm
+            one
+            for one in [*self._likely(depth, self.detect(depth)), *told]
+            if one.cost <= self._settings.accept_mm
         ]
         return min(fitting, key=lambda one: one.doubt, default=None)
 
-    def best_cost(self, depth: ImageArray, places: Sequence[Detection]) -> float:
+    def best_cost(
+        self, depth: ImageArray, places: Sequence[Detection], told: Sequence[Candidate] = ()
+    ) -> float:
         """Return what the place most like a hand costs, mm; the most there is where no place is like one.
 
         Args:
             depth: (height, width) mm.
             places: of ``detect``.
+            told: further candidates, found otherwise.
         """
-        best = min(self._likely(depth, places), key=lambda one: one.doubt, default=None)
+        best = min([*self._likely(depth, places), *told], key=lambda one: one.doubt, default=None)
         worst = self._config.observation.clamp_mm
         return worst if best is None else min(best.cost, worst)
 

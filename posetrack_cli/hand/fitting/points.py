@@ -4,8 +4,8 @@ With e_k the difference of place and joint k along its axes and p_k their precis
 
     s_k^2 = sum_i p_ki e_ki^2,        w_k = 1 / (1 + s_k^2 / c^2)^2  (Geman and McClure 1987)
 
-weigh the joints' rows, c falling from ``_WIDEST`` to ``_NARROWEST`` standard deviations; the anatomy's potential
-(``anatomy_terms``) keeps what no point tells plausible.
+weigh the joints' rows, c falling from ``_WIDEST`` to ``_NARROWEST`` standard deviations; the anatomy's
+potential (``anatomy_terms``) keeps what no point tells plausible.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from posetrack_cli.hand.fitting.skeleton import PALM, Posed, Skeleton, empty_pos
 _WIDEST, _NARROWEST = 12.0, 2.5
 """Standard deviations at which a point's weight is a quarter, in the first and in the last iteration."""
 _LEAST = (1e-4, 1e-2, 1e-2)
-"""Precisions of position, 1 / mm^2, rotation and angles, 1 / rad^2, about the pose of the iteration before."""
+"""Precisions of position, 1 / mm^2, rotation and angles, 1 / rad^2, about the last iteration's pose."""
 
 
 class PlacesToFit(NamedTuple):
@@ -147,13 +147,12 @@ def fit_places(
         for i in range(UNKNOWNS):
             least = _LEAST[0] if i < 3 else (_LEAST[1] if i < 6 else _LEAST[2])
             equations.matrix[i, i] += least if i < TANGENT_SIZE else 1.0  # there is no forearm
-        step_pose(pose, np.linalg.solve(equations.matrix, equations.vector), most)
+        step = np.linalg.solve(equations.matrix, equations.vector)
+        step_pose(pose, step.astype(np.float64), most)
 
 
 @kernel
-def misfits(
-    skeleton: Skeleton, about: PlacesToFit, pose: FloatArray, posed: Posed, out: FloatArray
-) -> None:
+def misfits(skeleton: Skeleton, about: PlacesToFit, pose: FloatArray, posed: Posed, out: FloatArray) -> None:
     """Write s (21,) of a pose (22,): how many standard deviations each joint is off its place."""
     at, e, p = np.empty(3), np.empty(3), np.empty(3)
     pose_bones(skeleton, pose, posed)

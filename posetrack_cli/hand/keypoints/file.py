@@ -13,7 +13,15 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.keypoints.json_text import read_json, read_json_lines
-from posetrack_cli.hand.keypoints.layout import HANDEDNESS, METRES, MILLIMETRES, NORMALISED, PIXELS, UNITS, Parsed
+from posetrack_cli.hand.keypoints.layout import (
+    HANDEDNESS,
+    METRES,
+    MILLIMETRES,
+    NORMALISED,
+    PIXELS,
+    UNITS,
+    Parsed,
+)
 from posetrack_cli.hand.keypoints.sets import KeypointSets
 from posetrack_cli.hand.keypoints.tables import KIND, read_csv
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -63,6 +71,31 @@ class KeypointFile:
         by = "stamp" if sets.by_stamp else "number"
         labels = {"none": "no sides", "as told": "sides as told", "exchanged": "right and left exchanged"}
         return f"{len(sets)} hands of 21 points by frame {by}, in {self.unit}, {labels[self.sides]}"
+
+
+class KeypointUse:
+    """Counts for which frames of a run there are keypoints.
+
+    Args:
+        keypoints: the file.
+    """
+
+    def __init__(self, keypoints: KeypointFile) -> None:
+        self._file, self._frames, self._told = keypoints, 0, 0
+
+    def see(self, index: int, stamp_ns: int) -> None:
+        """Count a frame."""
+        rows = self._file.sets.of(index, stamp_ns)
+        self._frames += 1
+        self._told += int(rows.stop > rows.start)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to say at the end, in one line: most frames have none, so perhaps they are matched wrongly."""
+        if 2 * self._told >= self._frames:
+            return ()
+        by = "by stamps, to 10 ms" if self._file.sets.by_stamp else "by number, counted from 0"
+        return (f"{self._file.name} has keypoints for {self._told} of {self._frames} frames, matched {by}",)
 
 
 def read_keypoints(
@@ -185,7 +218,7 @@ def _in_our_units(sets: KeypointSets, unit: str, camera: Camera, path: Path) -> 
 
 
 def _known_scores(scores: FloatArray) -> FloatArray:
-    """Scores of which those not stated are 1; where all are 0 a program wrote the field without filling it."""
+    """Scores, those not stated 1; where all are 0 a program wrote the field without filling it."""
     stated = np.isfinite(scores)
     if not scores[stated].any():
         return np.ones_like(scores)

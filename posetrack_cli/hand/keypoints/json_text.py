@@ -200,7 +200,9 @@ def _take_points(collector: SetCollector, key: int, hand: int, points: Any, wher
     """Add 21 points: a list, an object by name or number, or x, y, score one after the other."""
     values = collector.set_of(key, hand, where)
     if isinstance(points, Mapping):
-        named = [(name, point) for name, point in points.items() if joint_of(name) is not None or name.isdecimal()]
+        named = [
+            (name, point) for name, point in points.items() if joint_of(name) is not None or name.isdecimal()
+        ]
         if not named:
             found = ", ".join(map(str, list(points)[:5]))[:80]
             raise UsageError("holds no points", where=where, found=found, expected=EXPECTED)
@@ -230,8 +232,10 @@ def _values(point: Any, where: str) -> tuple[float, float, float, float]:
         return x, y, z, score_of(_of(point, SCORE_FIELDS, None), f"{where}, score")
     if not isinstance(point, list) or not 2 <= len(point) <= 4:
         found = f"{len(point)} numbers" if isinstance(point, list) else type(point).__name__
-        raise UsageError("is no point", where=where, found=found, expected="[x, y], [x, y, z], [x, y, z, score]")
-    x, y, z = (number_of(value, where) for value in (point + [None])[:3])
+        raise UsageError(
+            "is no point", where=where, found=found, expected="[x, y], [x, y, z], [x, y, z, score]"
+        )
+    x, y, z = (number_of(value, where) for value in [*point, None][:3])
     return x, y, z, score_of(point[3] if len(point) == 4 else None, f"{where}, score")
 
 
@@ -247,12 +251,14 @@ def _exported(path: Path, columns: Mapping[str, Any]) -> Parsed:
     names, lists = list(columns), list(columns.values())
     if not names or not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
         raise UsageError("columns are not of one length", where=path, expected="lists of as many values each")
-    cells = ((k, ["" if v is None else str(v) for v in row]) for k, row in enumerate(zip(*lists, strict=True)))
+    cells = (
+        (k, ["" if v is None else str(v) for v in row]) for k, row in enumerate(zip(*lists, strict=True))
+    )
     return parse_table(path, names, cells, str(path))
 
 
 def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
-    """COCO's keypoint annotations, as label tools export them; a frame's number is that in its image's name."""
+    """COCO's keypoint annotations, as label tools export them; an image's name numbers its frame."""
     frames = _coco_frames(path, said.get("images"))
     order = _coco_order(path, said.get("categories"))
     collector = SetCollector(path, by_stamp=False)
@@ -273,7 +279,7 @@ def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
         values = collector.set_of(frames[image], hand, where)
         for k, point in enumerate(order):
             x, y, v = (number_of(value, f"{where}, point {k}") for value in points[3 * k : 3 * k + 3])
-            score = _VISIBILITY.get(v, score_of(v, f"{where}, point {k}, v"))
+            score = _VISIBILITY[int(v)] if v in _VISIBILITY else score_of(v, f"{where}, point {k}, v")
             unknown = score == 0.0
             said_of = (math.nan if unknown else x, math.nan if unknown else y, math.nan, score)
             collector.put(values, point, said_of, where)

@@ -35,11 +35,11 @@ FRAME_FIELDS = ("frame", "frame_index", "frame_id", "frame_number", "image_index
 SCORE_FIELDS = ("score", "confidence", "conf", "visibility", "presence", "likelihood")
 POINT_FIELDS = ("landmark", "landmark_index", "landmark_id", "keypoint", "joint", "point", "name", "id")
 SIDE, HANDEDNESS = "side", "handedness"
-"""Fields that tell right or left: the hand's own side; and MediaPipe's label, which takes every image for that
-of a mirror and so calls a right hand left where it is none."""
+"""Fields that tell right or left: the hand's own side; and MediaPipe's label, which takes every image for
+that of a mirror and so calls a right hand left where it is none."""
 STATUS, LOST = "status", "lost"
 KEYS = f"a number in {FRAME_FIELDS[0]} (from 0) or a stamp in stamp_ns, timestamp_ms or time_s"
-_AXES = {"x": X, "y": Y, "z": Z} | {name: SCORE for name in (*SCORE_FIELDS, "c")}
+_AXES = {"x": X, "y": Y, "z": Z} | dict.fromkeys((*SCORE_FIELDS, "c"), SCORE)
 _NUMBERED = re.compile(r"(?:(?:landmark|keypoint|point|joint|kp|lm)_?)?(\d{1,3})_?([a-z]+)")
 _AXIS_FIRST = re.compile(r"([a-z]+)_?(\d{1,3})")
 _NAMED = re.compile(r"([a-z_]+)_([a-z]+)")
@@ -91,7 +91,7 @@ def point_of(value: Any, where: object) -> int:
 
 
 def point_column(name: str) -> PointColumn | None:
-    """Return what a column of a wide table is of: ``x0``, ``0_x``, ``landmark_0_x``, ``thumb_tip_x_mm`` ..."""
+    """Return what a column of a wide table is of: ``x0``, ``landmark_0_x``, ``thumb_tip_x_mm`` ..."""
     plain, unit = name.strip().lower(), None
     for ending in UNIT_NAMES:
         if plain.endswith(f"_{ending}"):
@@ -109,7 +109,7 @@ def point_column(name: str) -> PointColumn | None:
 
 
 def key_of(value: Any, ns_per_unit: int | None, where: object) -> int:
-    """Return a frame's number, or a stamp in ns of a number of units; by decimals, so exact to the last digit.
+    """Return a frame's number, or a stamp in ns of a number of units; by decimals, so exact.
 
     Raises:
         UsageError: it is none.
@@ -126,7 +126,9 @@ def key_of(value: Any, ns_per_unit: int | None, where: object) -> int:
     except (ValueError, ArithmeticError):
         kind = "frame number" if ns_per_unit is None else "stamp"
         expected = "a whole number, 0 or more" if ns_per_unit is None else f"0 to {LATEST_NS} ns"
-        raise UsageError(f"{kind} cannot be used", where=where, found=_shown(value), expected=expected) from None
+        raise UsageError(
+            f"{kind} cannot be used", where=where, found=_shown(value), expected=expected
+        ) from None
 
 
 def number_of(value: Any, where: object) -> float:

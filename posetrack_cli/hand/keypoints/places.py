@@ -1,15 +1,16 @@
 """Where in the camera's axes a set of keypoints is, and how surely: pixels get their depth from the image.
 
 The readings in a small patch about a pixel, without what is not near the set's median depth, tell the skin's
-depth there; the joint lies a finger's radius behind it along the line of sight. Where the skin at that pixel is
-another finger's or the palm's, the joint lies farther behind, so a joint behind its place is hardly off it.
+depth there; the joint lies a finger's radius behind it along the line of sight. Where the skin at that pixel
+is another finger's or the palm's, the joint lies farther behind, so a joint behind its place is hardly off
+it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import undistort
 from posetrack_cli.hand.anatomy import HandAnatomy
@@ -21,8 +22,8 @@ PIXEL_SD, CONVENTION_SD_MM = 3.0, 6.0
 SPACE_SD_MM = 8.0
 """Of points in space, beside the convention."""
 _SKIN_SD_MM, _BEHIND_SD_MM, _UNKNOWN_SD_MM = 10.0, 40.0, 60.0
-"""Of a joint's depth before and behind the place that the skin tells; and where no reading tells it, about the
-others' median."""
+"""Of a joint's depth before and behind the place that the skin tells; and about the others' median where no
+reading tells it."""
 _PATCH_MM, _MOST_PX = 6.0, 8
 """Half a patch's side, in the scene and at most in the image."""
 _COARSE_PX = 3
@@ -38,7 +39,7 @@ FEWEST = 8
 
 
 def skin_to_joint(anatomy: HandAnatomy) -> FloatArray:
-    """Return how far behind the skin each joint (21,) is, mm: half as far at a tip, which is one of the skin."""
+    """Return how far behind the skin each joint (21,) is, mm: half as far at a tip, which is the skin's."""
     depths = anatomy.radii.copy()
     depths[1:, 0] = _KNUCKLE_MM * anatomy.scale
     depths[:, 3] *= 0.5
@@ -98,7 +99,7 @@ def skin_depths(pixels: FloatArray, depth: ImageArray, camera: Camera) -> FloatA
 
 
 def _nearest_surface(depth: ImageArray, pixel: FloatArray, half: int, near: float, far: float) -> float:
-    """Median of the nearest surface in a patch about a pixel, mm; NaN where nothing is read between two depths."""
+    """Median of the nearest surface in a patch about a pixel, between two depths, mm; NaN where none is."""
     column, row = np.rint(pixel)
     height, width = depth.shape
     if not (-half <= column < width + half and -half <= row < height + half):
@@ -113,7 +114,7 @@ def _nearest_surface(depth: ImageArray, pixel: FloatArray, half: int, near: floa
     return float(surface[surface.size // 2])
 
 
-def _rays(pixels: FloatArray, inside: FloatArray, camera: Camera) -> FloatArray:
+def _rays(pixels: FloatArray, inside: BoolArray, camera: Camera) -> FloatArray:
     """Points (21, 3) at depth 1 on the lines of sight of pixels; of unknown ones straight ahead."""
     x = np.where(inside, (pixels[:, 0] - camera.cx) / camera.fx, 0.0)
     y = np.where(inside, (pixels[:, 1] - camera.cy) / camera.fy, 0.0)
@@ -128,4 +129,3 @@ def _axes_of(rays: FloatArray) -> FloatArray:
     first = np.cross(np.array([0.0, 1.0, 0.0]), along)
     first /= np.linalg.norm(first, axis=1, keepdims=True)  # no line of sight is the image's vertical
     return np.stack([first, np.cross(along, first), along], axis=1)
-

@@ -71,7 +71,9 @@ def parse_table(path: Path, names: Sequence[str], rows: Iterator[Row], where: st
     for line, row in rows:
         if len(row) != len(names):
             what = "row does not fit the header"
-            raise UsageError(what, where=f"{path} line {line}", found=f"{len(row)} cells", expected=len(names))
+            raise UsageError(
+                what, where=f"{path} line {line}", found=f"{len(row)} cells", expected=len(names)
+            )
         table.take(row, collector, f"{path} line {line}")
     return Parsed(collector.sets(), table.unit, table.side_field)
 
@@ -113,7 +115,9 @@ class _Table:
         _check_names(path, names, where)
         stamp = next((name for name in NS_PER_UNIT if name in plain), None)
         frame = next((name for name in FRAME_FIELDS if name in plain), None)
-        points = tuple((k, found) for k, name in enumerate(names) if (found := point_column(name)) is not None)
+        points = tuple(
+            (k, found) for k, name in enumerate(names) if (found := point_column(name)) is not None
+        )
         point = next((name for name in POINT_FIELDS if name in plain), None)
         long_names = {axis: _axis_column(plain, axis) for axis in "xyz"}
         if stamp is None and frame is None:
@@ -123,7 +127,9 @@ class _Table:
             _check_points(points, names, where)
         side = next((name for name in (SIDE, HANDEDNESS) if name in plain), None)
         key = str(stamp if stamp is not None else frame)
-        own = [found.unit for _, found in points] if is_wide else [_unit(plain[k]) for k in long_names.values()]
+        own = (
+            [found.unit for _, found in points] if is_wide else [_unit(plain[k]) for k in long_names.values()]
+        )
         return cls(
             plain.index(key),
             None if stamp is None else NS_PER_UNIT[stamp],
@@ -156,7 +162,10 @@ class _Table:
         else:
             values = collector.set_of(key, hand, where)
             point, *places = self.values
-            said = (number_of(row[k], f"{where}, {'xyz'[n]}") if k >= 0 else math.nan for n, k in enumerate(places))
+            said = (
+                number_of(row[k], f"{where}, {'xyz'[n]}") if k >= 0 else math.nan
+                for n, k in enumerate(places)
+            )
             x, y, z = said
             collector.put(values, point_of(row[point], where), (x, y, z, score), where)
         if label:
@@ -178,7 +187,9 @@ def _check_names(path: Path, names: Sequence[str], where: str) -> None:
         raise UsageError("is empty", where=path, expected=EXPECTED)
     if len(names) > limits.COLUMNS:
         raise UsageError("has too many columns", where=path, found=len(names), expected=limits.COLUMNS)
-    other = next((word for sign, word in _OTHER_SEPARATORS.items() if len(names) == 1 and sign in names[0]), "")
+    other = next(
+        (word for sign, word in _OTHER_SEPARATORS.items() if len(names) == 1 and sign in names[0]), ""
+    )
     if other:
         hint = "write it with commas, and with points as decimal signs"
         raise UsageError("columns are not separated by commas", where=where, found=other, hint=hint)
@@ -206,7 +217,9 @@ def _check_points(points: Sequence[tuple[int, PointColumn]], names: Sequence[str
         raise UsageError("columns of points are missing", where=where, found=found, expected="x and y of 21")
     depths = sum(1 for _, value in there if value == Z)
     if depths not in (0, POINTS):
-        raise UsageError("columns of points are missing", where=where, found=f"{depths} of z", expected="0 or 21")
+        raise UsageError(
+            "columns of points are missing", where=where, found=f"{depths} of z", expected="0 or 21"
+        )
 
 
 def _hand_of(cell: str, where: str) -> tuple[int, str]:

@@ -1,8 +1,8 @@
 """What keypoints tell a tracker: poses near the track, hands at other places, and the likelier side.
 
-**[ours]** None of it is believed. A pose is one more start of a frame's fits, and costs there what the image says;
-a hand at another place competes with those that a search finds, some millimetres of cost ahead; labels of sides
-move the odds by a bounded amount, less than what makes a side certain.
+**[ours]** None of it is believed. A pose is one more start of a frame's fits, and costs there what the image
+says; a hand at another place competes with those that a search finds, some millimetres of cost ahead; labels
+of sides move the odds by a bounded amount, less than what makes a side certain.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import rigid_alignment
@@ -27,6 +27,7 @@ from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
 from posetrack_cli.hand.keypoints.sets import POINTS
 from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.local_fits import NOT_TOLD, TOLD_PRECISION
 from posetrack_cli.recording.base import Frame
 
 MOST_HANDS = 4
@@ -40,8 +41,6 @@ _OPEN, _BENT = 0.0, 2.5
 _PALM = (0, 1, 5, 9, 13, 17)
 _OFF_SD, _LEAST_ON = 3.0, 0.6
 """A point is off from so many standard deviations on; a set with fewer points on a hand is of none."""
-_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))
-"""(21,) of a pose about what keypoints tell, 1 / mm^2 and 1 / rad^2."""
 _TOLD_MM = 2.0
 """What being told is worth, mm of cost: less than the fingers of a hand that are seen (``fingers_bonus``)."""
 _ITERATIONS_THERE = 8
@@ -91,7 +90,7 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
     return pose, float(weights @ (off < _OFF_SD))
 
 
-def _laid_on(about: PlacesToFit, known: FloatArray, anatomy: HandAnatomy, bend: float) -> FloatArray:
+def _laid_on(about: PlacesToFit, known: IntArray, anatomy: HandAnatomy, bend: float) -> FloatArray:
     """The pose (22,) of a hand of one shape that is laid on places as well as a rigid one can be."""
     pose = np.zeros(POSE_SIZE)
     pose[6] = 1.0
@@ -134,43 +133,64 @@ class ToldHands:
         known = np.isfinite(points[:, 0])
         return ToldHand(fitted[0], float(sets.right[k]), float(scores[known].mean()))
 
-    def split(
-        self, hands: Sequence[ToldHand], pose: FloatArray
-    ) -> tuple[FloatArray, tuple[ToldHand, ...]]:
-        """Return the poses (K, 22) of hands near a pose (22,), and the hands elsewhere."""
-        joints = joint_positions(self._anatomy, np.array([pose, *(hand.pose for hand in hands)]))
-        apart = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
-        near = [hand.pose for hand, mm in zip(hands, apart, strict=True) if mm < NEAR_MM]
-        elsewhere = tuple(hand for hand, mm in zip(hands, apart, strict=True) if mm >= NEAR_MM)
-        return np.array(near).reshape(-1, POSE_SIZE), elsewhere
 
-    def candidates(
-        self, finder: Acquisition, depth: ImageArray, hands: Sequence[ToldHand], accept_mm: float
-    ) -> list[Candidate]:
-        """Return what hands cost in the image once they are fitted to it, those that cost no more than a limit."""
-        found = (self._candidate(finder, depth, hand) for hand in hands)
-        return [one for one in found if one is not None and one.cost <= accept_mm]
+def split(
+    hands: Sequence[ToldHand], pose: FloatArray, anatomy: HandAnatomy
+) -> tuple[FloatArray, tuple[ToldHand, ...]]:
+    """Return the poses (K, 22) of hands near a pose (22,), and the hands elsewhere."""
+    if not hands:
+        return NOT_TOLD, ()
+    joints = joint_positions(anatomy, np.array([pose, *(hand.pose for hand in hands)]))
+    apart = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
+    near = [hand.pose for hand, mm in zip(hands, apart, strict=True) if mm < NEAR_MM]
+    elsewhere = tuple(hand for hand, mm in zip(hands, apart, strict=True) if mm >= NEAR_MM)
+    return np.array(near).reshape(-1, POSE_SIZE), elsewhere
 
-    def _candidate(self, finder: Acquisition, depth: ImageArray, hand: ToldHand) -> Candidate | None:
-        observation = finder.observer.observe(depth, hand.pose)
-        if observation.target_pixels == 0 or observation.reversed:
-            return None
-        fitter = finder.local_fitter.fitter
-        tile = fitter.tile(observation)
-        starts = np.concatenate([hand.pose[None], fitter.aligned(tile, hand.pose[None])])
-        priors = [PosePrior(start, _PRECISION) for start in starts]
-        fits = fitter.descend(tile, starts, priors, _ITERATIONS_THERE)
-        best = min(fits, key=lambda fit: float(fit.cost[0]))
-        fingers = fingers_bonus(finder.observer.fingers_mm2(observation))
-        doubt = float(best.cost[0]) - fingers + depth_doubt(float(best.pose[2])) - self._worth(hand)
-        return Candidate(best.pose.copy(), float(best.cost[0]), doubt)
 
-    def _worth(self, hand: ToldHand) -> float:
-        """What being told of a hand is worth, mm of cost; against it where it is said to be of the other side."""
-        if np.isnan(hand.right):
-            return _TOLD_MM * hand.score
-        ours = 1.0 - hand.right if self._anatomy.is_left else hand.right
-        return _TOLD_MM * hand.score * (2.0 * ours - 1.0)
+def candidates(finder: Acquisition, depth: ImageArray, hands: Sequence[ToldHand]) -> list[Candidate]:
+    """Return what hands cost in an image (height, width), mm, once they are fitted to it."""
+    found = (_candidate(finder, depth, hand) for hand in hands)
+    return [one for one in found if one is not None]
+
+
+def told_candidates(
+    keypoints: KeypointFile | None, camera: Camera, finder: Acquisition, frame: Frame
+) -> list[Candidate]:
+    """Return the candidates that keypoints tell of in a frame, for the hand that is searched for."""
+    if keypoints is None:
+        return []
+    hands = ToldHands(keypoints, camera, finder.observer.anatomy).of(frame)
+    return candidates(finder, frame.depth, hands)
+
+
+def likeliest(found: Sequence[Candidate], most_mm: float = np.inf) -> Candidate | None:
+    """Return the candidate against which least speaks, of those that cost no more than a limit."""
+    return min((one for one in found if one.cost <= most_mm), key=lambda one: one.doubt, default=None)
+
+
+def _candidate(finder: Acquisition, depth: ImageArray, hand: ToldHand) -> Candidate | None:
+    observation = finder.observer.observe(depth, hand.pose)
+    if observation.target_pixels == 0 or observation.reversed:
+        return None
+    fitter = finder.local_fitter.fitter
+    tile = fitter.tile(observation)
+    starts = np.concatenate([hand.pose[None], fitter.aligned(tile, hand.pose[None])])
+    fits = fitter.descend(
+        tile, starts, [PosePrior(start, TOLD_PRECISION) for start in starts], _ITERATIONS_THERE
+    )
+    best = min(fits, key=lambda fit: float(fit.cost[0]))
+    cost = float(best.cost[0])
+    if cost > finder.accept_mm:
+        return None
+    fingers = fingers_bonus(finder.observer.fingers_mm2(observation))
+    worth = _worth(hand, is_left=finder.observer.anatomy.is_left)
+    return Candidate(best.pose.copy(), cost, cost - fingers + depth_doubt(float(best.pose[2])) - worth)
+
+
+def _worth(hand: ToldHand, *, is_left: bool) -> float:
+    """What being told of a hand is worth, mm of cost; against it where it is said to be of the other side."""
+    ours = 1.0 if np.isnan(hand.right) else (1.0 - hand.right if is_left else hand.right)
+    return _TOLD_MM * hand.score * (2.0 * ours - 1.0)
 
 
 class ToldSide:
@@ -184,7 +204,7 @@ class ToldSide:
         self._file, self._sum = keypoints, 0.0
 
     def ask(self, frame: Frame) -> None:
-        """Add what a frame's labels tell; nothing where they contradict each other, as those of two hands do."""
+        """Add what a frame's labels tell; nothing where they contradict each other, as two hands' do."""
         if self._file is None:
             return
         right = self._file.sets.right[self._file.sets.of(frame.index, frame.stamp_ns)]
