@@ -132,6 +132,10 @@ _HOPELESS_MM, _CLOSE_MM = 8.0, 2.0
 at in all turns and folds, which takes longer than all else."""
 
 
+_ONE_PLACE_MM = 60.0
+"""Distance of two wrists up to which what was found and what was told are one hand."""
+
+
 def depth_doubt(depth_mm: float) -> float:
     """What a place's depth speaks against it, mm of cost: of two hands alike the nearer one is meant."""
     return _PER_DEPTH * depth_mm
@@ -210,11 +214,8 @@ class Acquisition:
             depth: (height, width) mm.
             told: further candidates, found otherwise.
         """
-        fitting = [
-            one
-            for one in [*self._likely(depth, self.detect(depth)), *told]
-            if one.cost <= self._settings.accept_mm
-        ]
+        likely = with_told(self._likely(depth, self.detect(depth)), told)
+        fitting = [one for one in likely if one.cost <= self._settings.accept_mm]
         return min(fitting, key=lambda one: one.doubt, default=None)
 
     def best_cost(
@@ -227,7 +228,7 @@ class Acquisition:
             places: of ``detect``.
             told: further candidates, found otherwise.
         """
-        best = min([*self._likely(depth, places), *told], key=lambda one: one.doubt, default=None)
+        best = min(with_told(self._likely(depth, places), told), key=lambda one: one.doubt, default=None)
         worst = self._config.observation.clamp_mm
         return worst if best is None else min(best.cost, worst)
 
@@ -304,6 +305,22 @@ def better_of(first: Candidate | None, second: Candidate | None) -> Candidate | 
     """The candidate that costs less, if there is any."""
     both = [candidate for candidate in (first, second) if candidate is not None]
     return min(both, key=lambda candidate: candidate.cost, default=None)
+
+
+def with_told(found: Sequence[Candidate], told: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates and those that were told; of two at one place the cheaper pose, and the lesser doubt."""
+    merged = list(found)
+    for one in told:
+        near = [
+            k
+            for k, other in enumerate(merged)
+            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < _ONE_PLACE_MM
+        ]
+        for k in near:
+            best = one if one.cost < merged[k].cost else merged[k]
+            merged[k] = replace(best, doubt=min(one.doubt, merged[k].doubt))
+        merged += [] if near else [one]
+    return merged
 
 
 def distinct(poses: FloatArray, costs: FloatArray, count: int) -> list[int]:
