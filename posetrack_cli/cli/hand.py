@@ -112,7 +112,8 @@ hand.add_command(hand_synth)
 @click.option(
     "--keypoints-swap-sides",
     is_flag=True,
-    help="Exchange right and left: for MediaPipe's handedness if its images were mirrored, or wrong sides.",
+    help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of mirrored "
+    "images, or wrong sides.",
 )
 @click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
 @frame_options

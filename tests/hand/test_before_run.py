@@ -79,7 +79,7 @@ def say_costs(
     """Let frames cost as told, in order, for hands of either side."""
     told = {"right": iter(right), "left": iter(left)}
     monkeypatch.setattr(
-        Acquisition, "best_cost", lambda self, depth, places: next(told[self.observer.anatomy.side])
+        Acquisition, "best_cost", lambda self, depth, places, others: next(told[self.observer.anatomy.side])
     )
     monkeypatch.setattr(before_run, "ASKED_EVERY", 1)
     return told

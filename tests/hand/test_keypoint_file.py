@@ -294,11 +294,13 @@ def test_flags_of_coco_are_scores(tmp_path: Path) -> None:
     [
         ("side", False, 0.9, "as told"),
         ("side", True, 0.1, "exchanged"),
-        ("handedness", False, 0.1, "exchanged"),
-        ("handedness", True, 0.9, "as told"),
+        ("handedness", False, 0.9, "unsure"),
+        ("handedness", True, 0.1, "exchanged"),
+        ("multi_handedness", False, 0.1, "exchanged"),
+        ("multi_handedness", True, 0.9, "as told"),
     ],
 )
-def test_labels_of_mediapipe_are_of_a_mirrored_image(
+def test_labels_of_mediapipes_solutions_are_of_a_mirrored_image(
     tmp_path: Path, field: str, swap: bool, right: float, sides: str
 ) -> None:
     content = [{"landmarks": PIXELS[0].tolist(), field: {"label": "Right", "score": 0.9}}]

@@ -12,7 +12,7 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.calibration.before_run import CLEAR_LOG_ODDS
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.keypoints.file import KeypointFile
+from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import FEWEST, places_in_image, places_in_space, skin_depths
 from posetrack_cli.hand.keypoints.sets import KeypointSets
 from posetrack_cli.hand.keypoints.told import (
@@ -314,6 +314,10 @@ def test_labels_move_the_odds_less_than_what_is_certain() -> None:
         for _ in range(50):
             side.ask(frame)
         assert abs(side.log_odds) < CLEAR_LOG_ODDS
+        unsure = ToldSide(replace(told_of([np.zeros((21, 3))], right=right), sides=UNSURE))
+        for _ in range(50):
+            unsure.ask(frame)
+        assert abs(unsure.log_odds) == abs(0.8 * sign)
     assert ToldSide(None).log_odds == 0.0
 
 

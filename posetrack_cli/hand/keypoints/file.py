@@ -17,6 +17,7 @@ from posetrack_cli.hand.keypoints.layout import (
     HANDEDNESS,
     METRES,
     MILLIMETRES,
+    MIRRORED,
     NORMALISED,
     PIXELS,
     UNITS,
@@ -27,6 +28,8 @@ from posetrack_cli.hand.keypoints.tables import KIND, read_csv
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.units import METRES_PER_MM
 
+UNSURE = "unsure"
+"""How sides are taken that may be the wrong way round."""
 _MOST_OF = 90.0
 """Percent of the points that have to lie where a unit would have them."""
 _NEAREST_M, _FARTHEST_M = 0.1, 10.0
@@ -45,7 +48,8 @@ class KeypointFile:
         sets: pixels, or mm in camera axes; scores are all known; sides are the hand's own.
         in_pixels: which of the two.
         unit: of the file, as it was told or determined.
-        sides: how its sides are taken: ``none``, ``as told`` or ``exchanged``.
+        sides: how its sides are taken: ``none``, ``as told``, ``exchanged``, or ``UNSURE``: as told, by
+            labels that some versions of MediaPipe mean otherwise.
     """
 
     name: str
@@ -69,7 +73,12 @@ class KeypointFile:
         """What was found, for people."""
         sets = self.sets
         by = "stamp" if sets.by_stamp else "number"
-        labels = {"none": "no sides", "as told": "sides as told", "exchanged": "right and left exchanged"}
+        labels = {
+            "none": "no sides",
+            "as told": "sides as told",
+            "exchanged": "right and left exchanged",
+            UNSURE: "handedness as told (MediaPipe before 0.10.15 exchanges it: --keypoints-swap-sides)",
+        }
         return f"{len(sets)} hands of 21 points by frame {by}, in {self.unit}, {labels[self.sides]}"
 
 
@@ -107,17 +116,18 @@ def read_keypoints(
         path: CSV; or JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``).
         camera: of the depth images, for normalised points.
         unit: one of ``UNITS``; None as the file names it, else as its numbers look.
-        swap_sides: exchange right and left as they would be taken otherwise: MediaPipe's labels as they are,
-            others exchanged.
+        swap_sides: exchange right and left as they would be taken otherwise: labels of MediaPipe's solutions
+            are taken as they are, others exchanged.
 
     Raises:
         UsageError: no such file; or names file, line and field of what cannot be used.
     """
     parsed = _parse(path)
     unit = unit or parsed.unit or _unit_by_numbers(parsed.sets, camera, path)
-    exchanged = (parsed.side_field == HANDEDNESS) != swap_sides
+    exchanged = (parsed.side_field == MIRRORED) != swap_sides
     sets = _in_our_units(parsed.sets, unit, camera, path)
-    sides = "none" if np.isnan(sets.right).all() else ("exchanged" if exchanged else "as told")
+    sides = "exchanged" if exchanged else (UNSURE if parsed.side_field == HANDEDNESS else "as told")
+    sides = "none" if np.isnan(sets.right).all() else sides
     right = 1.0 - sets.right if exchanged else sets.right
     known = replace(sets, scores=_known_scores(sets.scores), right=right)
     try:

@@ -17,6 +17,7 @@ from posetrack_cli.hand.keypoints.layout import (
     FRAME_FIELDS,
     HANDEDNESS,
     KEYS,
+    MIRRORED,
     NS_PER_UNIT,
     POINT_FIELDS,
     SCORE_FIELDS,
@@ -36,7 +37,8 @@ from posetrack_cli.hand.keypoints.tables import KIND, parse_table
 EXPECTED = "a list of frames, each with landmarks: 21 of [x, y], [x, y, z] or {x, y, z}"
 _ONE = ("landmarks", "keypoints", "points", "landmark")
 _HANDS = ("hands", "multi_hand_landmarks", "hand_landmarks", "handLandmarks")
-_LABELS = (SIDE, "multi_handedness", HANDEDNESS, "handednesses")
+_LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
+"""Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
 _LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
 _VISIBILITY = {0: 0.0, 1: 0.5, 2: 1.0}
 """Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
@@ -175,12 +177,12 @@ def _is_list_of_hands(value: Any) -> bool:
 
 
 def _labels(frame: Mapping[str, Any]) -> tuple[str, list[Any]] | None:
-    """Which field tells sides, as ``SIDE`` or ``HANDEDNESS``, and what it says of each hand."""
+    """Which of ``SIDE_FIELDS`` a frame or a hand has, and what it says of each hand."""
     name = next((name for name in _LABELS if frame.get(name) is not None), None)
     if name is None:
         return None
     said = frame[name]
-    return SIDE if name == SIDE else HANDEDNESS, said if isinstance(said, list) else [said]
+    return _LABELS[name], said if isinstance(said, list) else [said]
 
 
 def _right(label: Any, where: str) -> float:

@@ -34,9 +34,11 @@ NS_PER_UNIT = {
 FRAME_FIELDS = ("frame", "frame_index", "frame_id", "frame_number", "image_index")
 SCORE_FIELDS = ("score", "confidence", "conf", "visibility", "presence", "likelihood")
 POINT_FIELDS = ("landmark", "landmark_index", "landmark_id", "keypoint", "joint", "point", "name", "id")
-SIDE, HANDEDNESS = "side", "handedness"
-"""Fields that tell right or left: the hand's own side; and MediaPipe's label, which takes every image for
-that of a mirror and so calls a right hand left where it is none."""
+SIDE, HANDEDNESS, MIRRORED = "side", "handedness", "multi_handedness"
+"""Fields that tell right or left: the hand's own side; the label of MediaPipe's tasks, which is that since
+version 0.10.15; and that of its solutions, which take every image for that of a mirror and so call a right
+hand left where it is none. Files call either the second."""
+SIDE_FIELDS = (SIDE, HANDEDNESS, MIRRORED)
 STATUS, LOST = "status", "lost"
 KEYS = f"a number in {FRAME_FIELDS[0]} (from 0) or a stamp in stamp_ns, timestamp_ms or time_s"
 _AXES = {"x": X, "y": Y, "z": Z} | dict.fromkeys((*SCORE_FIELDS, "c"), SCORE)
@@ -51,7 +53,7 @@ class Parsed(NamedTuple):
     Attributes:
         sets: its points.
         unit: that it names; None where it does not.
-        side_field: which field tells sides, ``SIDE`` or ``HANDEDNESS``; None where none does.
+        side_field: which field tells sides, one of ``SIDE_FIELDS``; None where none does.
     """
 
     sets: KeypointSets

@@ -14,13 +14,12 @@ from posetrack_cli.csv_rows import Row, csv_rows
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.keypoints.layout import (
     FRAME_FIELDS,
-    HANDEDNESS,
     KEYS,
     LOST,
     NS_PER_UNIT,
     POINT_FIELDS,
     SCORE_FIELDS,
-    SIDE,
+    SIDE_FIELDS,
     STATUS,
     UNIT_NAMES,
     Parsed,
@@ -125,7 +124,7 @@ class _Table:
         is_wide = bool(points) or point is None or min(long_names["x"], long_names["y"]) < 0
         if is_wide:
             _check_points(points, names, where)
-        side = next((name for name in (SIDE, HANDEDNESS) if name in plain), None)
+        side = next((name for name in SIDE_FIELDS if name in plain), None)
         key = str(stamp if stamp is not None else frame)
         own = (
             [found.unit for _, found in points] if is_wide else [_unit(plain[k]) for k in long_names.values()]

@@ -23,7 +23,7 @@ from posetrack_cli.hand.fitting.fitter import PosePrior
 from posetrack_cli.hand.fitting.gauss_newton import Steps
 from posetrack_cli.hand.fitting.points import PlacesToFit, fit_places, make_point_workspace, misfits
 from posetrack_cli.hand.fitting.skeleton import skeleton_of
-from posetrack_cli.hand.keypoints.file import KeypointFile
+from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
 from posetrack_cli.hand.keypoints.sets import POINTS
 from posetrack_cli.hand.kinematics import joint_positions
@@ -44,9 +44,10 @@ _OFF_SD, _LEAST_ON = 3.0, 0.6
 _TOLD_MM = 2.0
 """What being told is worth, mm of cost: less than the fingers of a hand that are seen (``fingers_bonus``)."""
 _ITERATIONS_THERE = 8
-_LABEL_A_FRAME, _LABELS_IN_ALL = 0.8, 2.2
+_LABEL_A_FRAME, _LABELS_IN_ALL, _UNSURE_LABELS = 0.8, 2.2, 0.8
 """Log odds of a side by labels, at most. Detectors err in one frame of three at worst (.69), but in a whole
-recording alike: one in ten is labelled the wrong way round by convention (.9)."""
+recording alike: one in ten is labelled the wrong way round by convention (.9), and three in ten where
+versions of one program differ (.69)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,4 +217,6 @@ class ToldSide:
     @property
     def log_odds(self) -> float:
         """Of a right hand."""
-        return float(np.clip(self._sum, -_LABELS_IN_ALL, _LABELS_IN_ALL))
+        unsure = self._file is not None and self._file.sides == UNSURE
+        most = _UNSURE_LABELS if unsure else _LABELS_IN_ALL
+        return float(np.clip(self._sum, -most, most))
