@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from posetrack_cli.compiled import cache_folder
+from posetrack_cli.compiled import kernel_folder
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
 RUNS = (
@@ -32,7 +32,7 @@ RUNS = (
 
 def main() -> None:
     """Do the runs if this checkout's kernels are not in the cache."""
-    folder = cache_folder()
+    folder = kernel_folder()
     if folder is None:
         return
     checkout = hashlib.sha256(str(Path(__file__).parent).encode()).hexdigest()[:16]

@@ -11,6 +11,7 @@ from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.options import (
     RUN_OPTIONS,
+    DrawingDevice,
     configuration_of,
     finishing_options,
     frame_options,
@@ -118,7 +119,11 @@ hand.add_command(hand_synth)
 @click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
 @frame_options
 @recording_options
-@click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
+@click.option(
+    "--device",
+    type=DrawingDevice(),
+    help="What hands are drawn on: the index of an EGL device, or cpu.  [default: a GPU if there is one]",
+)
 @finishing_options("an existing result")
 def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
@@ -145,7 +150,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.recording.opening import open_recording
-    from posetrack_cli.rendering.devices import open_device
+    from posetrack_cli.rendering.devices import open_fastest_device
     from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)
@@ -153,7 +158,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     keypoints = _keypoints(options, source.cameras[0])
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
-    device = open_device(options["device"])
+    device = open_fastest_device(options["device"])
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], options["seed"], _say, keypoints)
     run = HandRun(source, found.config, run_options, device)

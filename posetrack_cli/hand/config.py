@@ -216,9 +216,10 @@ class FitSettings(Settings):
 
 
 class AcquisitionSettings(Settings):
-    """How a hand is found without a prediction: of all hypotheses that are drawn the best are fitted.
+    """How a hand is found without a prediction: of all hypotheses the best are fitted.
 
-    A hand is found if its cost is ``accept_mm`` at most.
+    That is to some of the pixels, but for the last ``finished`` fits. A hand is found if its cost is
+    ``accept_mm`` at most.
     """
 
     fitted: Annotated[int, Field(ge=1, le=1000)] = 32
@@ -226,6 +227,7 @@ class AcquisitionSettings(Settings):
     swapped: Annotated[int, Field(ge=1, le=64)] = 6
     refined: Annotated[int, Field(ge=0, le=64)] = 4
     scattered: Annotated[int, Field(ge=1, le=64)] = 8
+    finished: Annotated[int, Field(ge=1, le=64)] = 6
     accept_mm: Positive = 18.0
 
 

@@ -72,6 +72,11 @@ class FrameReading(NamedTuple):
     height: float
 
 
+def fit_terms(config: HandConfig) -> Terms:
+    """Return the weights of residuals that a configuration's observations ask for."""
+    return Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
+
+
 class LocalFitter:
     """Fits a hand to frames from several starts.
 
@@ -84,7 +89,7 @@ class LocalFitter:
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config, self._settings, self._camera = config, config.fit, camera
         self._anatomy, self._space = hand.anatomy, HandSpace()
-        terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
+        terms = fit_terms(config)
         self.sigma_mm = terms.sigma_mm
         self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
         self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)

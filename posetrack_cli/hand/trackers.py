@@ -42,7 +42,7 @@ def make_tracker(
     scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
     finder, proposal = None, PROPOSALS.find(config.filter.proposal)
     if proposal.looks_at_frames or config.init.method == "auto":
-        finder = Acquisition(config, hand, camera, scorer)
+        finder = Acquisition(config, hand, camera)
     is_swarm = config.filter.kind == "pso"
     # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are
     segment = is_swarm or proposal.fits_frames or config.observation.cost != "paper"

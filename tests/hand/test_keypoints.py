@@ -167,7 +167,7 @@ def test_a_lens_is_taken_out_of_pixels(stage: Stage) -> None:
 
 
 def tracker(device: RenderingDevice, keypoints: KeypointFile | None) -> HandTracker:
-    config, finder = HandConfig(), acquisition(device, RIGHT)
+    config, finder = HandConfig(), acquisition(RIGHT)
     scorer = RenderedCosts(device, RIGHT, KINECT, config.observation, config.filter.particles)
     told = None if keypoints is None else ToldHands(keypoints, KINECT, RIGHT.anatomy)
     return HandTracker(config, RIGHT.anatomy, scorer, finder.observer, finder, told)
@@ -237,7 +237,7 @@ def test_a_fit_from_what_is_told_is_a_mode_of_the_likelihood(device: RenderingDe
     """Of a hand whose back was taken for its palm no fit near the prediction is right."""
     pose = turned_about_its_length(relaxed(), 0.4)
     wrong = turned_about_its_length(pose, np.pi)
-    finder = acquisition(device, RIGHT)
+    finder = acquisition(RIGHT)
     observation = finder.observer.observe(stage.depth(pose), wrong)
     points = joints_of(pose) + NOISE_MM * np.random.default_rng(3).standard_normal((21, 3))
     about = places_in_space(points, np.ones(21))
@@ -293,7 +293,7 @@ def test_hands_near_the_track_are_starts_and_others_places() -> None:
 
 
 def test_a_label_of_the_other_side_speaks_against_a_place(device: RenderingDevice, stage: Stage) -> None:
-    finder, pose = acquisition(device, RIGHT), relaxed()
+    finder, pose = acquisition(RIGHT), relaxed()
     doubts = {}
     for right in (np.nan, 1.0, 0.5, 0.0):
         told = ToldHands(told_of([joints_of(pose)], right=right), KINECT, RIGHT.anatomy)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, takewhile
+from itertools import chain, product, takewhile
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.keypoints.told import ToldSide, told_candidates
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.proposals import PROPOSALS
+from posetrack_cli.hand.segmentation import Detection
 from posetrack_cli.hand.shape import SHAPE_NAMES
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
@@ -51,8 +52,10 @@ _SIZE_SD = (0.12, 0.15)
 """Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
 larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
 sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4)."""
-_QUICK = {"fitted": 16, "refined": 2, "scattered": 4}
-"""A search for another size may miss the last tenths of a millimetre, and looks at nothing twice."""
+_QUICK = {"scattered": 4, "finished": 3}
+"""A search for another size may miss the last tenths of a millimetre."""
+_HOPELESS_MM = 4.0
+"""A side that costs so much more than the other in a frame is not tried in further sizes."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,8 @@ class _Trial:
         self._sides, self.asked, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
         self._scales = tuple(own * _RATIO**k for k in _STEPS) if _is_size_open(config) else (own,)
+        off = np.log(np.array(self._scales) / own)
+        self._unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
         self._finders: dict[tuple[int, int], Acquisition] = {}
@@ -174,25 +179,46 @@ class _Trial:
             return
         self._labels.ask(frame)
 
-        def of_all_sides(k: int) -> list[float]:
-            finders = [self._finder(side, k) for side in range(len(self._sides))]
-            told = [told_candidates(self._keypoints, self._camera, finder, frame) for finder in finders]
-            return [f.best_cost(frame.depth, places, one) for f, one in zip(finders, told, strict=True)]
+        def of(side: int, k: int, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
+            finder = self._finder(side, k)
+            told = told_candidates(self._keypoints, self._camera, finder, frame)
+            return finder.appraise(frame.depth, places, told)
 
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
-        costs[:, own] = of_all_sides(own)
+        costs[0, own], likely = of(0, own, places)
+
+        def appraise(side: int, k: int) -> None:
+            if (side, k) != (0, own):
+                costs[side, k] = of(side, k, likely)[0]
+
+        for side in range(len(self._sides)):
+            appraise(side, own)
+        least = costs[:, own].min()
+        possible = [side for side in range(len(self._sides)) if costs[side, own] < least + _HOPELESS_MM]
         if not self._tried:
-            fits = costs[:, own].min() <= _OWN_MM
-            self._tried = (own,) if fits else range(len(self._scales))
-        for k in self._tried:
-            if k != own:
-                costs[:, k] = of_all_sides(k)
+            self._tried = [own]
+            if len(self._scales) > 1 and least > _OWN_MM:
+                self._tried = sorted({k for side in possible for k in self._climbed(side, costs, appraise)})
+        else:
+            for side, k in product(possible, set(self._tried) - {own}):
+                appraise(side, k)
         self._costs += costs
         self.asked += 1
         self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
         if len(self._sides) > 1:
             difference = float(costs[1].min() - costs[0].min()) / _COST_PER_LOG_ODDS
             self._log_odds += float(np.clip(difference, -_MOST_A_FRAME, _MOST_A_FRAME))
+
+    def _climbed(self, side: int, costs: FloatArray, appraise: Callable[[int, int], None]) -> set[int]:
+        """Try sizes of a side beside the cheapest, until that lies between two; return which were tried."""
+        tried, best = {len(self._scales) // 2}, -1
+        while True:
+            before, best = best, int(np.argmin(costs[side] + self._unusual))
+            if best == before:
+                return tried
+            for k in {best - 1, best + 1} & set(range(len(self._scales))) - tried:
+                appraise(side, k)
+                tried.add(k)
 
     @property
     def _odds(self) -> float:
@@ -208,9 +234,7 @@ class _Trial:
     @property
     def _doubts(self) -> FloatArray:
         """What sides and sizes (S, K) cost, and what speaks against the sizes beforehand."""
-        off = np.log(np.array(self._scales) / self._config.hand.scale)
-        unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))
-        return np.asarray(self._costs + self.asked * unusual)
+        return np.asarray(self._costs + self.asked * self._unusual)
 
     @property
     def side(self) -> str:
