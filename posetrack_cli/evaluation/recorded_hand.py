@@ -9,7 +9,6 @@ from typing import Any
 
 from posetrack_cli.configuration import validated
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.recording_of import folders_of
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_model
@@ -79,6 +78,8 @@ def _found_mesh(result: Result, stated: str) -> Path:
 
 def _places(result: Result, stated: str) -> Iterator[Path]:
     """Where a stated path may lead: its last part, its last two ... below each of the folders."""
+    from posetrack_cli.evaluation.recording_of import folders_of  # imports all that opens recordings
+
     path = PurePath(stated)
     parts = [part for part in path.parts if part not in (path.anchor, "..")]
     for folder in folders_of(result):

@@ -128,7 +128,7 @@ def _judge(told: dict[str, dict[str, Any]], targets: Targets) -> None:
     far = told.get(POOLED, {}).get(FAR_TRACKED)
     what = f"frames > {FAR_MM:g} mm off that are not lost"
     shown = _shown(far, 2, percent=True)
-    targets.add(what, f"<= {MOST_FAR:.0%}", shown, None if far is None else far <= MOST_FAR)
+    targets.add(what, f"<= {100 * MOST_FAR:g} %", shown, None if far is None else far <= MOST_FAR)
 
 
 def _reliability(judged: JudgedFrames, measured: Measured) -> Iterator[str]:
