@@ -68,7 +68,7 @@ KEYPOINT_BYTES = 256 * MIB
 KEYPOINT_JSON_BYTES = 32 * MIB
 """Of those in one JSON value, which takes 25 times its size in memory at worst: a quarter of an hour."""
 KEYPOINT_SETS = 250_000
-"""Hands in such a file: two hours of 30 frames a second."""
+"""Hands, and frames, in such a file: two hours of 30 frames a second."""
 
 # Meshes: a hand's skin has some thousand points and 25 joints, a whole character ten times as many
 

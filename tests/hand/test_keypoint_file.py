@@ -488,6 +488,13 @@ def test_missing_files_and_large_ones_are_refused(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(limits, "KEYPOINT_SETS", 2)
     with pytest.raises(UsageError, match="line 4: too many sets of keypoints, found more, expected 2"):
         read(path)
+    for content in (
+        [None] * 3,
+        {"images": [], "annotations": [{}] * 3},
+        {"images": [{"id": k, "frame": k} for k in range(3)], "annotations": []},
+    ):
+        with pytest.raises(UsageError, match=r"k\.json: too many frames, found more, expected 2 at most"):
+            read(written(tmp_path, content, "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_JSON_BYTES", 20)
     with pytest.raises(UsageError, match=r"at most 20 are read; a longer file is one of JSON lines"):
         read(written(tmp_path, LAYOUTS["JSON, lists"][1], "k.json"))

@@ -103,11 +103,12 @@ def _parsed(path: Path, said: Any) -> Parsed:
 
 def _frames(path: Path, frames: Any, unit: str | None) -> Parsed:
     """A list of frames, which count where they do not say their number, or an object of them by number."""
-    entries = list(frames.items()) if isinstance(frames, Mapping) else enumerate(frames)
+    entries = frames.items() if isinstance(frames, Mapping) else enumerate(frames)
     collector: SetCollector | None = None
     stamp: str | None = None
     sides: set[str] = set()
-    for place, frame in entries:
+    for count, (place, frame) in enumerate(entries):
+        _check_count(count, path)
         if frame is None:
             continue
         where = f"{path}, frame entry {place}"
@@ -123,6 +124,14 @@ def _frames(path: Path, frames: Any, unit: str | None) -> Parsed:
     if len(sides) > 1:
         raise UsageError("sides are told in two ways", where=path, found=" and ".join(sorted(sides)))
     return Parsed(collector.sets(), unit, next(iter(sides), None))
+
+
+def _check_count(count: int, where: object) -> None:
+    """Raise where more frames, images or annotations came before than are looked at."""
+    if count >= limits.KEYPOINT_SETS:
+        raise UsageError(
+            "too many frames", where=where, found="more", expected=f"{limits.KEYPOINT_SETS} at most"
+        )
 
 
 def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) -> int:
@@ -265,6 +274,7 @@ def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
     order = _coco_order(path, said.get("categories"))
     collector = SetCollector(path, by_stamp=False)
     for n, annotation in enumerate(said["annotations"]):
+        _check_count(n, path)
         where = f"{path}, annotation {n}"
         points = annotation.get("keypoints") if isinstance(annotation, Mapping) else None
         if not points:
@@ -294,6 +304,7 @@ def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
         raise UsageError("images are not listed", where=path, expected="images with id and file_name")
     frames: dict[Any, int] = {}
     for n, image in enumerate(images):
+        _check_count(n, path)
         where = f"{path}, image {n}"
         name = next((field for field in FRAME_FIELDS if field in image), None)
         digits = re.findall(r"\d{1,18}", PurePath(str(image.get("file_name", ""))).stem)
