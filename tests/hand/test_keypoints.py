@@ -305,25 +305,44 @@ def test_a_label_of_the_other_side_speaks_against_a_place(device: RenderingDevic
     assert values[0] == values[1] and np.allclose(np.diff(values[1:]), 2.0)  # _TOLD_MM each
 
 
+BLANK = Frame(0, 0, (np.zeros((4, 4), dtype=np.float32),))
+
+
+def side_of(keypoints: KeypointFile | None, frames: int = 1) -> float:
+    """The log odds of a right hand after some frames."""
+    side = ToldSide(keypoints, KINECT)
+    for _ in range(frames):
+        side.ask(BLANK, RIGHT.anatomy, LEFT.anatomy)
+    return side.log_odds
+
+
 def test_labels_move_the_odds_less_than_what_is_certain() -> None:
-    frame = Frame(0, 0, (np.zeros((4, 4), dtype=np.float32),))
     for right, sign in ((1.0, 1.0), (0.0, -1.0), (0.5, 0.0), (np.nan, 0.0)):
-        side = ToldSide(told_of([np.zeros((21, 3))], right=right))
-        side.ask(frame)
-        assert np.sign(side.log_odds) == sign and abs(side.log_odds) <= 0.8
-        for _ in range(50):
-            side.ask(frame)
-        assert abs(side.log_odds) < CLEAR_LOG_ODDS
-        unsure = ToldSide(replace(told_of([np.zeros((21, 3))], right=right), sides=UNSURE))
-        for _ in range(50):
-            unsure.ask(frame)
-        assert abs(unsure.log_odds) == abs(0.8 * sign)
-    assert ToldSide(None).log_odds == 0.0
+        labels = told_of([np.zeros((21, 3))], right=right)
+        assert np.sign(side_of(labels)) == sign and abs(side_of(labels)) <= 0.8
+        assert abs(side_of(labels, 50)) < CLEAR_LOG_ODDS
+        assert abs(side_of(replace(labels, sides=UNSURE), 50)) == abs(0.8 * sign)
+    assert side_of(None) == 0.0
 
 
 def test_labels_that_contradict_each_other_tell_nothing() -> None:
     values = np.zeros((2, 21, 3))
     sets = KeypointSets(np.zeros(2, np.int64), False, values, np.ones((2, 21)), np.array([1.0, 0.0]))
-    side = ToldSide(KeypointFile("k", "", sets, False, "mm", "as told"))
-    side.ask(Frame(0, 0, (np.zeros((4, 4), dtype=np.float32),)))
-    assert side.log_odds == 0.0
+    assert side_of(KeypointFile("k", "", sets, False, "mm", "as told")) == 0.0
+
+
+def test_points_in_space_tell_their_side_against_a_few_wrong_labels() -> None:
+    rng = np.random.default_rng(8)
+    for hand, sign in ((RIGHT, 1.0), (LEFT, -1.0)):
+        odds = [
+            side_of(
+                told_of(
+                    [joint_positions(hand.anatomy, pose[None])[0] + NOISE_MM * rng.standard_normal((21, 3))]
+                )
+            )
+            for pose in random_poses(30, seed=9)
+        ]
+        assert sign * np.mean(odds) > 0.3 and np.mean(np.sign(odds) == sign) > 0.7
+        assert np.abs(odds).max() <= 0.8
+    mirrored = told_of([joints_of(relaxed()) * (-1.0, 1.0, 1.0)], right=1.0)
+    assert abs(side_of(mirrored, 50)) < CLEAR_LOG_ODDS

@@ -87,7 +87,7 @@ def find_hand(
         start: the run's first frame.
         seed: of fits.
         report: called with what is being done.
-        keypoints: from elsewhere: further places, and labels of the side.
+        keypoints: from elsewhere: further places, and evidence of the side.
 
     Raises:
         RecordingError: a shape is asked for, and no hand can be tracked.
@@ -157,7 +157,7 @@ class _Trial:
         sides: Sequence[str],
         keypoints: KeypointFile | None = None,
     ) -> None:
-        self._keypoints, self._labels = keypoints, ToldSide(keypoints)
+        self._keypoints, self._told = keypoints, ToldSide(keypoints, camera)
         quick = config.acquisition.model_copy(update=_QUICK)
         never = config.status.model_copy(update={"sure_mm": config.observation.clamp_mm})
         self._quick = config.model_copy(update={"acquisition": quick, "status": never})
@@ -177,7 +177,7 @@ class _Trial:
         places = self._finder(0, own).detect(frame.depth)
         if not places and not told_candidates(self._keypoints, self._camera, self._finder(0, own), frame):
             return
-        self._labels.ask(frame)
+        self._ask_keypoints(frame)
 
         def of(side: int, k: int, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
             finder = self._finder(side, k)
@@ -209,6 +209,12 @@ class _Trial:
             difference = float(costs[1].min() - costs[0].min()) / _COST_PER_LOG_ODDS
             self._log_odds += float(np.clip(difference, -_MOST_A_FRAME, _MOST_A_FRAME))
 
+    def _ask_keypoints(self, frame: Frame) -> None:
+        """Add what the frame's keypoints tell of the side."""
+        if len(self._sides) > 1:
+            right, left = (self._finder(side, len(self._scales) // 2).observer.anatomy for side in (0, 1))
+            self._told.ask(frame, right, left)
+
     def _climbed(self, side: int, costs: FloatArray, appraise: Callable[[int, int], None]) -> set[int]:
         """Try sizes of a side beside the cheapest, until that lies between two; return which were tried."""
         tried, best = {len(self._scales) // 2}, -1
@@ -222,8 +228,8 @@ class _Trial:
 
     @property
     def _odds(self) -> float:
-        """The logarithm of the first side's odds, by costs and labels."""
-        return self._log_odds + self._labels.log_odds
+        """The logarithm of the first side's odds, by costs and by keypoints."""
+        return self._log_odds + self._told.log_odds
 
     @property
     def _best(self) -> tuple[int, int]:

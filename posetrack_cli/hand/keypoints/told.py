@@ -44,10 +44,10 @@ _OFF_SD, _LEAST_ON = 3.0, 0.6
 _TOLD_MM = 2.0
 """What being told is worth, mm of cost: less than the fingers of a hand that are seen (``fingers_bonus``)."""
 _ITERATIONS_THERE = 8
-_LABEL_A_FRAME, _LABELS_IN_ALL, _UNSURE_LABELS = 0.8, 2.2, 0.8
-"""Log odds of a side by labels, at most. Detectors err in one frame of three at worst (.69), but in a whole
+_A_FRAME, _IN_ALL, _UNSURE_LABELS, _PER_SHARE = 0.8, 2.2, 0.8, 6.0
+"""Log odds of a side by keypoints, at most: detectors err in one frame of three at worst (.69), in a whole
 recording alike: one in ten is labelled the wrong way round by convention (.9), and three in ten where
-versions of one program differ (.69)."""
+versions of one program differ (.69). And what one more share of points on a hand is worth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,18 +121,29 @@ class ToldHands:
         best = sorted(rows, key=lambda k: (-float(sets.scores[k].mean()), k))[:MOST_HANDS]
         return tuple(hand for k in best if (hand := self._hand(frame.depth, k)) is not None)
 
-    def _hand(self, depth: ImageArray, k: int) -> ToldHand | None:
+    def shares(self, frame: Frame) -> list[float]:
+        """Return for each of a frame's sets which share of its points lies on the hand."""
         sets = self._file.sets
-        points, scores = sets.points[k], sets.scores[k]
+        rows = range(*sets.of(frame.index, frame.stamp_ns).indices(len(sets)))
+        fitted = (self._fitted(frame.depth, k) for k in rows)
+        return [one[1] for one in fitted if one is not None]
+
+    def _hand(self, depth: ImageArray, k: int) -> ToldHand | None:
+        fitted = self._fitted(depth, k)
+        if fitted is None or fitted[1] < _LEAST_ON:
+            return None
+        sets = self._file.sets
+        known = np.isfinite(sets.points[k, :, 0])
+        return ToldHand(fitted[0], float(sets.right[k]), float(sets.scores[k][known].mean()))
+
+    def _fitted(self, depth: ImageArray, k: int) -> tuple[FloatArray, float] | None:
+        """The pose (22,) of a set, and the share of its points that is on it."""
+        points, scores = self._file.sets.points[k], self._file.sets.scores[k]
         if self._file.in_pixels:
             about = places_in_image(points[:, :2], scores, depth, self._camera, self._anatomy)
         else:
             about = places_in_space(points, scores)
-        fitted = None if about is None else pose_of_places(about, self._anatomy)
-        if fitted is None or fitted[1] < _LEAST_ON:
-            return None
-        known = np.isfinite(points[:, 0])
-        return ToldHand(fitted[0], float(sets.right[k]), float(scores[known].mean()))
+        return None if about is None else pose_of_places(about, self._anatomy)
 
 
 def split(
@@ -195,28 +206,45 @@ def _worth(hand: ToldHand, *, is_left: bool) -> float:
 
 
 class ToldSide:
-    """The log odds of a right hand by the labels of frames, bounded.
+    """The log odds of a right hand by the labels and the points of frames, bounded.
+
+    Points in space lie better on a hand of their own side than on its mirror image: with o the share of them
+    that is on the hand a frame tells ``_PER_SHARE`` (o_right - o_left), at most ``_A_FRAME``, as do its labels.
 
     Args:
         keypoints: the file; None for none, which tells nothing.
+        camera: of the depth images.
     """
 
-    def __init__(self, keypoints: KeypointFile | None) -> None:
-        self._file, self._sum = keypoints, 0.0
+    def __init__(self, keypoints: KeypointFile | None, camera: Camera) -> None:
+        self._file, self._camera = keypoints, camera
+        self._by_labels = self._by_points = 0.0
 
-    def ask(self, frame: Frame) -> None:
-        """Add what a frame's labels tell; nothing where they contradict each other, as two hands' do."""
+    def ask(self, frame: Frame, right: HandAnatomy, left: HandAnatomy) -> None:
+        """Add what a frame tells; nothing where its labels contradict each other, as those of two hands do.
+
+        Args:
+            frame: with the depth image.
+            right, left: a hand of either side.
+        """
         if self._file is None:
             return
-        right = self._file.sets.right[self._file.sets.of(frame.index, frame.stamp_ns)]
-        right = right[np.isfinite(right)]
-        if right.size and ((right > 0.5).all() or (right < 0.5).all()):
-            odds = np.log((right + 1e-3) / (1.0 - right + 1e-3))
-            self._sum += float(np.clip(odds[np.argmin(np.abs(odds))], -_LABEL_A_FRAME, _LABEL_A_FRAME))
+        rows = self._file.sets.of(frame.index, frame.stamp_ns)
+        said = self._file.sets.right[rows]
+        said = said[np.isfinite(said)]
+        if said.size and ((said > 0.5).all() or (said < 0.5).all()):
+            odds = np.log((said + 1e-3) / (1.0 - said + 1e-3))
+            self._by_labels += float(np.clip(odds[np.argmin(np.abs(odds))], -_A_FRAME, _A_FRAME))
+        if rows.stop - rows.start == 1:
+            hands = (ToldHands(self._file, self._camera, anatomy) for anatomy in (right, left))
+            shares = [share for told in hands for share in told.shares(frame)]
+            if len(shares) == 2 and max(shares) >= _LEAST_ON:
+                self._by_points += float(np.clip(_PER_SHARE * (shares[0] - shares[1]), -_A_FRAME, _A_FRAME))
 
     @property
     def log_odds(self) -> float:
         """Of a right hand."""
         unsure = self._file is not None and self._file.sides == UNSURE
-        most = _UNSURE_LABELS if unsure else _LABELS_IN_ALL
-        return float(np.clip(self._sum, -most, most))
+        most = _UNSURE_LABELS if unsure else _IN_ALL
+        by_labels = float(np.clip(self._by_labels, -most, most))
+        return float(np.clip(by_labels + self._by_points, -_IN_ALL, _IN_ALL))
