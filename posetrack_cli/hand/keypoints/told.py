@@ -209,7 +209,7 @@ class ToldSide:
     """The log odds of a right hand by the labels and the points of frames, bounded.
 
     Points in space lie better on a hand of their own side than on its mirror image: with o the share of them
-    that is on the hand a frame tells ``_PER_SHARE`` (o_right - o_left), at most ``_A_FRAME``, as do its labels.
+    that is on the hand a frame tells ``_PER_SHARE`` (o_right - o_left), at most ``_A_FRAME``, as labels do.
 
     Args:
         keypoints: the file; None for none, which tells nothing.
