@@ -22,9 +22,12 @@ from posetrack_cli.cli.options import (
 from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import close, compiling_said, kept, progress
 from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.hand.config import HandConfig
+    from posetrack_cli.hand.keypoints.file import KeypointFile
     from posetrack_cli.hand.run import HandRun
 
 # option -> configuration key
@@ -94,6 +97,25 @@ hand.add_command(hand_synth)
     default=None,
     help="Estimate the hand's size and proportions from the first seconds before tracking.  [default: no]",
 )
+@click.option(
+    "--keypoints",
+    "keypoint_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="21 points per frame that another program found, CSV or JSON (README: Keypoints): further starts "
+    "and evidence for side and place.",
+)
+@click.option(
+    "--keypoints-unit",
+    type=click.Choice(["px", "normalised", "mm", "m"]),
+    help="Of their coordinates; px and normalised in the depth images.  [default: as FILE says or looks]",
+)
+@click.option(
+    "--keypoints-swap-sides",
+    is_flag=True,
+    help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of mirrored "
+    "images, or wrong sides.",
+)
 @click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
 @frame_options
 @recording_options
@@ -133,12 +155,29 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
     config = _configuration(options)
     source = open_recording(recording, **reading_options(options))
-    run_options = RunOptions(**{name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")})
+    keypoints = _keypoints(options, source.cameras[0])
+    own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
+    run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
     check_run(source, config, run_options)
-    found = find_hand(source, config, options["start"], options["seed"], _say)
+    found = find_hand(source, config, options["start"], options["seed"], _say, keypoints)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found.line
+
+
+def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
+    """Read the keypoints that are given, and say what they are taken for."""
+    path, unit, swap = (options[f"keypoint{name}"] for name in ("_file", "s_unit", "s_swap_sides"))
+    if path is None:
+        if unit is not None or swap:
+            option = "--keypoints-unit" if unit is not None else "--keypoints-swap-sides"
+            raise UsageError(f"{option} is about keypoints, and none are given", hint="--keypoints FILE")
+        return None
+    from posetrack_cli.hand.keypoints.file import read_keypoints
+
+    keypoints = read_keypoints(path, camera, unit, swap)
+    print_note(f"{path}: {keypoints.line}")
+    return keypoints
 
 
 def _say(line: str) -> None:

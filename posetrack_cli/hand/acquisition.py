@@ -132,6 +132,10 @@ at in all turns and folds, which takes longer than all else. What is closer than
 a hand of another side or size."""
 
 
+_ONE_PLACE_MM = 60.0
+"""Distance of two wrists up to which what was found and what was told are one hand."""
+
+
 def depth_doubt(depth_mm: float) -> float:
     """What a place's depth speaks against it, mm of cost: of two hands alike the nearer one is meant."""
     return _PER_DEPTH * depth_mm
@@ -167,10 +171,12 @@ class Acquisition:
     Attributes:
         observer: cuts out and segments windows.
         local_fitter: makes local fits.
+        accept_mm: what a hand costs at most.
     """
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config, self._settings = config, config.acquisition
+        self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, HandSpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
         self.local_fitter = LocalFitter(config, hand, camera)
@@ -179,18 +185,20 @@ class Acquisition:
         rough_px, terms = -(-size // self._step), fit_terms(config)
         self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm)
 
-    def search(self, depth: ImageArray) -> Candidate | None:
+    def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.
 
         Args:
             depth: (height, width) mm.
+            told: further candidates, found otherwise.
         """
-        fitting = [
-            one for _, one in self._likely(depth, self.detect(depth)) if one.cost <= self._settings.accept_mm
-        ]
+        likely = with_told([one for _, one in self._likely(depth, self.detect(depth))], told)
+        fitting = [one for one in likely if one.cost <= self._settings.accept_mm]
         return min(fitting, key=lambda one: one.doubt, default=None)
 
-    def appraise(self, depth: ImageArray, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
+    def appraise(
+        self, depth: ImageArray, places: Sequence[Detection], told: Sequence[Candidate] = ()
+    ) -> tuple[float, list[Detection]]:
         """Return what the place most like a hand costs, mm, and which places it may be for another hand.
 
         The cost is the most there is where no place is like a hand.
@@ -198,13 +206,15 @@ class Acquisition:
         Args:
             depth: (height, width) mm.
             places: of ``detect``.
+            told: further candidates, found otherwise.
         """
         found = self._likely(depth, places)
-        if not found:
+        candidates = with_told([one for _, one in found], told)
+        if not candidates:
             return self._config.observation.clamp_mm, list(places)
-        best = min((one for _, one in found), key=lambda one: one.doubt)
+        best = min(candidates, key=lambda one: one.doubt)
         near = [place for place, one in found if one.doubt < best.doubt + _ALIKE_MM]
-        return min(best.cost, self._config.observation.clamp_mm), near
+        return min(best.cost, self._config.observation.clamp_mm), near or list(places)
 
     def detect(self, depth: ImageArray) -> list[Detection]:
         """Return the places in a whole image that may be hands."""
@@ -299,6 +309,22 @@ def better_of(first: Candidate | None, second: Candidate | None) -> Candidate | 
     """The candidate that costs less, if there is any."""
     both = [candidate for candidate in (first, second) if candidate is not None]
     return min(both, key=lambda candidate: candidate.cost, default=None)
+
+
+def with_told(found: Sequence[Candidate], told: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates and those that were told; of two at one place the cheaper pose, and the lesser doubt."""
+    merged = list(found)
+    for one in told:
+        near = [
+            k
+            for k, other in enumerate(merged)
+            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < _ONE_PLACE_MM
+        ]
+        for k in near:
+            best = one if one.cost < merged[k].cost else merged[k]
+            merged[k] = replace(best, doubt=min(one.doubt, merged[k].doubt))
+        merged += [] if near else [one]
+    return merged
 
 
 def distinct(poses: FloatArray, costs: FloatArray, count: int) -> list[int]:

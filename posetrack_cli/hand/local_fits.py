@@ -35,6 +35,9 @@ from posetrack_cli.hand.space import HandSpace, tangent_vector
 from posetrack_cli.rendering.window import Window
 
 USUAL_STEP_S = 1.0 / 30.0
+NOT_TOLD: FloatArray = np.empty((0, POSE_SIZE))
+TOLD_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))
+"""(21,) of a pose about what keypoints tell, 1 / mm^2 and 1 / rad^2."""
 THUMB_SD = (0.25, 0.25, 0.15)  # rad; a thumb moves less than a finger (hand-findings.md)
 
 
@@ -100,6 +103,7 @@ class LocalFitter:
         dt: float,
         rng: np.random.Generator,
         enough_mm: float = np.inf,
+        told: FloatArray = NOT_TOLD,
     ) -> LocalFits:
         """Return the fits of one frame.
 
@@ -110,6 +114,7 @@ class LocalFitter:
             dt: time since the frame before, s.
             rng: of the starts' scatter.
             enough_mm: a best fit that costs more is tried with each finger folded otherwise.
+            told: (K, 22) poses from elsewhere: starts of their own, whose prior is about themselves.
         """
         settings, fitter = self._settings, self.fitter
         reading = self.read(observation)
@@ -118,10 +123,14 @@ class LocalFitter:
         prior = PosePrior(expected, motion_precision(settings, dt))
         priors = [prior.about(start[:3]) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.iterations)
+        fits += fitter.descend(
+            tile, told, [PosePrior(pose, TOLD_PRECISION) for pose in told], settings.iterations
+        )
         tile = tile._replace(arm=min(fits, key=_cost).arm)
         best = fitter.swapped(tile, fits)
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
+        renders += len(told) * (settings.iterations + 6)
         first = min(fits, key=_cost)
         if _cost(first) > enough_mm:
             refolded, more = self._refolded(tile, first.pose, prior)

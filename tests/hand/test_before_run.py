@@ -80,7 +80,9 @@ def say_costs(
     """Let frames cost as told, in order, for hands of either side."""
     told = {"right": iter(right), "left": iter(left)}
 
-    def appraise(self: Acquisition, depth: object, places: list[Detection]) -> tuple[float, list[Detection]]:
+    def appraise(
+        self: Acquisition, depth: object, places: list[Detection], others: object
+    ) -> tuple[float, list[Detection]]:
         return next(told[self.observer.anatomy.side]), places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)

@@ -109,7 +109,7 @@ def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
+def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
     """Move a pose by a tangent vector, no farther than ``most``."""
     length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
     shrink = min(1.0, most.translation_mm / (length + 1e-30))
@@ -263,7 +263,7 @@ def descend(
             _keep(pose, arm, workspace.data, cost, out)
         if k < iterations:
             _solve(hand, tile, pose, arm, mean, precision, workspace, delta)
-            _step(pose, delta, most)
+            step_pose(pose, delta, most)
             _move_arm(arm, delta, workspace.posed, most)
 
 
