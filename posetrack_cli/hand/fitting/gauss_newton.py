@@ -25,6 +25,7 @@ from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms
 from posetrack_cli.hand.observation import IGNORED
 from posetrack_cli.rendering.raster import Drawing, View, draw, empty_drawing
 
+SURFACE_STRIDE = 2  # of pixels that a step is made of
 WIDENING = 1.3  # factor on the robust scales per iteration left
 SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
@@ -255,6 +256,7 @@ def descend(
                 workspace.drawing,
                 terms,
                 widening,
+                SURFACE_STRIDE,
                 workspace.buffers,
                 workspace.data,
             )
@@ -286,7 +288,15 @@ def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Wo
     cost = terms.clamp_mm
     if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
         cost = add_terms(
-            tile, workspace.posed, hand.skin, workspace.drawing, terms, 1.0, workspace.buffers, workspace.data
+            tile,
+            workspace.posed,
+            hand.skin,
+            workspace.drawing,
+            terms,
+            1.0,
+            1,
+            workspace.buffers,
+            workspace.data,
         )
         gather(workspace.data)
     _keep(pose, tile.arm, workspace.data, cost, out)

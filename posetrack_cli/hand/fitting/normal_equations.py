@@ -27,7 +27,8 @@ class NormalEquations(NamedTuple):
     Attributes:
         matrix: (24, 24) sum w J^T J; the last three unknowns are the forearm's.
         vector: (24,) sum w J^T r.
-        blocks: (7, 9, 10) the same per finger, of the forearm, of the palm alone; ``gather`` adds them up.
+        blocks: (7, 9, 10) the same per finger, of the forearm, of the palm alone, on and above the diagonal;
+            ``gather`` adds them up.
     """
 
     matrix: FloatArray
@@ -65,7 +66,7 @@ def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: fl
     f = finger if finger >= 0 else _BLOCKS - 1
     for i in range(ROW - 1):
         scaled = weight * row[i]
-        for j in range(ROW):
+        for j in range(i, ROW):
             block[f, i, j] += scaled * row[j]
 
 
@@ -78,5 +79,5 @@ def gather(equations: NormalEquations) -> None:
             row = i if i < 6 else 3 * f + i
             g[row] += blocks[f, i, 9]
             for j in range(6 if f == _BLOCKS - 1 else 9):
-                H[row, j if j < 6 else 3 * f + j] += blocks[f, i, j]
+                H[row, j if j < 6 else 3 * f + j] += blocks[f, min(i, j), max(i, j)]
     blocks[:] = 0.0

@@ -101,6 +101,7 @@ def add_terms(
     drawing: Drawing,
     terms: Terms,
     widening: float,
+    stride: int,
     buffers: TermBuffers,
     equations: NormalEquations,
 ) -> float:
@@ -112,6 +113,8 @@ def add_terms(
         skin: the mesh.
         terms: weights.
         widening: factor on the robust scales.
+        stride: of the surface's pixels, which one in so many stands for; 2 is a chequerboard. Neighbours
+            err alike, so a step loses little; the cost is of all pixels.
         buffers: are written to.
         equations: residuals are added to its blocks.
     """
@@ -136,6 +139,8 @@ def add_terms(
                     aside = (tile.nearest[0, j, i] - i) / view.a, (tile.nearest[1, j, i] - j) / view.c
                     pull = _outline_pull(share if observed < 0.0 else 0.0, aside, x, y, z, widening, terms)
                 dx, dy, dz, row[9], weight = pull
+                if observed > 0.0:
+                    weight *= stride if (i + j) % stride == 0 else 0
                 if weight > 0.0:
                     point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, dz, row)
                     add_row(equations, fingers[t], row, weight)

@@ -213,7 +213,7 @@ def added(s: Scene, widening: float, terms: Terms = SETTINGS) -> tuple[NormalEqu
     pose_bones(s.skeleton, s.pose, posed)
     assert draw(s.skin.mesh, posed.bones, s.tile.projection, drawing)
     equations, room = empty_equations(), empty_buffers(s.skin, TILE_PX, TILE_PX)
-    cost = add_terms(s.tile, posed, s.skin, drawing, terms, widening, room, equations)
+    cost = add_terms(s.tile, posed, s.skin, drawing, terms, widening, 1, room, equations)
     gather(equations)
     assert not equations.matrix[21:].any() and not equations.vector[21:].any()  # no forearm is drawn
     return equations._replace(matrix=equations.matrix[:21, :21], vector=equations.vector[:21]), cost
