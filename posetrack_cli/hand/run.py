@@ -136,7 +136,9 @@ class HandRun(Run):
         kept = None
         if writer.frames_written:
             like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
-            kept = Kept(writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None))
+            kept = Kept(
+                writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None, _REST, 0.0)
+            )
         path = smoothing_path(self._options.output)
         with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
             yield _Smoothing(self, track, fits)
@@ -176,7 +178,9 @@ class _Smoothing:
         self._run, self._track, self._fits = run, track, fits
 
     def remember(self, state: Any, estimate: Estimate) -> None:
-        frame = NOTHING if self._fits is None else self._fits.keep(state.observation, state.modes)
+        frame = NOTHING
+        if self._fits is not None:
+            frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
         self._track.remember(state.particles, estimate, state.dt, state.cut, frame)
 
     def flush(self) -> None:
