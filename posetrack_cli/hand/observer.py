@@ -59,6 +59,14 @@ class Outline(NamedTuple):
     contrast: float
     broken: float
 
+    def shows_hand(self, *, is_known: bool) -> bool:
+        """Whether there is the outline of a hand, however well its surface fits.
+
+        Args:
+            is_known: whether frames before showed one: this then shows none only if nothing is left of it.
+        """
+        return self.contrast >= LEAST_CONTRAST or (is_known and self.broken >= LEAST_BROKEN)
+
 
 def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: PredictedHand) -> Outline:
     """Look at the outline of a hand in a frame.
@@ -167,17 +175,9 @@ class Observer:
         apart = pixel_mm(observation.image[before], observation.window, self._camera)
         return float(np.square(apart).sum())
 
-    def shows_hand(self, depth: ImageArray, pose: FloatArray, *, is_known: bool) -> bool:
-        """Whether a frame shows the outline of a hand in a pose (22,), however well its surface fits.
-
-        Args:
-            depth: (height, width) the frame, mm.
-            pose: as estimated.
-            is_known: whether frames before it did: it then shows none only if nothing is left of one.
-        """
-        hand = PredictedHand.of(self.anatomy, pose)
-        outline = outline_of(depth, self.sampler, self._camera, hand)
-        return outline.contrast >= LEAST_CONTRAST or (is_known and outline.broken >= LEAST_BROKEN)
+    def outline(self, depth: ImageArray, pose: FloatArray) -> Outline:
+        """Look at the outline of a hand in a pose (22,) in a frame (height, width), mm."""
+        return outline_of(depth, self.sampler, self._camera, PredictedHand.of(self.anatomy, pose))
 
     def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
         """Cut the window around a detected hand; what lies beyond its wrist is forearm."""

@@ -217,7 +217,7 @@ class SwarmTracker:
         pose, optimum = self._search(state.pose, observation, rng)
         cost = float(self.objective.evaluate(pose[None], observation).depth[0])  # one evaluation more
         is_known = state.misses < self.config.status.lost_after_frames
-        shown = self._observer.shows_hand(frame.depth, pose, is_known=is_known)
+        shown = self._observer.outline(frame.depth, pose).shows_hand(is_known=is_known)
         confidence = max(0.0, 1.0 - cost / self.config.pso.clamp_mm) if shown else None
         missed = confidence is None or confidence < self.config.status.lost_below
         new_state = SwarmState(pose, frame.stamp_ns, state.misses + 1 if missed else 0)

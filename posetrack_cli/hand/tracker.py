@@ -17,7 +17,7 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
-from posetrack_cli.hand.confidence import probability
+from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
@@ -26,7 +26,7 @@ from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
 from posetrack_cli.hand.monitor import TrackMonitor
 from posetrack_cli.hand.observation import NO_ARM, Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
 from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
@@ -38,10 +38,9 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
-LIKELY, PROBABLY = 0.3, 0.5
-"""Probabilities of being right: below the first nothing is said to be tracked, below the second it is
-doubtful. Of the frames that the probability was fitted to 6 per cent lie below the first, one in twenty
-right; of a real sensor's hand that is followed, fingertips uncovered, many lie between the two."""
+PROBABLY = 0.5
+"""The probability of being right below which nothing is said to be tracked. Of the frames it was fitted to
+1 in 700 is more than 40 mm off and above, and 1 in 80 right and below."""
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -61,6 +60,7 @@ class HandState:
         unseen_ns: time since the last frame in which there was something to compare with.
         dt: seconds that the filter advanced by to this frame; 0 if it stood still.
         cut: whether the state does not follow from that of the frame before.
+        evidence: of whether the track is right.
         modes: local fits to the frame; None without any. No step needs them, and no checkpoint has them.
         observation: what was seen of the frame; the same holds of it.
     """
@@ -76,6 +76,7 @@ class HandState:
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
+    evidence: Evidence = field(default_factory=Evidence)
     modes: LikelihoodModes | None = None
     observation: Observation | None = None
 
@@ -171,16 +172,16 @@ class HandTracker:
             None if seen.observation is None else self.scorer.costs(posterior.pose[None], seen.observation)
         )
         cost = None if scores is None else float(scores[0])
+        outline = None if cost is None else self._observer.outline(frame.depth, posterior.pose)
         shown = (
-            cost is not None
+            outline is not None
             and not (seen.observation is not None and seen.observation.reversed)
-            and self._observer.shows_hand(
-                frame.depth, posterior.pose, is_known=seen.state.monitor.is_believed
-            )
+            and outline.shows_hand(is_known=seen.state.monitor.is_believed)
         )
         quality = self._quality(cost) if shown else 0.0
-        confidence = self._confidence(cost, quality, posterior)
         monitor = self._monitored(seen, cost if shown else None, quality)
+        evidence = self._evidence(seen, posterior.pose, monitor.usual_mm or cost, outline)
+        confidence = evidence.probability if quality and self._is_calibrated else quality
         unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
         new_state = HandState(
@@ -195,11 +196,12 @@ class HandTracker:
             unseen_ns,
             max(seen.dt, 0.0),
             seen.restarted,
+            evidence,
         )
         modes = None if seen.fits is None else seen.fits.modes
         new_state = replace(new_state, modes=modes, observation=seen.observation)
         again = seen.restarted and state.monitor.found
-        believed = shown and monitor.is_believed and not (self._is_calibrated and confidence < LIKELY)
+        believed = shown and monitor.is_believed and not (self._is_calibrated and confidence < PROBABLY)
         status = Status.TRACKING if believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
         estimate = self._estimate(frame, posterior, cost, confidence, status)
@@ -349,11 +351,16 @@ class HandTracker:
         """The share of the most that a pose can cost, c_max, that an estimate does not."""
         return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
 
-    def _confidence(self, cost: float | None, quality: float, posterior: Posterior) -> float:
-        """The probability that an estimate is right, where that is known of the tracker; else its quality."""
-        if not quality or cost is None or not self._is_calibrated:
-            return quality
-        return probability(cost, posterior.pose_variance)
+    def _evidence(
+        self, seen: FrameObservation, pose: FloatArray, usual_mm: float | None, outline: Outline | None
+    ) -> Evidence:
+        """What the track's last frames tell of it, with this one where it was fitted."""
+        before = seen.state.evidence
+        if seen.fits is None or outline is None or usual_mm is None:
+            return before
+        joints = joint_positions(self.anatomy, np.stack([self.predict(seen.state, seen.dt), pose]))
+        innovation = float(np.linalg.norm(joints[0] - joints[1], axis=1).mean())
+        return before.after(signs_of(usual_mm, innovation, seen.fits.modes, outline.contrast))
 
     def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:
         """The record of the track's quality after a frame."""
@@ -474,6 +481,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         frames=whole(),
         doubtful=whole(),
         unseen_ns=whole((0, STAMPS_NS[1])),
+        evidence=Fields(Evidence, signs=Value(floats(SIGNS)), frames=whole()),
     )
 
 

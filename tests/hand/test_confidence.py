@@ -1,4 +1,4 @@
-"""The probability that an estimate is right: a logistic regression, its ends and its laws."""
+"""The probability that an estimate is right: a logistic regression on running means; its ends and laws."""
 
 from __future__ import annotations
 
@@ -7,38 +7,73 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.hand.confidence import probability
-
-USUAL = np.concatenate([np.full(3, 0.3), np.full(3, 2e-4), np.full(15, 3e-3)])
-"""(21,) variances as hands that are tracked well state: 1 mm, 1.4 degrees, 3 degrees."""
-
-
-def test_what_fits_like_the_persons_own_hand_is_right_and_what_fits_nothing_is_not() -> None:
-    """The two ends of what it was fitted to: exact meshes cost 3 to 5 mm, hands elsewhere 12 and more."""
-    assert probability(4.0, USUAL) > 0.9
-    assert probability(14.0, USUAL) < 0.5
-    assert probability(40.0, USUAL) < 0.1
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of
 
 
-@given(
-    first=st.floats(0.0, 40.0),
-    more=st.floats(0.0, 40.0),
-    scale=st.floats(0.0, 1e6, allow_subnormal=False),
-)
-def test_a_dearer_fit_is_never_more_probable(first: float, more: float, scale: float) -> None:
-    near, far = probability(first, scale * USUAL), probability(first + more, scale * USUAL)
-    assert 0.0 <= far <= near <= 1.0
-
-
-@pytest.mark.parametrize("cost", [2.0, 5.0, 8.0, 12.0])
-def test_it_is_the_stated_regression(cost: float) -> None:
-    """Against the formula of the module, number by number."""
-    position, rotation, angle = np.sqrt(0.9), np.sqrt(6e-4), np.sqrt(3e-3)
-    logit = (
-        9.36
-        - 3.27 * np.log(cost)
-        + 0.52 * np.log(position + 0.1)
-        - 1.56 * np.log(angle + 0.01)
-        + 1.48 * np.log(rotation + 0.005)
+def modes(count: int, per_position: float = 10.0, per_angle: float = 300.0) -> LikelihoodModes:
+    """Local fits with information about position, 1 / mm^2, and about rotation and angles, 1 / rad^2."""
+    information = np.diag(np.repeat([per_position, per_angle], [3, 18]))
+    return LikelihoodModes(
+        np.zeros((count, 22)),
+        np.zeros((count, 21)),
+        np.repeat(information[None], count, axis=0),
+        np.zeros(count),
     )
-    assert probability(cost, USUAL) == pytest.approx(1.0 / (1.0 + np.exp(-logit)), rel=1e-9)
+
+
+def of_frames(*signs: FloatArray) -> Evidence:
+    evidence = Evidence()
+    for one in signs:
+        evidence = evidence.after(one)
+    return evidence
+
+
+def test_what_is_followed_as_the_persons_own_hand_is_right_and_what_jumps_about_is_not() -> None:
+    """The two ends of what it was fitted to: exact meshes, and hands that are lost on their arm."""
+    assert of_frames(signs_of(4.0, 3.0, modes(1), 0.9)).probability > 0.95
+    assert of_frames(signs_of(12.0, 25.0, modes(4), 0.3)).probability < 0.2
+
+
+@given(st.floats(1.0, 40.0), st.floats(0.0, 200.0), st.integers(1, 4), st.floats(-1.0, 1.0))
+def test_dearer_fits_larger_innovations_and_more_alternatives_are_never_more_probable(
+    usual: float, innovation: float, count: int, contrast: float
+) -> None:
+    p = of_frames(signs_of(usual, innovation, modes(count), contrast)).probability
+    assert 0.0 <= p <= 1.0
+    for worse in (
+        signs_of(usual + 1.0, innovation, modes(count), contrast),
+        signs_of(usual, innovation + 1.0, modes(count), contrast),
+        signs_of(usual, innovation, modes(count + 1), contrast),
+        signs_of(usual, innovation, modes(count), contrast - 0.1),
+    ):
+        assert of_frames(worse).probability <= p
+
+
+def test_it_is_the_stated_regression() -> None:
+    """Against the formula of the module, number by number."""
+    logit = 9.98 - 1.94 * np.log(5.0) - 1.51 * np.log(4.5) - 1.04 * 2 + 1.06 * 2.0 - 3.19 * 1.0 + 1.56 * 0.5
+    found = of_frames(signs_of(5.0, 4.0, modes(2, 10.0, 100.0), 0.5)).probability
+    assert found == pytest.approx(1.0 / (1.0 + np.exp(-logit)), rel=1e-9)
+
+
+def test_signs_are_means_of_the_first_frames_and_then_fade() -> None:
+    frames = np.random.default_rng(0).normal(size=(40, SIGNS))
+    for count in range(1, 6):
+        np.testing.assert_allclose(of_frames(*frames[:count]).signs, frames[:count].mean(axis=0))
+    expected = frames[:5].mean(axis=0)
+    for frame in frames[5:]:
+        expected = 0.8 * expected + 0.2 * frame
+    np.testing.assert_allclose(of_frames(*frames).signs, expected)
+
+
+def test_before_the_first_frame_nothing_is_right() -> None:
+    assert Evidence().probability == 0.0
+
+
+def test_one_frame_that_errs_does_not_lose_a_hand() -> None:
+    good, bad = signs_of(4.0, 3.0, modes(1), 0.9), signs_of(7.0, 30.0, modes(3), 0.9)
+    assert of_frames(bad).probability < 0.5
+    assert of_frames(*[good] * 10, bad).probability > 0.5
+    assert of_frames(*[good] * 10, *[bad] * 10).probability < 0.5

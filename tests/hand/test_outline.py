@@ -53,7 +53,7 @@ def test_no_wall_has_a_hand_s_outline(name: str) -> None:
     observer = Observer(HandConfig(), HAND.anatomy, KINECT, segment=True)
     for x, y in ((0.0, 0.0), (40.0, -30.0), (-250.0, 60.0)):
         pose = relaxed(x, y)
-        assert not observer.shows_hand(depth, pose, is_known=False)
+        assert not observer.outline(depth, pose).shows_hand(is_known=False)
 
 
 @pytest.mark.parametrize("behind", [620.0, 700.0, 1500.0, 0.0], ids=lambda mm: f"{mm:.0f}mm")
@@ -63,10 +63,10 @@ def test_a_hand_stands_out_also_from_what_it_nearly_touches(device: RenderingDev
     drawn = Stage(device, HAND).depth(pose, wall=behind or 9000.0)
     depth = np.where(drawn > 8000.0, 0.0, drawn).astype(np.float32)
     observer = Observer(HandConfig(), HAND.anatomy, KINECT, segment=True)
-    assert observer.shows_hand(depth, pose, is_known=False)
+    assert observer.outline(depth, pose).shows_hand(is_known=False)
     aside = pose.copy()
     aside[0] += 15.0  # a track that is somewhat off
-    assert observer.shows_hand(depth, aside, is_known=True)
+    assert observer.outline(depth, aside).shows_hand(is_known=True)
 
 
 @pytest.mark.parametrize("kind", ["rbpf", "pf", "pso", "paper"])

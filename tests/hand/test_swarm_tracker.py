@@ -10,7 +10,7 @@ from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.swarm import Objective, SwarmState, SwarmTracker, search_box
@@ -41,8 +41,8 @@ class Distance:
 class Believing(Observer):
     """Takes every frame to show a hand: what its readings mean is up to a fake objective."""
 
-    def shows_hand(self, depth: np.ndarray, pose: np.ndarray, *, is_known: bool) -> bool:
-        return True
+    def outline(self, depth: np.ndarray, pose: np.ndarray) -> Outline:
+        return Outline(1.0, 1.0)
 
 
 def tracker_with(objective: Distance, **tables: dict[str, object]) -> SwarmTracker:

@@ -18,7 +18,7 @@ from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.space import tangent_vector
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import (
@@ -61,8 +61,8 @@ class DistanceScorer:
 class Believing(Observer):
     """Takes every frame to show a hand: what its readings mean is up to a fake scorer."""
 
-    def shows_hand(self, depth: np.ndarray, pose: np.ndarray, *, is_known: bool) -> bool:
-        return True
+    def outline(self, depth: np.ndarray, pose: np.ndarray) -> Outline:
+        return Outline(1.0, 1.0)
 
 
 def configured(kind: str = "rbpf", particles: int = 64, **tables: dict[str, object]) -> HandConfig:

@@ -25,7 +25,7 @@ from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms
 from posetrack_cli.hand.observation import IGNORED
 from posetrack_cli.rendering.raster import Drawing, View, draw, empty_drawing
 
-SURFACE_STRIDE = 2  # of pixels that a step is made of
+STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # all pixels of the surface count in the last steps alone
 WIDENING = 1.3  # factor on the robust scales per iteration left
 SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
@@ -256,7 +256,7 @@ def descend(
                 workspace.drawing,
                 terms,
                 widening,
-                SURFACE_STRIDE,
+                STRIDE_FROM_AFAR if k < iterations - LAST_STEPS else 1,
                 workspace.buffers,
                 workspace.data,
             )
