@@ -20,7 +20,10 @@ from posetrack_cli.compiled import cache_folder
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
 RUNS = (
-    ("hand synth --frames 3 -o hand.mcap", "hand run hand.mcap --particles 8 -o hand-result.mcap"),
+    (
+        "hand synth --frames 3 -o hand.mcap",
+        "hand run hand.mcap --hand-side right --particles 8 -o hand-result.mcap",
+    ),
     (
         "head synth --frames 3 --image-size 320x240 -o head.mcap",
         "head stereo head.mcap --particles 20 -o stereo.mcap",

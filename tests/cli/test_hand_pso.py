@@ -25,7 +25,7 @@ FRAMES = 10
 SWARM = {"particles": 32, "generations": 12}
 OPTIONS = ["--filter", "pso", "--particles", "32", "--set", "pso.generations=12"]
 RIGHT = ["--hand-side", "right"]
-FLUSHING = [*RIGHT, "--set", "output.flush_frames=2", "--end", "6"]
+FLUSHING = ["--set", "output.flush_frames=2", "--end", "6"]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def track(recording: Path, output: Path, *more: str) -> int:
-    return run(["hand", "run", str(recording), "-o", str(output), "--init", str(recording), *OPTIONS, *more])
+    told = [*RIGHT, "--init", str(recording)]
+    return run(["hand", "run", str(recording), "-o", str(output), *told, *OPTIONS, *more])
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,7 @@ def test_every_command_reads_the_result(result: Path, tmp_path: Path, command: s
 def test_the_shipped_configuration_is_the_default_swarm(recording: Path, tmp_path: Path) -> None:
     """Both ways to ask for it give the same bytes."""
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    common = [str(recording), "--end", "1", *RIGHT]
+    common = [str(recording), "--end", "1", "--init", str(recording), *RIGHT]
     assert run(["hand", "run", *common, "-o", str(first), "--filter", "pso"]) == 0
     assert run(["hand", "run", *common, "-o", str(second), "--config", "hand-pso"]) == 0
     assert filecmp.cmp(first, second, shallow=False)
@@ -89,7 +90,7 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     output, seen = tmp_path / "r.mcap", list[int]()
     flushing = {"flush_frames": 2}
     tables = {"hand": {"side": "right"}, "filter": {"kind": "pso", "particles": 32}, "pso": SWARM}
-    config = HandConfig.model_validate(tables)  # the side as the run found it
+    config = HandConfig.model_validate(tables)
     assert HandConfig.model_validate_json(read_result(result).run["configuration"]) == config
     whole = tmp_path / "whole.mcap"
     assert track(recording, whole, *FLUSHING) == 0
@@ -120,6 +121,6 @@ def test_a_swarm_that_would_not_converge_is_one_line(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "r.mcap"
-    assert track(recording, output, *RIGHT, "--set", "pso.cognitive=1") == 1
+    assert track(recording, output, "--set", "pso.cognitive=1") == 1
     assert "would not converge" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

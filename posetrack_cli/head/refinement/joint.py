@@ -80,7 +80,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
     count, size = len(face.mean), POSE + len(face.precisions)
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
-    matrix, vector, step = np.empty((size, size)), np.empty(size), np.empty(size)
+    matrix, vector = np.empty((size, size)), np.empty(size)
     arms = np.empty((count, 3))
     hessians, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
     for _ in range(iterations):
@@ -88,9 +88,12 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
         for k in range(count):
             point_in_camera(face, state, k, arms[k])
             gather_evidence(scene, k, arms[k] + state.position, work, evidence)
-            hessians[k], gradients[k] = evidence.hessian, evidence.gradient
+            for i in range(3):  # number by number: a slice would compile a second of error messages
+                gradients[k, i] = evidence.gradient[i]
+                for j in range(3):
+                    hessians[k, i, j] = evidence.hessian[i, j]
             eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
-        step[:] = np.linalg.solve(matrix, -vector)
+        step = np.linalg.solve(matrix, -vector)
         farthest = 0.0
         for k in range(count):
             moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)
