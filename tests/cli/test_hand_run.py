@@ -6,6 +6,7 @@ import filecmp
 import io
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -579,19 +580,17 @@ def test_an_unfinished_result_can_be_started_from(
 
 
 def test_real_kinect_frames_from_folder_and_mcap(track: Track, tmp_path: Path, measured_data: Path) -> None:
-    kinect = measured_data / "kinect2-hand"
+    """All 181 frames are compared in ``recording/test_conversion``; three of them are tracked here."""
+    kinect = tmp_path / "kinect"
+    kinect.mkdir()
+    for image in sorted((measured_data / "kinect2-hand").glob("*.png"))[::90]:
+        shutil.copy(image, kinect)
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
     reading = ["--fps", "30", "--camera", str(camera)]
     assert run(["convert", str(kinect), str(tmp_path / "in.mcap"), *reading]) == 0
-    recorded = [open_recording(kinect, fps=30.0, camera_file=camera), open_recording(tmp_path / "in.mcap")]
-    count = 0
-    for one, other in zip(*(opened.frames() for opened in recorded), strict=True):
-        assert one.stamp_ns == other.stamp_ns and np.array_equal(one.depth, other.depth)
-        count += 1
-    assert count == 181
-    some = ["--hand-side", "left", "--stride", "45"]
-    assert track(kinect, tmp_path / "a.mcap", *some, *reading) == 0
-    assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", *some) == 0
+    left = ["--hand-side", "left"]
+    assert track(kinect, tmp_path / "a.mcap", *left, *reading) == 0
+    assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", *left) == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 5
+    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 3

@@ -108,11 +108,12 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
-def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path) -> None:
+def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hand three quarters as large as expected: its size to half a step between those tried.
 
     That a size that is told is not asked for the tests of told costs show: there are none for other sizes.
     """
+    monkeypatch.setattr(before_run, "_FRAMES_FOR_SIZE", 1)  # of a hand that is drawn, one is enough
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=3, frames=FRAMES, side="right", scale=0.78), path)
     found = find_hand(open_path(path), FEW, start=0, seed=0)
