@@ -78,7 +78,7 @@ def test_long_columns_grow_without_a_second_copy() -> None:
 
 def test_blocks_of_a_result_do_not_grow_with_its_length(tmp_path: Path) -> None:
     peaks, estimate = [], make_estimate(1)
-    for frames in (1000, 2000):
+    for frames in (2000, 4000):
         with begin(tmp_path / f"{frames}.mcap") as writer:
             for index in range(frames):
                 writer.write(with_fields(estimate, frame_index=index))
