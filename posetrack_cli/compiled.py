@@ -12,12 +12,13 @@ import functools
 import hashlib
 import os
 import pickle
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
+
+from posetrack_cli.cache import cache_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,6 +28,9 @@ KERNEL_SOURCES = (
     "hand/anatomy.py",
     "hand/fitting/*.py",
     "hand/observation.py",
+    "rendering/cpu/tile_sums.py",
+    "rendering/pixel_model.py",
+    "rendering/raster.py",
     "head/face/patches.py",
     "head/face/points.py",
     "head/face/templates.py",
@@ -37,6 +41,7 @@ KERNEL_SOURCES = (
 """Files that compiled code is made of, constants included."""
 # No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in
 # which order fastmath would add up, depends on what was compiled or loaded before: equal runs, unequal bits.
+_MOST_THREADS = 8
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
@@ -56,7 +61,7 @@ def _compiled(function: Function, **options: Any) -> Function:
 
     compiled: Any = numba.njit(**_OPTIONS, **options)(function)
     config: Any = numba.core.config  # its settings are set at run time, unknown to type checkers
-    folder, others = cache_folder(), config.CACHE_DIR
+    folder, others = kernel_folder(), config.CACHE_DIR
     if folder is not None:
         config.CACHE_DIR = folder
         try:
@@ -112,7 +117,7 @@ def announced(report: Callable[[str], None]) -> Iterator[None]:
     Args:
         report: called with a line for people, in the thread that compiles.
     """
-    kept = "once" if cache_folder() else "in every run, as nothing can be kept"
+    kept = "once" if kernel_folder() else "in every run, as nothing can be kept"
     lines = [f"compiling the fits, {kept}: about 20 s"]
 
     def say() -> None:
@@ -156,54 +161,23 @@ def _listening(start: Callable[[], None], end: Callable[[], None]) -> Iterator[N
         yield
 
 
-@functools.cache
-def cache_folder() -> str | None:
-    """Return where compiled code is kept: in NUMBA_CACHE_DIR, the user's cache, or a temporary folder.
+def thread_count() -> int:
+    """Return how many threads share compiled work: one for each core that this process may use, 8 at most.
 
-    None where nothing can be written; every process then compiles for itself.
+    Results do not depend on it.
     """
-    digest = source_digest(Path(__file__).parent)
-    return next((str(parent / digest) for parent in _parents() if _is_writable(parent / digest)), None)
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(allowed, _MOST_THREADS)
+
+
+@functools.cache
+def kernel_folder() -> str | None:
+    """Return where compiled code is kept; None where nothing can be kept."""
+    folder = cache_folder(source_digest(Path(__file__).parent))
+    return None if folder is None else str(folder)
 
 
 def source_digest(root: Path) -> str:
     """Return a name for the sources of all kernels below a folder: another one after any change."""
     sources = [path for pattern in KERNEL_SOURCES for path in sorted(root.glob(pattern))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
-
-
-def _parents() -> Iterator[Path]:
-    chosen, caches = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
-    if chosen:
-        yield Path(chosen) / "posetrack"
-    if caches:
-        yield Path(caches) / "posetrack"
-    else:
-        yield Path(os.path.expanduser("~")) / ".cache" / "posetrack"  # noqa: PTH111 Path.home() may raise
-    with suppress(FileNotFoundError):  # no temporary folder can be written to
-        temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
-        if _is_own(temporary):
-            yield temporary
-
-
-def _user() -> int:
-    return os.getuid() if hasattr(os, "getuid") else 0
-
-
-def _is_writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError:
-        return False
-    return True
-
-
-def _is_own(folder: Path) -> bool:
-    """Whether nobody else can put code there that would be run."""
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
-    except OSError:
-        return False
-    return folder.is_dir() and status.st_uid == _user() and not status.st_mode & 0o022

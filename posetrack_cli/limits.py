@@ -63,6 +63,12 @@ IMAGE_BYTES = 512 * MIB
 """Of an image file: the largest image, without compression and with four channels of 32 bits."""
 REPORT_BYTES = 256 * MIB
 """Of a JSON report given as baseline."""
+KEYPOINT_BYTES = 256 * MIB
+"""Of keypoints from elsewhere as CSV or JSON lines, which are read line by line: an hour takes 50 MB."""
+KEYPOINT_JSON_BYTES = 32 * MIB
+"""Of those in one JSON value, which takes 25 times its size in memory at worst: a quarter of an hour."""
+KEYPOINT_SETS = 250_000
+"""Hands, and frames, in such a file: two hours of 30 frames a second."""
 
 # Meshes: a hand's skin has some thousand points and 25 joints, a whole character ten times as many
 

@@ -16,13 +16,15 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from posetrack_cli.compiled import cache_folder
+from posetrack_cli.compiled import kernel_folder
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
 RUNS = (
     (
         "hand synth --frames 3 -o hand.mcap",
-        "hand run hand.mcap --hand-side right --particles 8 -o hand-result.mcap",
+        "hand run hand.mcap --particles 8 --hand-side right -o hand-result.mcap",
+        "export hand-result.mcap --topic /truth/hand/estimate -o told.csv",
+        "hand run hand.mcap --particles 8 --hand-side right --keypoints told.csv -o told-result.mcap",
     ),
     (
         "head synth --frames 3 --image-size 320x240 -o head.mcap",
@@ -35,7 +37,7 @@ RUNS = (
 
 def main() -> None:
     """Do the runs if this checkout's kernels are not in the cache."""
-    folder = cache_folder()
+    folder = kernel_folder()
     if folder is None:
         return
     checkout = hashlib.sha256(str(Path(__file__).parent).encode()).hexdigest()[:16]

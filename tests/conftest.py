@@ -9,6 +9,7 @@ import pytest
 from hypothesis import settings
 
 from posetrack_cli.errors import RenderingError
+from posetrack_cli.rendering.cpu.device import CpuDevice
 from posetrack_cli.rendering.gl.device import GlDevice
 from posetrack_cli.rendering.port import RenderingDevice
 from support.numpy_renderer import NumpyDevice
@@ -84,7 +85,20 @@ def device(gl_device: GlDevice) -> RenderingDevice:
     return gl_device
 
 
-@pytest.fixture(scope="module", params=["OpenGL", "numpy"])
+@pytest.fixture(scope="module", params=["OpenGL", "processor"])
+def fast_device(request: pytest.FixtureRequest) -> RenderingDevice:
+    """What a run may draw depth with."""
+    return CpuDevice() if request.param == "processor" else request.getfixturevalue("gl_device")
+
+
+@pytest.fixture(scope="module", params=["OpenGL", "processor", "numpy"])
 def any_device(request: pytest.FixtureRequest) -> RenderingDevice:
     """Every implementation of the renderers' port in turn."""
+    known = {"numpy": NumpyDevice, "processor": CpuDevice}
+    return known[request.param]() if request.param in known else request.getfixturevalue("gl_device")
+
+
+@pytest.fixture(scope="module", params=["OpenGL", "numpy"])
+def reference_device(request: pytest.FixtureRequest) -> RenderingDevice:
+    """OpenGL, and its reference in numpy: what draws surfaces, too, and what crosses the near plane."""
     return NumpyDevice() if request.param == "numpy" else request.getfixturevalue("gl_device")

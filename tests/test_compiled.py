@@ -17,7 +17,7 @@ from posetrack_cli.compiled import KERNEL_SOURCES, announced, kernel, source_dig
 
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 SOURCES = sorted(path for pattern in KERNEL_SOURCES for path in PACKAGE.glob(pattern))
-WHERE = "from posetrack_cli.compiled import cache_folder; print(cache_folder())"
+WHERE = "from posetrack_cli.compiled import kernel_folder; print(kernel_folder())"
 CALL = """
 import numpy as np
 from posetrack_cli.geometry.kernels import rotation_matrix
@@ -106,7 +106,7 @@ def test_without_any_folder_to_write_to_nothing_is_kept(monkeypatch: pytest.Monk
     monkeypatch.setattr(tempfile, "gettempdir", none)
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/dev/null")
     monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
-    assert compiled.cache_folder.__wrapped__() is None
+    assert compiled.kernel_folder.__wrapped__() is None
 
 
 def test_numbas_settings_are_left_as_they_were() -> None:
@@ -148,7 +148,7 @@ def test_where_nothing_can_be_kept_a_run_says_so(tmp_path: Path) -> None:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where kernels of the test are kept."""
-    monkeypatch.setattr(compiled, "cache_folder", lambda: str(tmp_path / "cache"))
+    monkeypatch.setattr(compiled, "kernel_folder", lambda: str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 

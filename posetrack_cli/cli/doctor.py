@@ -36,12 +36,17 @@ LIBRARIES = (
 )
 
 
-@click.command(short_help="Report which OpenGL renderer is used and how fast it is.")
+@click.command(short_help="Report what draws, and how fast it is.")
 @click.option("--device", type=click.IntRange(min=0), help="Only this EGL device.")
 @click.option("--particles", type=click.IntRange(min=1), default=PARTICLES, show_default=True)
 def doctor(device: int | None, particles: int) -> None:
-    """Report which OpenGL renderer is used and how fast it scores particles, or what is missing."""
+    """Report what draws and how fast it scores particles, or what is missing.
+
+    Hands are scored on a GPU if there is one, else by the processor; all else is drawn with OpenGL.
+    """
     _print_versions()
+    if device is None:
+        _check_processor(particles)
     works = _check("default" if device is None else f"device {device}", device, particles)
     numbers = _working_devices() if device is None else []
     if len(numbers) > 1 or not works:  # a single device is the default one, which was reported
@@ -89,9 +94,22 @@ def _check(label: str, device: int | None, particles: int) -> bool:
         print_note(f"posetrack: {error}")
         return False
     print_line(f"OpenGL {label}: {name}")
+    _print_times(times, particles)
+    return True
+
+
+def _check_processor(particles: int) -> None:
+    """Print how fast the processor draws."""
+    from posetrack_cli.rendering.cpu.device import CpuDevice
+
+    with closing(CpuDevice()) as drawing:
+        print_line(f"Processor: {drawing.info}")
+        _print_times(_scoring_times(drawing, particles), particles)
+
+
+def _print_times(times: dict[int, float], particles: int) -> None:
     for tile, milliseconds in times.items():
         print_line(f"  {particles} particles, {tile}x{tile} pixels each: {milliseconds:.1f} ms")
-    return True
 
 
 def _scoring_times(device: RenderingDevice, particles: int) -> dict[int, float]:

@@ -84,7 +84,8 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     "conditions",
     metavar="CONDITION",
     multiple=True,
-    help="Gate, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; repeatable.",
+    help="Gate, such as 'joint_error_mm.mean > 10', 'coverage < 0.99' or, of all results together, "
+    "'pooled.confidence_roc_area < 0.9'; repeatable.",
 )
 @click.option(
     "--gates", "gate_files", type=FILE, multiple=True, help="File of gates, one a line; repeatable."
@@ -119,6 +120,11 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     help="Show every metric, its unit and meaning, and exit.",
 )
 @click.option("--parts", is_flag=True, help="Show every joint, finger, angle or point.")
+@click.option(
+    "--honesty",
+    is_flag=True,
+    help="Also show how many frames of each confidence are right, and of several results the figures pooled.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace existing reports.")
 def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     """Measure RESULTs against truth, by themselves without it; also of unfinished or running runs.
@@ -209,10 +215,10 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
 
     stated = stated_options(request.options)
     if options["json_path"] is not None:
-        text = json_report(found.evaluations, stated, found.comparison, found.outcomes)
+        text = json_report(found.evaluations, stated, found.comparison, found.outcomes, found.pools)
         _write(options["json_path"], text)
     if options["csv_path"] is not None:
-        _write(options["csv_path"], csv_report(found.evaluations, found.comparison))
+        _write(options["csv_path"], csv_report(found.evaluations, found.comparison, found.pools))
     if options["curve_path"] is not None:
         _write(options["curve_path"], curve_report(found.evaluations))
     if options["html_path"] is not None:
@@ -233,7 +239,7 @@ def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
 
     pictures = {one.name: _pictures(one, recording) for one in found.on_page}
     title = ", ".join(one.name for one in found.evaluations)
-    write_html(path, ReportPage(found.on_page, found.page_comparison, pictures, title))
+    write_html(path, ReportPage(found.on_page, found.page_comparison, pictures, title, found.pools))
 
 
 def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:
@@ -270,7 +276,14 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
         comparison_lines,
         comparison_tables,
     )
-    from posetrack_cli.evaluation.reports.table import closing_lines, tables
+    from posetrack_cli.evaluation.reports.table import (
+        closing_lines,
+        criterion_lines,
+        pool_lines,
+        pooled_table,
+        reliability_table,
+        tables,
+    )
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
     if sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
@@ -278,6 +291,10 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     shown = found.evaluations[:given] if found.grouped else found.evaluations
     made = tables(shown, parts=options["parts"]) if shown else []
     lines = closing_lines(found.evaluations)
+    if options["honesty"]:
+        more = (reliability_table(found.evaluations, found.pools), pooled_table(found.pools))
+        made += [table for table in more if table is not None]
+        lines += criterion_lines(found.evaluations) + pool_lines(found.pools)
     if found.comparison is not None:
         made += comparison_tables(found.comparison, parts=options["parts"])
         lines += comparison_lines(found.comparison, parts=options["parts"])

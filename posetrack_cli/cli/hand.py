@@ -11,6 +11,7 @@ from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.options import (
     RUN_OPTIONS,
+    DrawingDevice,
     configuration_of,
     finishing_options,
     frame_options,
@@ -21,9 +22,12 @@ from posetrack_cli.cli.options import (
 from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import close, compiling_said, kept, progress
 from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.hand.config import HandConfig
+    from posetrack_cli.hand.keypoints.file import KeypointFile
     from posetrack_cli.hand.run import HandRun
 
 # option -> configuration key
@@ -93,10 +97,33 @@ hand.add_command(hand_synth)
     default=None,
     help="Estimate the hand's size and proportions from the first seconds before tracking.  [default: no]",
 )
+@click.option(
+    "--keypoints",
+    "keypoint_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="21 points per frame that another program found, CSV or JSON (README: Keypoints): further starts "
+    "and evidence for side and place.",
+)
+@click.option(
+    "--keypoints-unit",
+    type=click.Choice(["px", "normalised", "mm", "m"]),
+    help="Of their coordinates; px and normalised in the depth images.  [default: as FILE says or looks]",
+)
+@click.option(
+    "--keypoints-swap-sides",
+    is_flag=True,
+    help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of mirrored "
+    "images, or wrong sides.",
+)
 @click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
 @frame_options
 @recording_options
-@click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
+@click.option(
+    "--device",
+    type=DrawingDevice(),
+    help="What hands are drawn on: the index of an EGL device, or cpu.  [default: a GPU if there is one]",
+)
 @finishing_options("an existing result")
 def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
@@ -123,17 +150,34 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.recording.opening import open_recording
-    from posetrack_cli.rendering.devices import open_device
+    from posetrack_cli.rendering.devices import open_fastest_device
     from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)
     source = open_recording(recording, **reading_options(options))
-    run_options = RunOptions(**{name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")})
-    device = open_device(options["device"])
+    keypoints = _keypoints(options, source.cameras[0])
+    own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
+    run_options = RunOptions(**own, keypoints=keypoints)
+    device = open_fastest_device(options["device"])
     check_run(source, config, run_options)
-    found = find_hand(source, config, options["start"], options["seed"], _say)
+    found = find_hand(source, config, options["start"], options["seed"], _say, keypoints)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found.line
+
+
+def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
+    """Read the keypoints that are given, and say what they are taken for."""
+    path, unit, swap = (options[f"keypoint{name}"] for name in ("_file", "s_unit", "s_swap_sides"))
+    if path is None:
+        if unit is not None or swap:
+            option = "--keypoints-unit" if unit is not None else "--keypoints-swap-sides"
+            raise UsageError(f"{option} is about keypoints, and none are given", hint="--keypoints FILE")
+        return None
+    from posetrack_cli.hand.keypoints.file import read_keypoints
+
+    keypoints = read_keypoints(path, camera, unit, swap)
+    print_note(f"{path}: {keypoints.line}")
+    return keypoints
 
 
 def _say(line: str) -> None:

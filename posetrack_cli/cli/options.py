@@ -43,6 +43,25 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class DrawingDevice(click.IntRange):
+    """The index of an EGL device, or ``cpu``."""
+
+    name = "index|cpu"
+
+    def __init__(self) -> None:
+        super().__init__(min=0)
+
+    def convert(  # type: ignore[override]
+        self, value: Any, parameter: click.Parameter | None, context: click.Context | None
+    ) -> int | str:
+        """Return the index, or ``cpu`` as it is.
+
+        Raises:
+            click.BadParameter: it is neither.
+        """
+        return "cpu" if value == "cpu" else int(super().convert(value, parameter, context))
+
+
 def only_once(context: click.Context, parameter: click.Parameter, values: tuple[Any, ...]) -> Any:
     """Callback of an option with ``multiple=True`` that may be given once: a second one is not passed over.
 

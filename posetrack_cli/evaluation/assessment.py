@@ -15,6 +15,7 @@ from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gates
+from posetrack_cli.evaluation.pooling import Pool, make_pools
 from posetrack_cli.evaluation.track import Track, track_name, unique_names
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
@@ -66,6 +67,7 @@ class Assessment:
         notes: what limits the comparison with the baseline.
         grouped: whether the comparison is of groups.
         beside: other tracks of the results, for the page alone.
+        pools: the results together, and those of each group.
     """
 
     evaluations: tuple[Evaluation, ...]
@@ -74,6 +76,7 @@ class Assessment:
     notes: tuple[str, ...]
     grouped: bool
     beside: tuple[Evaluation, ...] = ()
+    pools: tuple[Pool, ...] = ()
 
     @property
     def failed(self) -> tuple[GateOutcome, ...]:
@@ -122,13 +125,15 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
     measured = tuple(evaluations.values())
     groups = _groups(evaluations, request)
     comparison = compare_groups(groups) if groups else compare(measured)
-    outcomes = check_gates(request.gates, measured)
+    given = [one for (path, _), one in evaluations.items() if path in request.results]
+    pools = make_pools(given, groups)
+    outcomes = check_gates(request.gates, measured, pools)
     notes: tuple[str, ...] = ()
     if request.baseline is not None:
         options = stated_options(request.options)
         against = check_baseline(request.baseline, measured, request.baseline_tolerance, options)
         outcomes, notes = [*outcomes, *against.outcomes], against.notes
-    return Assessment(measured, comparison, tuple(outcomes), notes, bool(groups), tuple(beside))
+    return Assessment(measured, comparison, tuple(outcomes), notes, bool(groups), tuple(beside), pools)
 
 
 def stated_options(options: EvalOptions) -> dict[str, Any]:

@@ -15,8 +15,10 @@ from posetrack_cli.evaluation.alignment import remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value, statistics
+from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, OffsetFrame
 from posetrack_cli.evaluation.metrics.catalogue import addresses, metric_of
+from posetrack_cli.evaluation.metrics.honesty_metrics import honesty_metrics, judged_frames
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.metrics.without_truth import EMPTY, consistency_metrics, run_metrics, run_series
 from posetrack_cli.evaluation.subjects import KINDS
@@ -29,7 +31,7 @@ from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 
 Alignment: TypeAlias = Literal["none", "rigid", "rigid+points"]
 
-AGAINST_TRUTH = ("accuracy", "velocity", "covariance")
+AGAINST_TRUTH = ("accuracy", "velocity", "covariance", "honesty")
 LONGEST_OFFSET_S = 1e10
 """What 64 bits of nanoseconds hold, nearly 300 years, is a little less."""
 SMOOTHED_NOTE = "the smoothed track: its estimates rest on later frames, too"
@@ -130,14 +132,14 @@ def _measured(
     coverage = measure_coverage(track, truth, pairs, tolerance_ns=options.tolerance_ns)
     measures = Measures(_nothing(track, truth, options), notes=_run_notes(result, options))
     measures.metrics |= coverage_metrics(coverage)
-    curve = offsets = None
+    curve = offsets = judged = None
     if truth is not None and pairs is not None:
         measures.notes += truth_warnings(result, track, truth, options.truth)
         track = _aligned(measures, track, truth, pairs, options)
         if options.joint_offsets is not None:
             matched = Matched(track, truth, pairs)
             track, offsets = _without_offsets(measures, result, matched, options.joint_offsets)
-        curve = _against_truth(measures, Matched(track, truth, pairs), coverage)
+        curve, judged = _against_truth(measures, result, Matched(track, truth, pairs), coverage)
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
     _without_truth(measures, result, track, options, rows)
     metrics, absent = _in_order(measures, track, truth)
@@ -159,6 +161,8 @@ def _measured(
         pairs=pairs,
         which=options.track,
         joint_offsets=offsets,
+        judged=judged,
+        counts=measures.counts,
     )
 
 
@@ -219,10 +223,19 @@ def _without_offsets(
     return track, offsets
 
 
-def _against_truth(measures: Measures, matched: Matched, coverage: Coverage) -> Curve | None:
+def _against_truth(
+    measures: Measures, result: Result, matched: Matched, coverage: Coverage
+) -> tuple[Curve | None, JudgedFrames | None]:
     if not len(matched):
         measures.notes.append(measures.nothing)
-    return KINDS[matched.estimate.subject].measure(measures, matched, coverage.missed)
+    kind = KINDS[matched.estimate.subject]
+    curve = kind.measure(measures, matched, coverage.missed)
+    if kind.measure_intervals is not None:
+        kind.measure_intervals(measures, result, matched)
+    judged = judged_frames(measures, matched, kind)
+    if judged is not None:
+        honesty_metrics(measures, judged)
+    return curve, judged
 
 
 def _without_truth(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TypeAlias
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.losses import Loss
@@ -30,6 +31,7 @@ class Statistics:
         median: 50th percentile.
         p95: 95th percentile, linear between the two nearest values.
         max: largest.
+        p5: 5th percentile, likewise: what stands for the bad end where small is bad.
         count: how many values.
     """
 
@@ -38,10 +40,11 @@ class Statistics:
     median: float
     p95: float
     max: float
+    p5: float
     count: int
 
 
-STATISTIC_NAMES = tuple(field.name for field in fields(Statistics))
+STATISTIC_NAMES = tuple(one.name for one in fields(Statistics))
 
 
 def statistics(values: ArrayLike) -> Statistics:
@@ -53,11 +56,11 @@ def statistics(values: ArrayLike) -> Statistics:
     flat = np.ravel(np.asarray(values, dtype=np.float64))
     if not flat.size:
         nan = float("nan")
-        return Statistics(nan, nan, nan, nan, nan, 0)
-    median, p95 = _percentiles(flat, [50.0, 95.0])
+        return Statistics(nan, nan, nan, nan, nan, nan, 0)
+    p5, median, p95 = _percentiles(flat, [5.0, 50.0, 95.0])
     with np.errstate(invalid="ignore"):  # infinity less infinity
         mean, sd = float(flat.mean()), _deviation(flat)
-    return Statistics(mean, sd, float(median), float(p95), float(flat.max()), flat.size)
+    return Statistics(mean, sd, float(median), float(p95), float(flat.max()), float(p5), flat.size)
 
 
 def _deviation(flat: FloatArray) -> float:
@@ -78,6 +81,14 @@ def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
 
 
 Value: TypeAlias = Statistics | float
+
+
+@dataclass(frozen=True)
+class Count:
+    """Of how many of something a thing is true: a share that can be pooled with others."""
+
+    true: int
+    of: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +131,8 @@ class Evaluation:
         track, truth, pairs: what was compared; truth and pairs None without truth.
         which: of the result's tracks: ``filtered`` or ``smoothed``.
         joint_offsets: the constant offset that each joint was rid of; None where that was not asked for.
+        judged: the frames with a truth, right or wrong, and what the track says of them; None without.
+        counts: what the shares among the metrics are made from, where they are of single frames or entries.
     """
 
     name: str
@@ -139,3 +152,5 @@ class Evaluation:
     pairs: Pairs | None = None
     which: str = FILTERED
     joint_offsets: JointOffsets | None = None
+    judged: JudgedFrames | None = None
+    counts: Mapping[str, Count] = field(default_factory=dict)

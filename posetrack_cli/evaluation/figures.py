@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
-from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
+from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.evaluation import Statistics, Value
 from posetrack_cli.evaluation.metrics.catalogue import Address, is_measured, split_address
 from posetrack_cli.evaluation.subjects import KINDS
 
@@ -23,6 +26,30 @@ def studied_figures(subject: str) -> tuple[str, ...]:
     return (*key_figures(subject), *(KINDS[subject].studied_figures if subject in KINDS else ()))
 
 
+class Measured(Protocol):
+    """What figures are of: a result, or several that are pooled."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def subject(self) -> str:
+        """A key of ``KINDS``."""
+
+    @property
+    def coverage(self) -> Coverage:
+        """Its counts of frames."""
+
+    @property
+    def metrics(self) -> Mapping[str, Value]:
+        """Values by address."""
+
+    @property
+    def absent(self) -> Mapping[str, str]:
+        """Why other addresses have none."""
+
+
 @dataclass(frozen=True)
 class Figure:
     """A finite value, or None and the reason."""
@@ -31,7 +58,7 @@ class Figure:
     reason: str = ""
 
 
-def figure_of(evaluation: Evaluation, address: Address | str) -> Figure:
+def figure_of(evaluation: Measured, address: Address | str) -> Figure:
     """Look a figure up by its full address, such as ``joint_error_mm.mean`` or ``coverage``.
 
     Raises:
@@ -48,7 +75,7 @@ def figure_of(evaluation: Evaluation, address: Address | str) -> Figure:
     return Figure(float(value))
 
 
-def _why_not(evaluation: Evaluation, address: Address) -> str:
+def _why_not(evaluation: Measured, address: Address) -> str:
     """Why there is no such figure, or nothing."""
     if not evaluation.coverage.frames:
         return "the result holds no estimate"

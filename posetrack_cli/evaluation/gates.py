@@ -12,8 +12,9 @@ from pathlib import Path
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
 from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation
-from posetrack_cli.evaluation.figures import Figure, figure_of
-from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
+from posetrack_cli.evaluation.figures import Figure, Measured, figure_of
+from posetrack_cli.evaluation.metrics.catalogue import Address, catalogue, split_address
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.files import read_text
 
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
@@ -27,6 +28,8 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
 """Longest first, so that ``>=`` is not read as ``>``."""
 GRAMMAR = "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !=, then a number"
 EXAMPLE = "such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'"
+POOLED = "pooled."
+"""Begins the address of a figure of all results together."""
 CONDITION = re.compile(rf"([^<>=!]+)({'|'.join(OPERATORS)})([^<>=!]+)")
 
 
@@ -39,12 +42,14 @@ class Gate:
         address: the figure.
         sign: the comparison, a key of ``OPERATORS``.
         limit: what the figure is compared with.
+        pooled: whether it is about the results together, not about each.
     """
 
     text: str
     address: Address
     sign: str
     limit: float
+    pooled: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class GateOutcome:
 
 
 def parse_gate(text: str) -> Gate:
-    """Read a condition ``METRIC[.PART][.STATISTIC] OP NUMBER``; where it is true the evaluation fails.
+    """Read a condition ``[pooled.]METRIC[.PART][.STATISTIC] OP NUMBER``; where it is true it has failed.
 
     Raises:
         UsageError: it is no such condition, or names no figure there is.
@@ -85,11 +90,15 @@ def parse_gate(text: str) -> Gate:
             f"'{text.strip()}' is no condition", expected=GRAMMAR, hint=_sign_hint(text) or EXAMPLE
         )
     name, sign, number = (part.strip() for part in match.groups())
-    address = split_address(name)
+    pooled = name.startswith(POOLED)
+    address = split_address(name.removeprefix(POOLED))
+    if pooled and not address.metric.pooled:
+        known = ", ".join(name for name, metric in catalogue().items() if metric.pooled)
+        raise UsageError(f"'{address.metric.name}' is not pooled over results", expected=f"one of {known}")
     if address.statistic is None and not address.metric.scalar:
         choices = ", ".join(f"{name}.{statistic}" for statistic in STATISTIC_NAMES)
         raise UsageError(f"condition '{text.strip()}' does not say which statistic", expected=choices)
-    return Gate(f"{name} {sign} {number}", address, sign, _limit(number, text.strip()))
+    return Gate(f"{name} {sign} {number}", address, sign, _limit(number, text.strip()), pooled)
 
 
 def read_gates(path: Path) -> list[Gate]:
@@ -110,8 +119,10 @@ def read_gates(path: Path) -> list[Gate]:
     return gates
 
 
-def check_gates(gates: Sequence[Gate], evaluations: Sequence[Evaluation]) -> list[GateOutcome]:
-    """Apply every gate to every result.
+def check_gates(
+    gates: Sequence[Gate], evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()
+) -> list[GateOutcome]:
+    """Apply every gate to every result, those of pooled figures to every pool.
 
     A gate that cannot be judged has failed: its metric is absent or no finite number, the result is empty,
     or its coverage is 0, when only figures of coverage itself say anything.
@@ -121,16 +132,17 @@ def check_gates(gates: Sequence[Gate], evaluations: Sequence[Evaluation]) -> lis
     """
     for gate in gates:
         _check_part(gate.address, evaluations)
-    return [check_gate(gate, evaluation) for gate in gates for evaluation in evaluations]
+    return [check_gate(gate, one) for gate in gates for one in (pools if gate.pooled else evaluations)]
 
 
-def check_gate(gate: Gate, evaluation: Evaluation) -> GateOutcome:
-    """Apply one gate to one result."""
+def check_gate(gate: Gate, evaluation: Measured) -> GateOutcome:
+    """Apply one gate to one result, or to one pool."""
     figure = _judged(evaluation, gate.address)
     if figure.value is None:
         return GateOutcome(gate.text, evaluation.name, None, True, figure.reason)
     failed = OPERATORS[gate.sign](figure.value, gate.limit)
-    shown = f"{gate.address.base}{_suffix(gate.address)} is {shown_figure(figure.value, gate.limit)}"
+    name = f"{POOLED if gate.pooled else ''}{gate.address.base}{_suffix(gate.address)}"
+    shown = f"{name} is {shown_figure(figure.value, gate.limit)}"
     return GateOutcome(gate.text, evaluation.name, figure.value, failed, shown)
 
 
@@ -140,7 +152,7 @@ def shown_figure(value: float, limit: float) -> str:
     return short if value == limit or float(short) != limit else repr(value)
 
 
-def _judged(evaluation: Evaluation, address: Address) -> Figure:
+def _judged(evaluation: Measured, address: Address) -> Figure:
     figure = figure_of(evaluation, address)
     if figure.value is not None and address.metric.group != "coverage" and evaluation.coverage.share == 0:
         return Figure(None, "coverage is 0")

@@ -9,9 +9,10 @@ from typing import Any
 
 from posetrack_cli.configuration import validated
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.recording_of import folders_of
+from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.model import MESH_DIGEST, HandModel, hand_model
+from posetrack_cli.hand.shape import reshaped_anatomy
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.results.reader import Result
 
@@ -31,6 +32,23 @@ def hand_of(result: Result) -> HandModel:
     if settings.mesh is not None:
         settings = settings.model_copy(update={"mesh": str(_found_mesh(result, settings.mesh))})
     return hand_model(settings)
+
+
+def anatomy_of(result: Result) -> HandAnatomy:
+    """Return the bones of the hand that a run tracked: those of ``hand_of``, without the time its skin takes.
+
+    Raises:
+        ResultError, UsageError: as ``hand_of``.
+    """
+    settings = _settings(result)
+    right = make_anatomy() if settings.mesh is None else _anatomy_of_file(_found_mesh(result, settings.mesh))
+    return reshaped_anatomy(right, "left" if settings.side == "left" else "right", settings.shape)
+
+
+def _anatomy_of_file(path: Path) -> HandAnatomy:
+    from posetrack_cli.hand.webxr import load_hand  # takes long to import, and few hands are from a file
+
+    return load_hand(path).anatomy
 
 
 def _settings(result: Result) -> HandSettings:
@@ -60,6 +78,8 @@ def _found_mesh(result: Result, stated: str) -> Path:
 
 def _places(result: Result, stated: str) -> Iterator[Path]:
     """Where a stated path may lead: its last part, its last two ... below each of the folders."""
+    from posetrack_cli.evaluation.recording_of import folders_of  # imports all that opens recordings
+
     path = PurePath(stated)
     parts = [part for part in path.parts if part not in (path.anchor, "..")]
     for folder in folders_of(result):

@@ -50,6 +50,13 @@ class LikelihoodModes:
         return len(self.poses)
 
 
+def scaled(modes: LikelihoodModes, share: float) -> LikelihoodModes:
+    """Return p(y | x)^share: the same modes, of which less is believed."""
+    return LikelihoodModes(
+        modes.poses, share * modes.gradients, share * modes.information, share * modes.log_heights
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class LaplaceMixture:
     """The Gaussians p_i l_k, over u = e / sd, in which the prior is N(0, 1).

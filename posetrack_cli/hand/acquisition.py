@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
 from posetrack_cli.hand.fitting.gauss_newton import Fit
 from posetrack_cli.hand.fitting.terms import Tile
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.local_fits import LocalFitter
+from posetrack_cli.hand.local_fits import LocalFitter, fit_terms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
@@ -127,9 +126,14 @@ def _doubt_of(detection: Detection) -> float:
     return lacking - fingers_bonus(detection.fingers_mm2) + depth_doubt(float(detection.palm[2]))
 
 
-_HOPELESS_MM, _CLOSE_MM = 8.0, 2.0
+_HOPELESS_MM, _CLOSE_MM, _ALIKE_MM = 8.0, 2.0, 4.0
 """Costs of what is fitted differ by less than the first; what is closer to the best than the second is looked
-at in all turns and folds, which takes longer than all else."""
+at in all turns and folds, which takes longer than all else. What is closer than the third may be the best for
+a hand of another side or size."""
+
+
+_ONE_PLACE_MM = 60.0
+"""Distance of two wrists up to which what was found and what was told are one hand."""
 
 
 def depth_doubt(depth_mm: float) -> float:
@@ -152,90 +156,82 @@ class Candidate:
     doubt: float = np.inf
 
 
-class Costs(Protocol):
-    """What a search asks of a likelihood, or of anything else that scores poses."""
-
-    def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
-        """Costs D (N,), mm, of poses (N, 22)."""
-
-
-class DrawnCosts:
-    """Union costs of poses that the fits' own rasteriser draws: for a search without GL.
-
-    Args:
-        fitter: of the hand.
-    """
-
-    def __init__(self, fitter: HandFitter) -> None:
-        self._fitter = fitter
-
-    def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
-        """Costs D (N,), mm, of poses (N, 22)."""
-        return self._fitter.costs(self._fitter.tile(observation), poses)
+_ROUGH_STEP, _LEAST_TILE_PX = 2, 48
+"""A search looks at every second pixel of both directions, but of small observations at all."""
 
 
 class Acquisition:
-    """Looks for a hand without a prediction: many hypotheses drawn at once, the best of them fitted.
+    """Looks for a hand without a prediction: of many hypotheses the best are fitted, roughly and then fully.
 
     Args:
         config: parameters.
         hand: the model.
         camera: of the depth images.
-        scorer: draws all hypotheses at once; without one the fits' own rasteriser does.
 
     Attributes:
         observer: cuts out and segments windows.
         local_fitter: makes local fits.
+        accept_mm: what a hand costs at most.
     """
 
-    def __init__(
-        self,
-        config: HandConfig,
-        hand: HandModel,
-        camera: Camera,
-        scorer: Costs | None = None,
-    ) -> None:
+    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config, self._settings = config, config.acquisition
+        self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, HandSpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
         self.local_fitter = LocalFitter(config, hand, camera)
-        self._scorer = scorer or DrawnCosts(self.local_fitter.fitter)
+        size = config.observation.tile_px
+        self._step = _ROUGH_STEP if size >= _LEAST_TILE_PX else 1
+        rough_px, terms = -(-size // self._step), fit_terms(config)
+        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm)
 
-    def search(self, depth: ImageArray) -> Candidate | None:
+    def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.
 
         Args:
             depth: (height, width) mm.
+            told: further candidates, found otherwise.
         """
-        fitting = [
-            one for one in self._likely(depth, self.detect(depth)) if one.cost <= self._settings.accept_mm
-        ]
+        likely = with_told([one for _, one in self._likely(depth, self.detect(depth))], told)
+        fitting = [one for one in likely if one.cost <= self._settings.accept_mm]
         return min(fitting, key=lambda one: one.doubt, default=None)
 
-    def best_cost(self, depth: ImageArray, places: Sequence[Detection]) -> float:
-        """Return what the place most like a hand costs, mm; the most there is where no place is like one.
+    def appraise(
+        self, depth: ImageArray, places: Sequence[Detection], told: Sequence[Candidate] = ()
+    ) -> tuple[float, list[Detection]]:
+        """Return what the place most like a hand costs, mm, and which places it may be for another hand.
+
+        The cost is the most there is where no place is like a hand.
 
         Args:
             depth: (height, width) mm.
             places: of ``detect``.
+            told: further candidates, found otherwise.
         """
-        best = min(self._likely(depth, places), key=lambda one: one.doubt, default=None)
-        worst = self._config.observation.clamp_mm
-        return worst if best is None else min(best.cost, worst)
+        found = self._likely(depth, places)
+        candidates = with_told([one for _, one in found], told)
+        if not candidates:
+            return self._config.observation.clamp_mm, list(places)
+        best = min(candidates, key=lambda one: one.doubt)
+        near = [place for place, one in found if one.doubt < best.doubt + _ALIKE_MM]
+        return min(best.cost, self._config.observation.clamp_mm), near or list(places)
 
     def detect(self, depth: ImageArray) -> list[Detection]:
         """Return the places in a whole image that may be hands."""
         return detect(depth, self._camera, self._config.detection, self.observer.sampler)
 
-    def _likely(self, depth: ImageArray, places: Sequence[Detection]) -> list[Candidate]:
+    def _likely(self, depth: ImageArray, places: Sequence[Detection]) -> list[tuple[Detection, Candidate]]:
         """What is fitted to places that may be hands, but those that no cost could make the likeliest."""
         doubts = [_doubt_of(place) for place in places]
         least = min(doubts, default=0.0)
         near = [(d, place) for d, place in zip(doubts, places, strict=True) if d < least + _HOPELESS_MM]
-        fitted = ((doubt, self._fitted(depth, place)) for doubt, place in near)
-        found = [replace(one, doubt=one.cost + doubt) for doubt, one in fitted if one is not None]
-        best = min((one.doubt for one in found), default=0.0)
-        return [self._settled(depth, one) if one.doubt < best + _CLOSE_MM else one for one in found]
+        fitted = ((doubt, place, self._fitted(depth, place)) for doubt, place in near)
+        found = [(p, replace(one, doubt=one.cost + doubt)) for doubt, p, one in fitted if one is not None]
+        best = min((one.doubt for _, one in found), default=0.0)
+        return [
+            (place, self._settled(depth, one) if one.doubt < best + _CLOSE_MM else one)
+            for place, one in found
+        ]
 
     def _settled(self, depth: ImageArray, found: Candidate) -> Candidate:
         """A candidate, or what looks like it and costs less where it fits badly."""
@@ -256,46 +252,79 @@ class Acquisition:
         observation = self.observer.observe_detection(depth, detection)
         if observation.target_pixels == 0:
             return None
-        first = self._best(observation, detected_poses(detection, self._hand.anatomy))
-        again = self.observer.observe(depth, first.pose)  # with the wrist where the fit has it
+        first = self._roughly(observation, detected_poses(detection, self._hand.anatomy))
+        again = self.observer.observe(depth, first[0].pose)  # with the wrist where the fit has it
         if again.target_pixels == 0:
-            return first
+            return self._finished(observation, first)
         if again.reversed:
             return None
-        return self._best(again, first.pose[None])
+        return self._best(again, first[0].pose[None])
 
     def _best(self, observation: Observation, poses: FloatArray) -> Candidate:
-        """The best fit from the most different of the best hypotheses (H, 22), refined once more."""
-        settings, fitter = self._settings, self.local_fitter.fitter
-        tile = fitter.tile(observation)
-        poses = fitter.aligned(tile, poses)
-        starts = poses[distinct(poses, self._scorer.costs(poses, observation), settings.fitted)]
-        fits = self._descended(tile, starts)
-        chosen = distinct(
-            np.array([fit.pose for fit in fits]), np.array([fit.cost[0] for fit in fits]), settings.refined
-        )
-        rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
-        for k in chosen:
-            around = fit_starts(fits[k].pose, none, settings.scattered, self._space, rng)
-            fits += self._descended(tile, fitter.aligned(tile, around))
-        fit = min(fits, key=lambda fit: float(fit.cost[0]))
-        return Candidate(fit.pose.copy(), float(fit.cost[0]))
+        """The best fit among hypotheses (H, 22)."""
+        return self._finished(observation, self._roughly(observation, poses))
 
-    def _descended(self, tile: Tile, starts: FloatArray) -> list[Fit]:
+    def _roughly(self, observation: Observation, poses: FloatArray) -> list[Fit]:
+        """Fits to some pixels from the most different of the best hypotheses, refined; the best first."""
+        settings, fitter = self._settings, self._rough
+        tile = fitter.tile(observation.every(self._step))
+        poses = fitter.aligned(tile, poses)
+        starts = poses[distinct(poses, fitter.costs(tile, poses), settings.fitted)]
+        fits = self._descended(fitter, tile, starts)
+        rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
+        for fit in _most_different(fits, settings.refined):
+            around = fit_starts(fit.pose, none, settings.scattered, self._space, rng)
+            fits += self._descended(fitter, tile, fitter.aligned(tile, around))
+        return _most_different(fits, settings.finished)
+
+    def _finished(self, observation: Observation, rough: Sequence[Fit]) -> Candidate:
+        """The best of rough fits once they are fitted to all pixels."""
+        fitter = self.local_fitter.fitter
+        fits = self._descended(fitter, fitter.tile(observation), np.array([fit.pose for fit in rough]))
+        best = min(fits, key=_cost)
+        return Candidate(best.pose.copy(), _cost(best))
+
+    def _descended(self, fitter: HandFitter, tile: Tile, starts: FloatArray) -> list[Fit]:
         """Fits from starts (K, 22), and from the best of them with fingers of the others."""
-        settings, fitter = self._settings, self.local_fitter.fitter
+        settings = self._settings
         priors = [PosePrior(start, _FREE_PRECISION) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.iterations)
-        swapped = fitter.swapped(tile, sorted(fits, key=lambda fit: float(fit.cost[0]))[: settings.swapped])
+        swapped = fitter.swapped(tile, sorted(fits, key=_cost)[: settings.swapped])
         return fits + fitter.descend(
             tile, swapped[None], [PosePrior(swapped, _FREE_PRECISION)], settings.iterations
         )
+
+
+def _cost(fit: Fit) -> float:
+    return float(fit.cost[0])
+
+
+def _most_different(fits: Sequence[Fit], count: int) -> list[Fit]:
+    """The best fits that differ (``distinct``), the best first."""
+    poses, costs = np.array([fit.pose for fit in fits]), np.array([_cost(fit) for fit in fits])
+    return [fits[k] for k in distinct(poses, costs, count)]
 
 
 def better_of(first: Candidate | None, second: Candidate | None) -> Candidate | None:
     """The candidate that costs less, if there is any."""
     both = [candidate for candidate in (first, second) if candidate is not None]
     return min(both, key=lambda candidate: candidate.cost, default=None)
+
+
+def with_told(found: Sequence[Candidate], told: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates and those that were told; of two at one place the cheaper pose, and the lesser doubt."""
+    merged = list(found)
+    for one in told:
+        near = [
+            k
+            for k, other in enumerate(merged)
+            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < _ONE_PLACE_MM
+        ]
+        for k in near:
+            best = one if one.cost < merged[k].cost else merged[k]
+            merged[k] = replace(best, doubt=min(one.doubt, merged[k].doubt))
+        merged += [] if near else [one]
+    return merged
 
 
 def distinct(poses: FloatArray, costs: FloatArray, count: int) -> list[int]:

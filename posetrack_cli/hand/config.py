@@ -216,9 +216,10 @@ class FitSettings(Settings):
 
 
 class AcquisitionSettings(Settings):
-    """How a hand is found without a prediction: of all hypotheses that are drawn the best are fitted.
+    """How a hand is found without a prediction: of all hypotheses the best are fitted.
 
-    A hand is found if its cost is ``accept_mm`` at most.
+    That is to some of the pixels, but for the last ``finished`` fits. A hand is found if its cost is
+    ``accept_mm`` at most.
     """
 
     fitted: Annotated[int, Field(ge=1, le=1000)] = 32
@@ -226,6 +227,7 @@ class AcquisitionSettings(Settings):
     swapped: Annotated[int, Field(ge=1, le=64)] = 6
     refined: Annotated[int, Field(ge=0, le=64)] = 4
     scattered: Annotated[int, Field(ge=1, le=64)] = 8
+    finished: Annotated[int, Field(ge=1, le=64)] = 6
     accept_mm: Positive = 18.0
 
 
@@ -257,7 +259,8 @@ class SmoothingSettings(Settings):
     motion (as ``motion``'s); ``gaussian`` each frame's mean and covariance of the filter; ``particles`` is
     backward simulation among the filter's particles with ``trajectories`` of them.
 
-    Of ``fits`` alone: ``refit_iterations`` is how often each frame is fitted again from what all others
+    Of ``fits`` alone: where fits leave more than ``believed_mm`` the filter's estimate is smoothed instead;
+    ``refit_iterations`` is how often each frame is fitted again from what all others
     expect, 0 not at all; ``sharpening`` how much sharper the likelihood is than the residuals that a fit
     leaves; ``height_share`` how much their heights count where one of several fits is chosen; ``freedom``
     that of the Student-t density of a fit's error, the smaller the more outliers.
@@ -270,6 +273,7 @@ class SmoothingSettings(Settings):
     velocity: ComponentSettings = ComponentSettings(
         position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
     )
+    believed_mm: NotNegative = 3.0
     refit_iterations: Annotated[int, Field(ge=0, le=100)] = 4
     sharpening: Positive = 3.5
     height_share: Fraction = 0.3

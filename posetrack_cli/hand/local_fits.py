@@ -11,13 +11,14 @@ tenth.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
-from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
@@ -34,6 +35,9 @@ from posetrack_cli.hand.space import HandSpace, tangent_vector
 from posetrack_cli.rendering.window import Window
 
 USUAL_STEP_S = 1.0 / 30.0
+NOT_TOLD: FloatArray = np.empty((0, POSE_SIZE))
+TOLD_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))
+"""(21,) of a pose about what keypoints tell, 1 / mm^2 and 1 / rad^2."""
 THUMB_SD = (0.25, 0.25, 0.15)  # rad; a thumb moves less than a finger (hand-findings.md)
 
 
@@ -69,6 +73,11 @@ class FrameReading(NamedTuple):
     height: float
 
 
+def fit_terms(config: HandConfig) -> Terms:
+    """Return the weights of residuals that a configuration's observations ask for."""
+    return Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
+
+
 class LocalFitter:
     """Fits a hand to frames from several starts.
 
@@ -81,7 +90,7 @@ class LocalFitter:
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config, self._settings, self._camera = config, config.fit, camera
         self._anatomy, self._space = hand.anatomy, HandSpace()
-        terms = Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
+        terms = fit_terms(config)
         self.sigma_mm = terms.sigma_mm
         self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
         self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
@@ -94,6 +103,7 @@ class LocalFitter:
         dt: float,
         rng: np.random.Generator,
         enough_mm: float = np.inf,
+        told: FloatArray = NOT_TOLD,
     ) -> LocalFits:
         """Return the fits of one frame.
 
@@ -104,6 +114,7 @@ class LocalFitter:
             dt: time since the frame before, s.
             rng: of the starts' scatter.
             enough_mm: a best fit that costs more is tried with each finger folded otherwise.
+            told: (K, 22) poses from elsewhere: starts of their own, whose prior is about themselves.
         """
         settings, fitter = self._settings, self.fitter
         reading = self.read(observation)
@@ -112,10 +123,14 @@ class LocalFitter:
         prior = PosePrior(expected, motion_precision(settings, dt))
         priors = [prior.about(start[:3]) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.iterations)
+        fits += fitter.descend(
+            tile, told, [PosePrior(pose, TOLD_PRECISION) for pose in told], settings.iterations
+        )
         tile = tile._replace(arm=min(fits, key=_cost).arm)
         best = fitter.swapped(tile, fits)
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
+        renders += len(told) * (settings.iterations + 6)
         first = min(fits, key=_cost)
         if _cost(first) > enough_mm:
             refolded, more = self._refolded(tile, first.pose, prior)
@@ -229,9 +244,22 @@ class HandFits:
         self._local, self._space = LocalFitter(config, hand, camera), HandSpace()
         self._settings, self._clamp_mm = config.smoothing, config.observation.clamp_mm
         self._most, self._size = config.fit.most_modes, config.observation.tile_px
+        self._is_calibrated = config.observation.cost == "mixture"
 
-    def keep(self, observation: Observation | None, modes: LikelihoodModes | None) -> dict[str, Any]:
-        """Return what is kept of a frame: its window and where the filter's fits are."""
+    def keep(
+        self,
+        observation: Observation | None,
+        modes: LikelihoodModes | None,
+        pose: FloatArray,
+        confidence: float,
+    ) -> dict[str, Any]:
+        """Return what is kept of a frame: its window, where the filter's fits are, and what it made of them.
+
+        Args:
+            observation, modes: None where there was nothing to compare with.
+            pose: (22,) the filter's estimate.
+            confidence: of it.
+        """
         poses, count = np.zeros((self._most, POSE_SIZE)), 0
         image, place = np.zeros((self._size, self._size), dtype=np.float32), np.zeros(3, dtype=np.int64)
         arm = NO_ARM
@@ -240,25 +268,53 @@ class HandFits:
             poses[:count], image = modes.poses, observation.image
             place[:] = observation.window.left, observation.window.top, observation.window.step
             arm = observation.arm
-        return {"image": image, "place": place, "fits": poses, "count": count, "arm": arm}
+        kept = {"image": image, "place": place, "fits": poses, "count": count, "arm": arm}
+        return kept | {"estimate": pose, "trust": self._trust(confidence)}
 
     def known(self, frame: Memory) -> LikelihoodModes | None:
-        """Return the filter's fits, assessed again; None where it had none."""
+        """Return the filter's fits, assessed again, or its estimate where they leave much; None without any.
+
+        Where the hand is not the model's, the cheapest pose is not the true one, and fits that are weighed by
+        their costs alone are worse than what the filter made of them.
+        """
         if not frame["count"]:
             return None
-        return self._assessed(self._reading(frame), frame["fits"][: int(frame["count"])])
+        reading = self._reading(frame)
+        fits = self._fits_at(reading, frame["fits"][: int(frame["count"])])
+        if self._are_believed(fits):
+            return scaled(self._assessed(reading, fits), float(frame["trust"]))
+        estimate = self._assessed(reading, self._fits_at(reading, frame["estimate"][None]))
+        at_rest = replace(estimate, gradients=np.zeros_like(estimate.gradients))
+        return scaled(at_rest, float(frame["trust"]))
 
     def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
         """Return these and one more, fitted from a belief's mean with the belief as its prior."""
-        if not self._settings.refit_iterations:
+        if not self._settings.refit_iterations or float(frame["trust"]) < 1.0:
             return known
-        found = self._refitted(self._reading(frame), belief)
+        reading = self._reading(frame)
+        if not self._are_believed(self._fits_at(reading, known.poses)):
+            return known
+        found = self._refitted(reading, belief)
         return LikelihoodModes(
             np.concatenate([known.poses, found.poses]),
             np.concatenate([known.gradients, found.gradients]),
             np.concatenate([known.information, found.information]),
             np.concatenate([known.log_heights, found.log_heights]),
         )
+
+    def _are_believed(self, fits: Sequence[Fit]) -> bool:
+        """Whether what fits leave is so little that the model must be the hand's."""
+        return min(_cost(fit) for fit in fits) <= self._settings.believed_mm
+
+    def _trust(self, confidence: float) -> float:
+        """How much an estimate's information counts: all of what is more probably right than wrong.
+
+        (p / (1 - p))^2 where it is less: of a hand that is most probably elsewhere next to nothing, and the
+        frames before and after it bridge the gap.
+        """
+        if not self._is_calibrated or confidence >= 0.5:
+            return 1.0
+        return (confidence / (1.0 - confidence)) ** 2
 
     def _refitted(self, reading: FrameReading, belief: StateGaussian) -> LikelihoodModes:
         """The likelihood about the best pose on the way from a belief's mean to the posterior's maximum.
@@ -269,23 +325,27 @@ class HandFits:
         C = belief.covariance[:size, :size]
         precision = np.linalg.pinv(C, hermitian=True)  # what is known for sure may not vary at all
         pose = belief.pose
-        best = here = self._assessed(reading, pose[None])
+        best = here = self._assessed(reading, self._fits_at(reading, pose[None]))
         highest = float(here.log_heights[0])
         for _ in range(self._settings.refit_iterations):
             off = self._space.local(pose, belief.pose)
             step = np.linalg.solve(np.eye(size) + C @ here.information[0], C @ here.gradients[0] + off)
             pose = self._space.retract(pose[None], np.clip(step, -STEP, STEP)[None])[0]
-            here, off = self._assessed(reading, pose[None]), self._space.local(pose, belief.pose)
+            here = self._assessed(reading, self._fits_at(reading, pose[None]))
+            off = self._space.local(pose, belief.pose)
             height = float(here.log_heights[0] - 0.5 * off @ precision @ off)
             if height > highest:
                 best, highest = here, height
         return best
 
-    def _assessed(self, reading: FrameReading, poses: FloatArray) -> LikelihoodModes:
-        """The likelihood about poses (K, 22), noise taken from what each leaves, and the anatomy's factor."""
-        fitter = self._local.fitter
-        fits = [fitter.assessed(reading.tile, pose) for pose in poses]
-        cost = np.array([fit.cost[0] for fit in fits])
+    def _fits_at(self, reading: FrameReading, poses: FloatArray) -> list[Fit]:
+        """What poses (K, 22) leave, as they are."""
+        return [self._local.fitter.assessed(reading.tile, pose) for pose in poses]
+
+    def _assessed(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
+        """The likelihood about fits, noise taken from what each leaves, and the anatomy's factor."""
+        fitter, poses = self._local.fitter, np.array([fit.pose for fit in fits])
+        cost = np.array([_cost(fit) for fit in fits])
         noise_sd = SD_PER_COST * np.maximum(cost, LEAST_COST_MM)
         scales = reading.share * self._settings.sharpening * (self._local.sigma_mm / noise_sd) ** 2
         height = self._settings.height_share * reading.height / self._clamp_mm

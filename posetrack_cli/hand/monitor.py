@@ -8,7 +8,7 @@ from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
 _ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
-_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 16  # frames
+_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 32  # frames
 _FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
 
 
@@ -113,7 +113,7 @@ class TrackMonitor:
         usual += _MEMORY * (cost_mm - usual)
         if cost_mm > settings.sure_mm:
             return replace(back, usual_mm=usual)
-        return replace(back, usual_mm=usual, wait=0, next_wait=1)
+        return replace(back, usual_mm=usual, wait=0, next_wait=max(1, self.next_wait // 2))
 
     def after_miss(self, settings: StatusSettings) -> TrackMonitor:
         """Return the record after a frame that no hand fits."""

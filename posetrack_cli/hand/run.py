@@ -18,9 +18,11 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import FOREARM_NUMBERS
+from posetrack_cli.hand.keypoints.file import KeypointFile, KeypointUse
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
+from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import HandTrackerProtocol
 from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother
 from posetrack_cli.hand.start import centre_pose, read_pose
@@ -51,9 +53,11 @@ class RunOptions(tracking_options.RunOptions):
     Attributes:
         init: ``auto``, ``center`` or the path of a pose (see ``read_pose``); None as configured.
         smooth: also write the smoothed track.
+        keypoints: from elsewhere.
     """
 
     smooth: bool = False
+    keypoints: KeypointFile | None = None
 
 
 class HandRun(Run):
@@ -82,7 +86,7 @@ class HandRun(Run):
         self._hand = hand = hand_model(config.hand)
         self._anatomy = hand.anatomy
         self._camera = recording.cameras[0]
-        self.tracker = make_tracker(config, hand, self._camera, device)
+        self.tracker = make_tracker(config, hand, self._camera, device, options.keypoints)
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
         self._start_pose = _given_pose(options)
         renderer = str(device.info)
@@ -99,6 +103,7 @@ class HandRun(Run):
         )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
+        self._use = None if options.keypoints is None else KeypointUse(options.keypoints)
 
     def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
         """Return the state at the pose that is given, or as the configuration says."""
@@ -131,22 +136,28 @@ class HandRun(Run):
         kept = None
         if writer.frames_written:
             like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
-            kept = Kept(writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None))
+            kept = Kept(
+                writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None, _REST, 0.0)
+            )
         path = smoothing_path(self._options.output)
         with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
             yield _Smoothing(self, track, fits)
 
     def on_frame(self, frame: Frame) -> None:
-        """Remember frames without any reading."""
+        """Remember frames without any reading, and whose keypoints were there."""
+        if self._use is not None:
+            self._use.see(frame.index, frame.stamp_ns)
         if not frame.depth.any():
             self._blank.append(frame.index)
 
     def remarks(self, state: Any) -> tuple[str, ...]:
-        """Return whether most frames are doubtful, and what helps."""
+        """Return whether few frames had keypoints, whether most frames are doubtful, and what helps."""
+        unused = () if self._use is None else self._use.remarks
         if not isinstance(state, HandState) or 2 * state.doubtful <= state.frames:
-            return ()
+            return unused
         told = "the hand's size and shape (--calibrate, --hand-mesh), its side (--hand-side)"
         return (
+            *unused,
             f"{state.doubtful} of {state.frames} frames are more probably wrong than right (confidence below"
             f" 0.5); posetrack view shows them, and what may help is to tell {told}",
         )
@@ -167,7 +178,9 @@ class _Smoothing:
         self._run, self._track, self._fits = run, track, fits
 
     def remember(self, state: Any, estimate: Estimate) -> None:
-        frame = NOTHING if self._fits is None else self._fits.keep(state.observation, state.modes)
+        frame = NOTHING
+        if self._fits is not None:
+            frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
         self._track.remember(state.particles, estimate, state.dt, state.cut, frame)
 
     def flush(self) -> None:
@@ -208,6 +221,13 @@ def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> 
             found="--filter pso, which states no distribution",
             expected="rbpf or pf",
         )
+    fits = config.filter.kind != "pso" and PROPOSALS.find(config.filter.proposal).fits_frames
+    if options.keypoints is not None and not fits:
+        raise UsageError(
+            "--keypoints cannot be used",
+            found=f"--filter {config.filter.kind} --proposal {config.filter.proposal}, which fits no frames",
+            expected="--filter rbpf or pf with --proposal guided",
+        )
     check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
 
 
@@ -234,5 +254,6 @@ def run_record(
         "init": config.init.method if start_pose is None else shown_name(Path(str(options.init))),
         "renderer": renderer,
         **({} if config.hand.mesh is None else {MESH_DIGEST: file_digest(Path(config.hand.mesh))[1]}),
+        **({} if options.keypoints is None else options.keypoints.record()),
         **({} if start_pose is None else {"init.pose": json.dumps(start_pose.tolist())}),
     }

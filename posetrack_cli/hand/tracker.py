@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.confidence import probability
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
+from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
@@ -106,6 +108,7 @@ class HandTracker:
         observer: cuts out and segments windows.
         finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it
             in every frame, others for the start alone; annealing takes the anatomy's potential from it.
+        told: hands that keypoints from elsewhere tell of, for a proposal that fits frames; None for none.
     """
 
     def __init__(
@@ -115,8 +118,9 @@ class HandTracker:
         scorer: PoseScorer,
         observer: Observer,
         finder: Acquisition | None = None,
+        told: ToldHands | None = None,
     ) -> None:
-        self.config, self.anatomy = config, anatomy
+        self.config, self.anatomy, self._told = config, anatomy, told
         self.scorer, self._observer, self._start_finder = scorer, observer, finder
         self._proposal = PROPOSALS.find(config.filter.proposal)
         self._finder = finder if self._proposal.fits_frames else None
@@ -207,8 +211,9 @@ class HandTracker:
         self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator
     ) -> FrameObservation:
         """What the frame shows; where the hand is lost or doubtful, it is searched for elsewhere."""
+        told = () if self._told is None else self._told.of(frame)
         if self._finder is not None and state.monitor.lost:
-            return self._search(self._finder, state, frame, rng)
+            return self._search(self._finder, state, frame, rng, told)
         predicted = self.predict(state, dt)
         observation = self._observer.observe(frame.depth, predicted, state.log_girth)
         if observation.target_pixels == 0:
@@ -220,21 +225,61 @@ class HandTracker:
         fingers = fingers_bonus(self._observer.fingers_mm2(observation))
         state = replace(state, monitor=state.monitor.after_fingers(fingers))
         enough = state.monitor.sufficient_mm
-        fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough)
+        near, elsewhere = split(told, predicted, self.anatomy)
+        fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough, near)
         seen = FrameObservation(state, dt, replace(observation, arm=fits.arm), fits)
-        return self._reconsidered(self._finder, seen, frame, rng)
+        there = self._told_elsewhere(self._finder, seen, elsewhere, frame, rng)
+        return there or self._reconsidered(self._finder, seen, frame, rng)
 
     def _search(
-        self, finder: Acquisition, state: HandState, frame: Frame, rng: np.random.Generator
+        self,
+        finder: Acquisition,
+        state: HandState,
+        frame: Frame,
+        rng: np.random.Generator,
+        told: Sequence[ToldHand],
     ) -> FrameObservation:
-        """Search the whole image for a lost hand, with ever longer pauses while it is not there."""
+        """Search the whole image for a lost hand, with ever longer pauses while it is not there.
+
+        During a pause it is only looked for where keypoints tell of it.
+        """
+        there = candidates(finder, frame.depth, told)
         if state.monitor.wait > 0:
+            found = likeliest(there, state.monitor.sufficient_mm)
+            if found is not None:
+                return self._restarted(finder, found, state.monitor, frame, rng)
             return FrameObservation(replace(state, monitor=state.monitor.after_wait()), 0.0, None)
-        found = finder.search(frame.depth)
+        found = finder.search(frame.depth, there)
         if found is None:
             monitor = state.monitor.after_failed_search(np.inf, self.config.status)
             return FrameObservation(replace(state, monitor=monitor), 0.0, None)
         return self._restarted(finder, found, state.monitor, frame, rng)
+
+    def _told_elsewhere(
+        self,
+        finder: Acquisition,
+        seen: FrameObservation,
+        told: Sequence[ToldHand],
+        frame: Frame,
+        rng: np.random.Generator,
+    ) -> FrameObservation | None:
+        """What is seen where keypoints tell of a better hand at another place; None where they do not.
+
+        Told so in several frames in a row, the hand is there (``TrackMonitor.leaves_for``).
+        """
+        there = likeliest(candidates(finder, frame.depth, told))
+        if there is None or seen.fits is None:
+            return None
+        before, settings = seen.state.monitor, self.config.status
+        doubt = seen.fits.cost - before.fingers_mm + depth_doubt(seen.fits.modes.poses[0, 2])
+        if not before.is_doubtful(seen.fits.cost, settings):
+            doubt -= settings.better_mm
+        monitor = before.leaves_for(doubt, there.doubt, settings)
+        if monitor.elsewhere <= before.elsewhere:
+            return None
+        if monitor.elsewhere >= settings.leave_after_frames:
+            return self._restarted(finder, there, monitor, frame, rng)
+        return seen._replace(state=replace(seen.state, monitor=monitor))
 
     def _reconsidered(
         self, finder: Acquisition, seen: FrameObservation, frame: Frame, rng: np.random.Generator

@@ -7,6 +7,8 @@ from typing import Any
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.keypoints.file import KeypointFile
+from posetrack_cli.hand.keypoints.told import ToldHands
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observer import Observer
@@ -18,7 +20,11 @@ from posetrack_cli.rendering.port import RenderingDevice
 
 
 def make_tracker(
-    config: HandConfig, hand: HandModel, camera: Camera, device: RenderingDevice
+    config: HandConfig,
+    hand: HandModel,
+    camera: Camera,
+    device: RenderingDevice,
+    keypoints: KeypointFile | None = None,
 ) -> HandTrackerProtocol[Any]:
     """Return the tracker of ``filter.kind``.
 
@@ -27,6 +33,7 @@ def make_tracker(
         hand: whose motion is tracked.
         camera: of the depth images.
         device: draws the poses.
+        keypoints: from elsewhere, for a proposal that fits frames.
 
     Raises:
         RenderingError: a window that the device cannot draw.
@@ -35,7 +42,7 @@ def make_tracker(
     scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
     finder, proposal = None, PROPOSALS.find(config.filter.proposal)
     if proposal.looks_at_frames or config.init.method == "auto":
-        finder = Acquisition(config, hand, camera, scorer)
+        finder = Acquisition(config, hand, camera)
     is_swarm = config.filter.kind == "pso"
     # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are
     segment = is_swarm or proposal.fits_frames or config.observation.cost != "paper"
@@ -43,4 +50,5 @@ def make_tracker(
     if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, objective, observer, finder)
-    return HandTracker(config, hand.anatomy, scorer, observer, finder)
+    told = None if keypoints is None else ToldHands(keypoints, camera, hand.anatomy)
+    return HandTracker(config, hand.anatomy, scorer, observer, finder, told)

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.cache import kept_arrays
+from posetrack_cli.npz import Arrays
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, edges_of
 
 SHARES = (0.0, 0.5, 1.0)
@@ -27,6 +29,7 @@ RIM_WEIGHT = 10.0
 FIT_RIDGE = 1e-3
 """How firmly a vertex of the fit holds to the surface's nearest vertex, relative to the median one's area."""
 _IDENTITY = np.eye(3)
+_SOURCES = ("rendering/decimation.py", "rendering/mesh.py")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,15 @@ def decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None 
     """
     if transforms is None:
         transforms = np.tile(np.eye(3, 4), (1, mesh.weights.shape[1], 1, 1))
+    arguments = (mesh.vertices, mesh.weights, mesh.triangles, triangles, transforms)
+
+    def compute() -> Arrays:
+        return vars(_decimation(mesh, triangles, transforms))
+
+    return Decimation(**kept_arrays("meshes", _SOURCES, arguments, compute))
+
+
+def _decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray) -> Decimation:
     work = _Collapsing(mesh, np.asarray(transforms, dtype=np.float64))
     work.run(triangles)
     coarse = work.result()

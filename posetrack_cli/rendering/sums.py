@@ -63,7 +63,7 @@ class TileSums:
     observed: float
 
     @classmethod
-    def from_rows(cls, rows: Float32Array, observed: float) -> TileSums:
+    def from_rows(cls, rows: Float32Array | FloatArray, observed: float) -> TileSums:
         """From the (N, 8) array that the device returns."""
         error, both, rendered_only, unread, misfit, occluded, matched, relief = rows.astype(np.float64).T
         return cls(error, both, rendered_only, unread, misfit, occluded, matched, relief, observed)

@@ -52,7 +52,8 @@ def drawn_with(capsys: pytest.CaptureFixture[str]) -> list[str]:
 def test_names_and_measures_the_real_renderer(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(SMALL) == 0
     out = capsys.readouterr().out
-    assert "OpenGL default: " in out and "16 particles, 64x64 pixels each" in out
+    for drawn in ("Processor: ", "OpenGL default: "):
+        assert "16 particles, 64x64 pixels each" in out.split(drawn)[1].splitlines()[1]
 
 
 def test_every_library_that_posetrack_needs_is_told() -> None:

@@ -82,7 +82,7 @@ def test_the_figures_are_those_of_the_result(result: Path, capsys: pytest.Captur
     track, truth = hand_track("", 90, 5.0, 1), hand_track("", 90, 0.0)
     errors = np.linalg.norm(track.points - truth.points, axis=2)
     table = shown(out)
-    assert table["rbpf"] == ["mean/value", "sd", "median", "p95", "max"]
+    assert table["rbpf"] == ["mean/value", "sd", "median", "p95", "max", "p5"]
     expected = [errors.mean(), errors.std(), np.median(errors), np.percentile(errors, 95), errors.max()]
     # four digits are shown: half a unit of the fourth
     np.testing.assert_allclose([float(cell) for cell in table["joint_error_mm"]], expected, rtol=5e-4)
@@ -204,7 +204,7 @@ def test_the_metrics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate("--list-metrics") == 0
     out = lines(capsys.readouterr().out)
     assert "joint_error_mm[.JOINT].STATISTIC, mm, lower is better" in out
-    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 1
+    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 2
 
 
 def test_no_result_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
@@ -613,3 +613,126 @@ def test_joints_of_another_convention(tmp_path: Path, capsys: pytest.CaptureFixt
     told = capsys.readouterr().out
     assert "Joint offsets removed, mm" in told and "one constant offset per joint removed" in told
     assert "index_tip" in told
+
+
+HONESTY = (
+    "frames_wrong",
+    "frames_far_tracked",
+    "frames_right_lost",
+    "confidence_roc_area",
+    "confidence_brier_score",
+    "confidence_calibration_error",
+)
+
+
+def people(folder: Path, *, knows: bool = True) -> list[Path]:
+    """Results of three recordings, about half of whose frames are wrong."""
+    return [
+        write_result(folder / f"p{k}.mcap", error_mm=12.0, recording=f"r{k}", seed=k, knows=knows)
+        for k in range(3)
+    ]
+
+
+def errors_of(seed: int) -> np.ndarray:
+    track, truth = hand_track("", 90, 12.0, seed), hand_track("", 90, 0.0)
+    return np.linalg.norm(track.points - truth.points, axis=2).mean(axis=1)
+
+
+def test_what_a_track_says_of_itself_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = people(tmp_path)[0]
+    assert evaluate(path, "--json", tmp_path / "r.json") == 0
+    table = shown(capsys.readouterr().out)
+    assert set(HONESTY) <= set(table)
+    wrong = errors_of(0) > 20.0
+    assert 0.2 < wrong.mean() < 0.8
+    (told,) = json.loads((tmp_path / "r.json").read_text())["results"]
+    assert told["metrics"]["frames_wrong"]["value"] == pytest.approx(wrong.mean())
+    assert told["metrics"]["confidence_roc_area"]["value"] > 0.95  # joints turn a little, too
+    assert told["honesty"]["right_if"] == "mean joint error at most 20 mm"
+    assert sum(one["count"] for one in told["honesty"]["reliability"]) == 90
+    assert len(told["honesty"]["roc"]["confidence"]) == 91
+    # the stated variances are those that errors were drawn with; three coordinates of 90 frames
+    wrist = told["metrics"]["joint_inside_90.wrist"]["value"]
+    assert wrist == pytest.approx(0.9, abs=4.0 * np.sqrt(0.9 * 0.1 / 270))
+
+
+def test_confidence_of_every_tenth_is_shown_on_request(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = people(tmp_path)
+    assert evaluate(paths[0]) == 0
+    assert "share right" not in capsys.readouterr().out
+    assert evaluate(paths[0], "--honesty") == 0
+    out = capsys.readouterr().out
+    rows = [line.split()[3:] for line in lines(out) if line.startswith("0.") and " to " in line]
+    assert len(rows) == 10 and sum(int(row[0]) for row in rows) == 90
+    assert "right: mean joint error at most 20 mm; far off: mean joint error above 40 mm" in out
+    assert "Pooled over results" not in out  # of one
+    assert evaluate(*paths, "--honesty") == 0
+    out = capsys.readouterr().out
+    pooled = out[out.index("Pooled over results") :]
+    assert shown(pooled)["frames"] == ["270"] and set(HONESTY) <= set(shown(pooled))
+
+
+@pytest.mark.parametrize(
+    ("gate", "knows", "code"),
+    [
+        ("pooled.confidence_roc_area < 0.9", True, 0),
+        ("pooled.confidence_roc_area < 0.9", False, 1),
+        ("confidence_roc_area < 0.9", False, 1),
+        ("pooled.frames_far_tracked > 0.01", True, 1),
+        ("pooled.coverage < 1", True, 0),
+    ],
+)
+def test_gates_on_honesty(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], gate: str, knows: bool, code: int
+) -> None:
+    assert evaluate(*people(tmp_path, knows=knows), "--fail-if", gate) == code
+    told = lines(capsys.readouterr().err)
+    assert len(told) == (0 if not code else 1 if gate.startswith("pooled.") else 3)
+    if not knows:
+        assert told[0].split(":")[0] == ("pooled" if gate.startswith("pooled.") else "p0")
+        assert told[0].endswith("confidence_roc_area is 0.5")  # it always says 0.8
+
+
+def test_the_pooled_figure_is_that_of_all_frames(tmp_path: Path) -> None:
+    evaluate(*people(tmp_path), "--json", tmp_path / "r.json", "--csv", tmp_path / "r.csv")
+    (pooled,) = json.loads((tmp_path / "r.json").read_text())["pooled"]
+    wrong = np.concatenate([errors_of(seed) for seed in range(3)]) > 20.0
+    assert pooled["metrics"]["frames_wrong"]["value"] == pytest.approx(wrong.mean())
+    assert pooled["results"] == ["p0", "p1", "p2"]
+    with (tmp_path / "r.csv").open() as file:
+        found = {(row[0], row[1]): row[4] for row in csv.reader(file) if not row[2] and not row[3]}
+    assert float(found["pooled", "confidence_roc_area"]) == pooled["metrics"]["confidence_roc_area"]["value"]
+
+
+def test_groups_are_pooled_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    people(tmp_path)
+    (tmp_path / "sure").mkdir()
+    people(tmp_path / "sure", knows=False)
+    groups = ("--group", f"knows={tmp_path}/p*.mcap", "--group", f"sure={tmp_path}/sure/p*.mcap")
+    assert evaluate(*groups, "--fail-if", "pooled.confidence_brier_score > 0.2") == 1
+    (line,) = lines(capsys.readouterr().err)
+    assert line.startswith("pooled sure: gate 'pooled.confidence_brier_score > 0.2' failed: ")
+
+
+def test_results_of_one_recording_have_no_pooled_figure(
+    result: Path, other: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(result, other, "--honesty", "--fail-if", "pooled.frames_wrong > 1") == 1
+    out, err = capsys.readouterr()
+    assert "Pooled over results" not in out
+    reason = "rbpf and pf are of one recording, so results are compared, not pooled"
+    assert err.startswith(f"pooled: gate 'pooled.frames_wrong > 1' cannot be judged: {reason}")
+
+
+def test_a_page_has_the_diagram_and_the_curve(tmp_path: Path) -> None:
+    page = tmp_path / "r.html"
+    evaluate(*people(tmp_path), "--html", page)
+    text = page.read_text()
+    assert 'id="reliability-plot"' in text and 'id="roc-plot"' in text
+    assert "Right: mean joint error at most 20 mm; far off: mean joint error above 40 mm." in text
+    data = json.loads(text.split('id="report-data">')[1].split("</script>")[0])
+    assert [one["name"] for one in data["pools"]] == ["pooled"]
+    for one in (*data["results"], *data["pools"]):
+        assert len(one["honesty"]["confidence"]) > 3 and one["honesty"]["roc"]["area"] > 0.9

@@ -127,7 +127,7 @@ def test_result_holds_every_frame_with_truth_and_run_record(recording: Path, res
     opened, arrays = read_result(result), load_arrays(result)
     assert opened.finished and not opened.truncated
     assert arrays["stamp_ns"].tolist() == [frame.stamp_ns for frame in read_frames(recording)]
-    assert opened.run["seed"] == "0" and "OpenGL" in opened.run["renderer"]
+    assert opened.run["seed"] == "0" and opened.run["renderer"]
     assert opened.summary["frames"] == str(FRAMES)
     truth = load_arrays(result, "/truth/hand/estimate")
     assert truth["stamp_ns"].tolist() == arrays["stamp_ns"].tolist()
@@ -533,12 +533,16 @@ def test_no_particles(recording: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "filter.particles" in one_line(capsys)
 
 
-def test_no_gl(recording: Path, tmp_path: Path) -> None:
+def test_without_opengl_hands_are_drawn_by_the_processor(recording: Path, tmp_path: Path) -> None:
     environment = os.environ | {"__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none.json")}
-    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(tmp_path / "r.mcap")]
-    done = subprocess.run(arguments, env=environment, capture_output=True, text=True)
+    out = tmp_path / "r.mcap"
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(out), *RIGHT, "--end", "2"]
+    done = subprocess.run([*arguments, "--device", "0"], env=environment, capture_output=True, text=True)
     assert done.returncode == 1
     assert "libegl1" in done.stderr and len(done.stderr.splitlines()) == 1
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert str(read_result(out).run["renderer"]).startswith("processor (")
     doctor = subprocess.run([*COMMAND, "doctor"], env=environment, capture_output=True, text=True)
     assert doctor.returncode == 1 and "libegl1" in doctor.stderr
 

@@ -21,8 +21,8 @@ OPTIONS = {"tolerance_ms": 5.0, "time_offset_s": 0.0, "align": "none"}
 def measured(name: str = "a", error: float = 10.0, share: float = 0.9, **changes: object):
     metrics = {
         "coverage": share,
-        "joint_error_mm": Statistics(error, 1.0, error, error, error, 9),
-        "ms_per_frame": Statistics(50.0, 1.0, 50.0, 50.0, 50.0, 9),
+        "joint_error_mm": Statistics(error, 1.0, error, error, error, error, 9),
+        "ms_per_frame": Statistics(50.0, 1.0, 50.0, 50.0, 50.0, 50.0, 9),
     }
     return hand_evaluation(name, 30, **{"metrics": metrics, "absent": {}, **changes})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,13 +14,15 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Statistics
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Statistics
 from posetrack_cli.evaluation.figures import figure_of
 from posetrack_cli.evaluation.gates import OPERATORS, check_gate, check_gates, parse_gate, read_gates
+from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
+from posetrack_cli.evaluation.pooling import make_pools
 from support.evaluation import hand_evaluation
 
-FIGURES = Statistics(mean=8.0, sd=2.0, median=7.5, p95=12.0, max=30.0, count=600)
+FIGURES = Statistics(mean=8.0, sd=2.0, median=7.5, p95=12.0, max=30.0, p5=4.0, count=600)
 NOT_A_NUMBER = float("nan")
 
 
@@ -87,11 +90,11 @@ def test_a_figure_just_beyond_its_limit_does_not_look_equal_to_it() -> None:
         ({"absent": {"joint_error_mm": "no truth"}, "metrics": {"coverage": 1.0}}, "no truth"),
         ({"metrics": {"coverage": 1.0}}, "not measured"),
         (
-            {"metrics": {"joint_error_mm": Statistics(*[NOT_A_NUMBER] * 5, count=0)}},
+            {"metrics": {"joint_error_mm": Statistics(*[NOT_A_NUMBER] * 6, count=0)}},
             "the figure is nan",
         ),
         (
-            {"metrics": {"joint_error_mm": Statistics(float("inf"), 0.0, 0.0, 0.0, float("inf"), 3)}},
+            {"metrics": {"joint_error_mm": Statistics(float("inf"), 0.0, 0.0, 0.0, float("inf"), 0.0, 3)}},
             "the figure is inf",
         ),
         ({"coverage": Coverage(0, 0, 0, 0, 0, 5, 0, True, 0)}, "the result holds no estimate"),
@@ -223,3 +226,47 @@ def test_figures_are_found_by_address() -> None:
     assert figure_of(evaluation(), "coverage").value == 0.98
     assert figure_of(evaluation(), "nees.mean").reason == "not measured"
     np.testing.assert_equal(figure_of(evaluation(), "joint_error_mm.index_tip.count").value, 600.0)
+
+
+def pooled_evaluation(name: str, right: list[bool], confidence: list[float]) -> Evaluation:
+    no = np.zeros(len(right), dtype=np.bool_)
+    judged = JudgedFrames(np.array(confidence), np.array(right), no, no, "right", "far")
+    run = {"input.sha256": name}
+    return hand_evaluation(name, 4, metrics={"confidence_roc_area": 1.0}, judged=judged, run=run)
+
+
+def test_a_pooled_gate_is_about_the_results_together() -> None:
+    a = pooled_evaluation("a", [True, False], [0.9, 0.8])
+    b = pooled_evaluation("b", [True, False], [0.3, 0.2])  # each tells its own apart: together 3 of 4 pairs
+    gates = [parse_gate("pooled.confidence_roc_area < 0.8"), parse_gate("confidence_roc_area < 0.8")]
+    outcomes = check_gates(gates, [a, b], make_pools([a, b], {}))
+    assert [(one.result, one.failed, one.figure) for one in outcomes] == [
+        ("pooled", True, 0.75),
+        ("a", False, 1.0),
+        ("b", False, 1.0),
+    ]
+    line = "pooled: gate 'pooled.confidence_roc_area < 0.8' failed: pooled.confidence_roc_area is 0.75"
+    assert outcomes[0].line == line
+
+
+def test_a_pooled_gate_that_a_result_has_no_frames_for_cannot_be_judged() -> None:
+    a = pooled_evaluation("a", [True, False], [0.9, 0.8])
+    b = replace(a, name="b", run={}, judged=None, metrics={}, absent={"confidence_roc_area": "no truth"})
+    (outcome,) = check_gates([parse_gate("pooled.confidence_roc_area < 0")], [a, b], make_pools([a, b], {}))
+    assert outcome.failed and outcome.figure is None and outcome.reason == "b: no truth"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "pooled.joint_error_mm.mean > 10",
+            "'joint_error_mm' is not pooled over results, expected one of ",
+        ),
+        ("pooled.confidence_roc_are < 1", "did you mean 'confidence_roc_area'"),
+        ("pooled > 1", "no metric 'pooled'"),
+    ],
+)
+def test_what_is_not_pooled_is_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        parse_gate(text)

@@ -210,6 +210,51 @@ def test_the_line_is_where_its_values_are(make: Make) -> None:
     np.testing.assert_allclose(slope * values + offset, y, atol=0.1)  # coordinates have one decimal
 
 
+def test_confidence_has_its_diagram_and_its_curve(make: Make) -> None:
+    evaluation = hand_evaluation(frames=FRAMES)
+    judged = evaluation.judged
+    assert judged is not None
+    page = make(evaluation)
+    spots = page.all("#reliability-plot circle.spot")
+    at = np.array([[float(str(one.get_attribute(key))) for key in ("cx", "cy", "r")] for one in spots])
+    assert len(at) == 2 and at[1, 2] > at[0, 2]  # 30 frames say 0.65, 90 say 0.85
+    (diagonal,) = page.all("#reliability-plot line.diagonal")
+    x1, y1, x2, y2 = (float(str(diagonal.get_attribute(key))) for key in ("x1", "y1", "x2", "y2"))
+    confidence, right = (at[:, 0] - x1) / (x2 - x1), (at[:, 1] - y1) / (y2 - y1)
+    expected = [judged.right[judged.confidence == stated].mean() for stated in (0.65, 0.85)]
+    np.testing.assert_allclose(confidence, [0.65, 0.85], atol=1e-3)
+    np.testing.assert_allclose(right, expected, atol=1e-3)
+    assert page.path_of("#roc-plot path.line").count("L") == 2  # from nothing over two confidences to all
+    page.press("#roc-plot .plot", "\ue010")  # end
+    assert "confidence \u2265 0.650" in page.find("#roc-plot .tip").text
+
+
+def test_a_curve_that_rises_upright_can_be_walked_along(make: Make) -> None:
+    evaluation = hand_evaluation(frames=4)
+    assert evaluation.judged is not None
+    confidence, right = np.array([0.9, 0.8, 0.7, 0.6]), np.array([True, True, True, False])
+    page = make(
+        dataclasses.replace(
+            evaluation, judged=dataclasses.replace(evaluation.judged, confidence=confidence, right=right)
+        )
+    )
+    page.press("#roc-plot .plot", "\ue014", "\ue014")  # two arrows to the right: from no wrong frame to all
+    assert page.find("#roc-plot .tip").text.startswith("100.0 %")
+    page.press("#roc-plot .plot", "\ue012")  # and one back
+    assert page.find("#roc-plot .tip").text.startswith("0.000 %")
+
+
+def test_what_cannot_be_judged_is_said_in_place_of_its_plot(make: Make) -> None:
+    page = make(without_truth(hand_evaluation(frames=5)))
+    assert "No truth" in page.find("#reliability-plot .missing").text
+    evaluation = hand_evaluation(frames=5)
+    assert evaluation.judged is not None
+    right = dataclasses.replace(evaluation.judged, right=np.ones(5, dtype=np.bool_))
+    page = make(dataclasses.replace(evaluation, judged=right))
+    assert page.all("#reliability-plot circle.spot")
+    assert "All frames are right" in page.find("#roc-plot .missing").text
+
+
 def test_the_slider_moves_the_hand_as_projected(make: Make) -> None:
     evaluation = hand_evaluation(frames=FRAMES)
     page = make(evaluation)

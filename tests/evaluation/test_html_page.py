@@ -85,7 +85,7 @@ def test_the_table_has_the_evaluation_s_figures() -> None:
     text = page(evaluation)
     value = evaluation.metrics["joint_error_mm"]
     assert not isinstance(value, float)
-    assert [float(cell) for cell in cells(text, "joint error mm")] == pytest.approx(
+    assert [float(cell) for cell in cells(text, "joint error mm")[:5]] == pytest.approx(
         [value.mean, value.sd, value.median, value.p95, value.max],
         rel=5e-4,  # four digits are shown
     )

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.recorded_hand import hand_of
+from posetrack_cli.evaluation.recorded_hand import anatomy_of, hand_of
 from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import MESH_DIGEST
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.reader import Result
+from support.glb import write_hand
 
 
 def result_of(run: dict[str, str], folder: Path = Path()) -> Result:
@@ -84,3 +86,25 @@ def test_what_a_result_states_leads_nowhere_else(
     monkeypatch.chdir(apart)
     with pytest.raises(ResultError, match="the hand that the run tracked is not found"):
         hand_of(result_of(run, apart / "results"))
+
+
+@pytest.mark.parametrize("side", ["right", "left", "auto"])
+def test_bones_alone_are_those_of_the_hand(side: str) -> None:
+    hand = {"side": side, "scale": 0.9, "finger_lengths": [1.0, 1.1, 1.0, 1.0, 1.0], "palm_width": 1.05}
+    result = result_of(stating(hand))
+    pose = np.concatenate([[0.0, 0.0, 600.0, 0.0, 0.0, 0.0, 1.0], np.linspace(0.1, 0.6, 15)])[None]
+    np.testing.assert_allclose(
+        joint_positions(anatomy_of(result), pose), joint_positions(hand_of(result).anatomy, pose), atol=1e-9
+    )
+
+
+def test_bones_of_a_file_are_those_of_the_hand(tmp_path: Path) -> None:
+    path = write_hand(tmp_path / "hand.glb", make_anatomy("right", 1.1), np.eye(22)[6])
+    run = stating({"mesh": "hand.glb", "side": "left"}, **{MESH_DIGEST: file_digest(path)[1]})
+    result = result_of(run, tmp_path)
+    pose = np.concatenate([[0.0, 0.0, 600.0, 0.0, 0.0, 0.0, 1.0], np.linspace(0.1, 0.6, 15)])[None]
+    expected = joint_positions(hand_of(result).anatomy, pose)
+    np.testing.assert_allclose(joint_positions(anatomy_of(result), pose), expected, atol=1e-9)
+    path.write_bytes(b"another hand")
+    with pytest.raises(ResultError, match="not the hand that the run tracked"):
+        anatomy_of(result)

@@ -20,18 +20,19 @@ def test_a_set_by_hand() -> None:
     assert (got.mean, got.median, got.max, got.count) == (4.0, 2.5, 10.0, 4)
     assert got.sd == pytest.approx(math.sqrt((9 + 4 + 1 + 36) / 4))
     assert got.p95 == pytest.approx(3.0 + 0.85 * 7.0)  # place 0.95 * 3 = 2.85, counted from 0
+    assert got.p5 == pytest.approx(1.0 + 0.15 * 1.0)  # place 0.05 * 3 = 0.15
 
 
 def test_nothing_has_no_figures() -> None:
     got = statistics([])
     assert got.count == 0
-    assert all(math.isnan(value) for value in (got.mean, got.sd, got.median, got.p95, got.max))
+    assert all(math.isnan(value) for value in (got.mean, got.sd, got.median, got.p95, got.max, got.p5))
 
 
 def test_a_nan_hides_in_no_figure() -> None:
     got = statistics([1.0, math.nan, 2.0])
     assert got.count == 3
-    assert all(math.isnan(value) for value in (got.mean, got.sd, got.median, got.p95, got.max))
+    assert all(math.isnan(value) for value in (got.mean, got.sd, got.median, got.p95, got.max, got.p5))
 
 
 @pytest.mark.parametrize(
@@ -65,6 +66,7 @@ def test_percentiles_are_those_of_the_definition(values: list[float]) -> None:
     got = statistics(values)
     assert got.median == pytest.approx(at(0.5), rel=1e-9, abs=1e-6)
     assert got.p95 == pytest.approx(at(0.95), rel=1e-9, abs=1e-6)
+    assert got.p5 == pytest.approx(at(0.05), rel=1e-9, abs=1e-6)
     assert got.max == ordered[-1]
 
 

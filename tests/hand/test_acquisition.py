@@ -30,7 +30,7 @@ def stage(device: RenderingDevice) -> Stage:
 
 @pytest.fixture(scope="module")
 def finder(device: RenderingDevice) -> Acquisition:
-    return acquisition(device, HANDS["right"])
+    return acquisition(HANDS["right"])
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_a_drawn_hand_is_found_anywhere(finder: Acquisition, stage: Stage, pose:
 def test_a_left_hand_is_found_with_a_left_model(device: RenderingDevice) -> None:
     left = Stage(device, HANDS["left"])
     pose = relaxed(-40.0, 30.0, 700.0)
-    found = acquisition(device, HANDS["left"]).search(left.depth(pose))
+    found = acquisition(HANDS["left"]).search(left.depth(pose))
     assert found is not None
     assert left.error(found.pose, pose) < FOUND_MM
 
@@ -85,7 +85,7 @@ def test_what_fits_badly_is_no_find(device: RenderingDevice, stage: Stage) -> No
     noisy = (stage.depth(relaxed()) + noise).astype(np.float32)
     for accept_mm, found in ((0.5, False), (5.0, True)):
         config = HandConfig.model_validate({"acquisition": {"accept_mm": accept_mm}})
-        assert (acquisition(device, HANDS["right"], config).search(noisy) is not None) == found
+        assert (acquisition(HANDS["right"], config).search(noisy) is not None) == found
 
 
 def test_natural_hands_are_found_in_single_frames(device: RenderingDevice) -> None:
@@ -94,7 +94,7 @@ def test_natural_hands_are_found_in_single_frames(device: RenderingDevice) -> No
     Of 19 such frames 16 were found to 3 mm, one to 4 mm, two to 13 mm.
     """
     hand, errors = HANDS["right"], []
-    finder = acquisition(device, hand)
+    finder = acquisition(hand)
     assert CAMERA == KINECT
     for seed in range(1, 5):
         options = SynthOptions(frames=3, fps=2.5, seed=seed, speed=2.0)

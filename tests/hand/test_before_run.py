@@ -14,6 +14,7 @@ from posetrack_cli.hand.calibration import before_run
 from posetrack_cli.hand.calibration.before_run import MOST_ASKED, find_hand
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.segmentation import Detection
 from posetrack_cli.hand.shape import SHAPE_SIZE, HandShape
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
@@ -80,9 +81,13 @@ def say_costs(
 ) -> dict[str, Iterator[float]]:
     """Let frames cost as told, in order, for hands of either side."""
     told = {"right": iter(right), "left": iter(left)}
-    monkeypatch.setattr(
-        Acquisition, "best_cost", lambda self, depth, places: next(told[self.observer.anatomy.side])
-    )
+
+    def appraise(
+        self: Acquisition, depth: object, places: list[Detection], others: object
+    ) -> tuple[float, list[Detection]]:
+        return next(told[self.observer.anatomy.side]), places
+
+    monkeypatch.setattr(Acquisition, "appraise", appraise)
     monkeypatch.setattr(before_run, "ASKED_EVERY", 1)
     return told
 

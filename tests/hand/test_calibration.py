@@ -32,7 +32,6 @@ from posetrack_cli.hand.calibration.residuals import (
 )
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
-from posetrack_cli.hand.fitting.raster import View
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.model import HandModel, average_hand
@@ -41,6 +40,7 @@ from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.raster import View
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.shapes import SHAPES

@@ -12,14 +12,15 @@ from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
 from posetrack_cli.hand.fitting.gauss_newton import FREE_BEND, GIRTH_SD, SWING_SD, add_arm_prior
 from posetrack_cli.hand.fitting.normal_equations import UNKNOWNS, add_row, empty_equations, gather
-from posetrack_cli.hand.fitting.raster import View, draw, empty_drawing, skin_of
 from posetrack_cli.hand.fitting.skeleton import ARM, Posed, empty_posed, place_arm, point_row, pose_bones
+from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.local_fits import without_arm
 from posetrack_cli.hand.observation import IGNORED, NO_ARM, Observation, window_around
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.mesh import is_closed
+from posetrack_cli.rendering.raster import View, draw, empty_drawing
 from support.fitting import HANDS, RIGHT, TILE_PX, WALL_MM
 from support.hand import KINECT, bent, random_poses
 
@@ -46,8 +47,8 @@ def seen(fitter: HandFitter, pose: FloatArray, arm: FloatArray, elbow_mm: float)
     """What a perfect sensor sees of hand and arm before a wall; none counts ``elbow_mm`` behind the wrist."""
     window = window_around(joint_positions(RIGHT.anatomy, pose[None])[0], KINECT, ObservationSettings())
     view, out = View(*window.tile_projection(KINECT)), posed(pose, arm)
-    drawing = empty_drawing(fitter.hand.skin, TILE_PX, TILE_PX)
-    assert draw(fitter.hand.skin, out.bones, view, drawing)
+    drawing = empty_drawing(fitter.hand.skin.mesh, TILE_PX, TILE_PX)
+    assert draw(fitter.hand.skin.mesh, out.bones, view, drawing)
     z = np.divide(1.0, drawing.inverse, out=np.full((TILE_PX, TILE_PX), np.inf), where=drawing.inverse > 0)
     image = np.where(np.isfinite(z), z, -WALL_MM)
     rows, columns = np.mgrid[:TILE_PX, :TILE_PX] + 0.5
@@ -195,8 +196,8 @@ def test_fits_of_a_hand_alone_do_not_depend_on_the_tube() -> None:
     pose[:3] = [0.0, 40.0, 650.0]
     observation = seen(fitter, pose, NO_ARM, np.inf)
     tile = fitter.tile(observation)
-    bare = empty_drawing(skin_of(RIGHT.smooth), TILE_PX, TILE_PX)
-    assert draw(skin_of(RIGHT.smooth), posed(pose, NO_ARM).bones, tile.projection, bare)
+    bare = empty_drawing(skin_of(RIGHT.smooth).mesh, TILE_PX, TILE_PX)
+    assert draw(skin_of(RIGHT.smooth).mesh, posed(pose, NO_ARM).bones, tile.projection, bare)
     alone = np.divide(1.0, bare.inverse, out=np.full_like(bare.inverse, -WALL_MM), where=bare.inverse > 0)
     np.testing.assert_allclose(observation.image, alone, rtol=1e-6)
     sd = 0.1 * np.random.default_rng(1).standard_normal((8, 21))

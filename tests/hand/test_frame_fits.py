@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,8 @@ def stage(device: RenderingDevice) -> Stage:
 
 
 def fits(**smoothing: object) -> HandFits:
-    return HandFits(HandConfig.model_validate({"smoothing": smoothing}), HAND, KINECT)
+    believed = {"believed_mm": 40.0}  # fits of these tests are bad ones, too
+    return HandFits(HandConfig.model_validate({"smoothing": believed | smoothing}), HAND, KINECT)
 
 
 def observation_of(stage: Stage, truth: FloatArray, noise_mm: float = 0.0) -> Observation:
@@ -46,6 +48,11 @@ def modes_at(*poses: FloatArray) -> LikelihoodModes:
     return LikelihoodModes(np.array(poses), np.zeros((count, 21)), np.zeros((count, 21, 21)), np.zeros(count))
 
 
+def kept(looks: HandFits, seen: Observation, *fits: FloatArray, confidence: float = 0.9) -> dict[str, Any]:
+    """A frame whose estimate is its first fit."""
+    return looks.keep(seen, modes_at(*fits), fits[0], confidence)
+
+
 def belief_at(pose: FloatArray, sd: FloatArray = SD) -> StateGaussian:
     return StateGaussian(pose, np.zeros(21), np.diag(np.concatenate([sd, np.ones(21)]) ** 2))
 
@@ -56,7 +63,7 @@ def moved(pose: FloatArray, seed: int) -> FloatArray:
 
 def test_a_frame_without_fits_keeps_arrays_like_any_other(stage: Stage) -> None:
     truth, looks = relaxed(), fits()
-    nothing, seen = looks.keep(None, None), looks.keep(observation_of(stage, truth), modes_at(truth))
+    nothing, seen = looks.keep(None, None, truth, 0.0), kept(looks, observation_of(stage, truth), truth)
     assert looks.known(nothing) is None
     for name, values in seen.items():
         assert (np.shape(values), np.asarray(values).dtype) == (
@@ -67,7 +74,7 @@ def test_a_frame_without_fits_keeps_arrays_like_any_other(stage: Stage) -> None:
 
 def test_what_was_kept_gives_the_same_fits_after_the_disk(stage: Stage, tmp_path: Path) -> None:
     truth, looks = relaxed(), fits()
-    frame = looks.keep(observation_of(stage, truth), modes_at(truth, moved(truth, 1)))
+    frame = kept(looks, observation_of(stage, truth), truth, moved(truth, 1))
     with RecordSpool(tmp_path / "spool") as spool:
         spool.append({name: np.asarray(values) for name, values in frame.items()})
         back = next(reversed(spool))
@@ -84,7 +91,7 @@ def test_what_a_fit_leaves_says_what_it_is_worth(stage: Stage) -> None:
     truth, looks = relaxed(), fits()
     traces = []
     for noise in (3.0, 12.0):
-        known = looks.known(looks.keep(observation_of(stage, truth, noise), modes_at(truth)))
+        known = looks.known(kept(looks, observation_of(stage, truth, noise), truth))
         assert known is not None
         traces.append(np.trace(known.information[0, :3, :3]))
     assert 8.0 < traces[0] / traces[1] < 30.0  # the robust weights fall, and pixels are lost, with noise, too
@@ -93,7 +100,7 @@ def test_what_a_fit_leaves_says_what_it_is_worth(stage: Stage) -> None:
 def test_stated_deviations_are_those_of_a_fit_to_noise(stage: Stage) -> None:
     """The wrist's place from an image that is noisy alone: within 3 of its stated sd along each axis."""
     truth, looks = relaxed(), fits()
-    known = looks.known(looks.keep(observation_of(stage, truth, 3.0), modes_at(truth)))
+    known = looks.known(kept(looks, observation_of(stage, truth, 3.0), truth))
     assert known is not None
     C = np.linalg.inv(known.information[0] + np.diag(SD**-2.0))
     off = C @ known.gradients[0]
@@ -106,7 +113,7 @@ def test_a_fit_from_what_other_frames_expect_finds_the_hand(stage: Stage, seed: 
     truth, looks = relaxed(), fits()
     wrong, expected = truth.copy(), moved(truth, seed)
     wrong[[10, 12]] = 1.2, 1.5
-    frame = looks.keep(observation_of(stage, truth), modes_at(wrong))
+    frame = kept(looks, observation_of(stage, truth), wrong)
     known = looks.known(frame)
     assert known is not None
     found = looks.more(frame, known, belief_at(expected))
@@ -121,7 +128,7 @@ def test_a_fit_from_what_other_frames_expect_finds_the_hand(stage: Stage, seed: 
 def test_what_is_known_for_sure_is_not_moved_by_a_frame(stage: Stage, share: float) -> None:
     truth, looks = relaxed(), fits()
     expected = moved(truth, 5)
-    frame = looks.keep(observation_of(stage, truth), modes_at(truth))
+    frame = kept(looks, observation_of(stage, truth), truth)
     known = looks.known(frame)
     assert known is not None
     found = looks.more(frame, known, belief_at(expected, share * SD))
@@ -130,7 +137,39 @@ def test_what_is_known_for_sure_is_not_moved_by_a_frame(stage: Stage, share: flo
 
 def test_frames_are_not_fitted_again_where_that_is_not_wanted(stage: Stage) -> None:
     truth, looks = relaxed(), fits(refit_iterations=0)
-    frame = looks.keep(observation_of(stage, truth), modes_at(truth))
+    frame = kept(looks, observation_of(stage, truth), truth)
     known = looks.known(frame)
     assert known is not None
     assert looks.more(frame, known, belief_at(truth)) is known
+
+
+def test_where_fits_leave_much_the_filters_estimate_is_what_is_smoothed(stage: Stage) -> None:
+    """A hand that the model is not: its cheapest pose is another one than what the filter made of it."""
+    truth, looks = relaxed(), fits(believed_mm=3.0)
+    off, estimate = moved(truth, 1), moved(truth, 2)
+    seen = observation_of(stage, truth)
+    close = looks.known(looks.keep(seen, modes_at(truth, off), estimate, 0.9))
+    far = looks.known(looks.keep(seen, modes_at(off), estimate, 0.9))
+    assert close is not None and far is not None
+    np.testing.assert_array_equal(close.poses, [truth, off])
+    np.testing.assert_array_equal(far.poses, [estimate])
+    np.testing.assert_array_equal(far.gradients, 0.0)
+    assert np.trace(far.information[0]) > 0.0
+    frame = looks.keep(seen, modes_at(off), estimate, 0.9)
+    assert looks.more(frame, far, belief_at(truth)) is far
+
+
+@pytest.mark.parametrize(("confidence", "share"), [(0.9, 1.0), (0.5, 1.0), (0.25, 1.0 / 9.0), (0.0, 0.0)])
+def test_what_is_probably_wrong_counts_the_less_the_surer_that_is(
+    stage: Stage, confidence: float, share: float
+) -> None:
+    truth, looks, seen = relaxed(), fits(), observation_of(stage, relaxed(), 3.0)
+    sure, doubtful = (looks.known(kept(looks, seen, truth, confidence=c)) for c in (1.0, confidence))
+    assert sure is not None and doubtful is not None
+    np.testing.assert_allclose(doubtful.information, share * sure.information)
+    np.testing.assert_allclose(doubtful.gradients, share * sure.gradients)
+
+
+def test_of_a_cost_without_probabilities_all_frames_count() -> None:
+    config = HandConfig.model_validate({"observation": {"cost": "union"}})
+    assert HandFits(config, HAND, KINECT).keep(None, None, relaxed(), 0.0)["trust"] == 1.0

@@ -92,8 +92,8 @@ def test_a_dearer_fit_is_doubted_no_less(monitor: TrackMonitor, first: float, se
 def test_searches_come_ever_more_seldom_but_soon_enough() -> None:
     assert refusals(TrackMonitor(usual_mm=3.0), 30.0, 6) == [1, 2, 4, 4, 4, 4]
     assert refusals(TrackMonitor(lost=True), float("inf"), 6) == [1, 2, 4, 4, 4, 4]
-    # a hand that always fits badly is reconsidered every half second
-    assert refusals(TrackMonitor(usual_mm=12.0), 12.0, 10) == [1, 2, 4, 8, 16, 16, 16, 16, 16, 16]
+    # a hand that always fits badly is reconsidered every second
+    assert refusals(TrackMonitor(usual_mm=12.0), 12.0, 9) == [1, 2, 4, 8, 16, 32, 32, 32, 32]
 
 
 @given(watches)
@@ -103,9 +103,10 @@ def test_waiting_ends(monitor: TrackMonitor) -> None:
     assert replace(after, wait=monitor.wait) == monitor
 
 
-def test_a_sure_frame_ends_the_patience() -> None:
+def test_a_sure_frame_ends_the_wait_and_halves_the_next() -> None:
+    """Costs about the limit, one frame above it and one below, would else have every other frame searched."""
     tired = TrackMonitor(usual_mm=3.0, wait=4, next_wait=8)
-    assert (tired.after_fit(3.0, 0.9, SETTINGS).wait, tired.after_fit(3.0, 0.9, SETTINGS).next_wait) == (0, 1)
+    assert (tired.after_fit(3.0, 0.9, SETTINGS).wait, tired.after_fit(3.0, 0.9, SETTINGS).next_wait) == (0, 4)
     doubtful = tired.after_fit(7.0, 0.9, SETTINGS)
     assert (doubtful.wait, doubtful.next_wait) == (4, 8)
 

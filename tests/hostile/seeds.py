@@ -249,6 +249,23 @@ def clicked_csv(cameras: tuple[str, ...] = ("left",)) -> str:
     return "\n".join(["camera,point,x,y", *rows]) + "\n"
 
 
+def keypoints_csv() -> str:
+    """Keypoints for the first frames of the hand's recording, by number."""
+    header = ",".join(["frame", "side", *(f"{axis}{k}" for k in range(21) for axis in "xy"), "score"])
+    points = [(f"{20 + k}", f"{25 + k // 4}") for k in range(21)]
+    rows = [
+        ",".join([str(f), "right", *(v for point in points for v in point), "0.9"]) for f in range(FRAMES)
+    ]
+    return "\n".join([header, *rows]) + "\n"
+
+
+def keypoints_tree() -> list[dict[str, Any]]:
+    """The same as MediaPipe would give them."""
+    points = [{"x": 0.3 + 0.01 * k, "y": 0.4, "z": 0.0, "visibility": 0.9} for k in range(21)]
+    hand = {"landmarks": points, "handedness": {"label": "Right", "score": 0.9}}
+    return [{"frame": f, "hands": [hand]} for f in range(FRAMES)]
+
+
 def truth_csv() -> str:
     from posetrack_cli.hand.anatomy import JOINT_NAMES
 

@@ -226,7 +226,7 @@ def _redirect(request: dict[str, Any]) -> None:
 def _audited(folder: str, temporary: str) -> list[str]:
     """Return a list that grows with what this process does and no recording may make it do, until "end"."""
     events: list[str] = []
-    own = tuple(os.path.realpath(name) + os.sep for name in (folder, temporary, _cache_folder()))
+    own = tuple(os.path.realpath(name) + os.sep for name in (folder, temporary, _cache()))
 
     def heard(event: str, arguments: tuple[Any, ...]) -> None:
         if events[-1:] == ["end"]:
@@ -258,10 +258,12 @@ def _check_written(events: list[str], event: str, path: Any, own: tuple[str, ...
             events.append(f"{event} {whole}")
 
 
-def _cache_folder() -> str:
-    from posetrack_cli.compiled import cache_folder
+def _cache() -> str:
+    """The folder in which posetrack keeps what it computes once."""
+    from posetrack_cli.compiled import kernel_folder
 
-    return cache_folder() or os.devnull
+    folder = kernel_folder()
+    return os.devnull if folder is None else os.path.dirname(folder)  # noqa: PTH120
 
 
 def _foreign(names: set[str]) -> list[str]:

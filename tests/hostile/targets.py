@@ -30,6 +30,7 @@ from hostile.values import (
 Strategy = st.SearchStrategy[Case]
 OUT = ("out.mcap",)
 HAND = ("--particles", "4", "--hand-side", "right", "--init", "center", "--end", "2")
+OUT_OF_HAND = ("-o", "out.mcap", *HAND)
 HEAD = ("--particles", "10", "--end", "2")
 
 
@@ -420,7 +421,7 @@ CSV_PIECES = (
 
 
 def tables(seeds: Seeds) -> Strategy:
-    """timestamps.csv, truth, clicked points, gates and baselines."""
+    """timestamps.csv, truth, clicked points, keypoints, gates and baselines."""
     folder, heads = of.depth_folder(seeds), of.grey_folder(seeds)
     stamps = "rec/timestamps.csv"
     tail = ("-o", "out.mcap", *HEAD)
@@ -462,6 +463,20 @@ def tables(seeds: Seeds) -> Strategy:
             changed_text(of.clicked_csv(), CSV_PIECES),
             st.sampled_from((clicked, mono)),
             **heads,
+        ),
+        made_of(
+            "tables",
+            "k.csv",
+            changed_text(of.keypoints_csv(), CSV_PIECES),
+            st.just(("hand", "run", "hand.mcap", *OUT_OF_HAND, "--keypoints", "k.csv")),
+            **{"hand.mcap": seeds.hand},
+        ),
+        made_of(
+            "tables",
+            "k.json",
+            changed_tree(of.keypoints_tree()).map(lambda t: utf8(json_text(t))),
+            st.just(("hand", "run", "hand.mcap", *OUT_OF_HAND, "--keypoints", "k.json")),
+            **{"hand.mcap": seeds.hand},
         ),
         made_of(
             "tables",

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.cpu.device import CpuDevice
 from posetrack_cli.rendering.gl.tiled import NEAR_MM
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
+from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.sums import Comparison
 from posetrack_cli.rendering.window import Window
 from support.rendering import CAMERA, cast, moved, octahedron, plane, rays, rigid, sagitta, sphere
 
@@ -58,8 +61,8 @@ def test_a_sphere(device: RenderingDevice) -> None:
 
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (1.2, 0.0), (-0.4, 0.9)])
-def test_a_tilted_plane(device: RenderingDevice, slopes: tuple[float, float]) -> None:
-    drawn = draw(device, plane(700.0, *slopes), WHOLE)
+def test_a_tilted_plane(reference_device: RenderingDevice, slopes: tuple[float, float]) -> None:
+    drawn = draw(reference_device, plane(700.0, *slopes), WHOLE)
     directions = rays(CAMERA, WHOLE)
     depth = 700.0 / (1.0 - directions[..., 0] * slopes[0] - directions[..., 1] * slopes[1])
     np.testing.assert_allclose(drawn, depth, atol=DEPTH_MM)
@@ -72,12 +75,12 @@ def test_what_faces_away_is_not_drawn(device: RenderingDevice) -> None:
 
 @pytest.mark.parametrize("first", [0, 1])
 def test_the_nearest_surface_wins_in_either_order(device: RenderingDevice, first: int) -> None:
-    planes = [plane(500.0, 0.0, 0.0, half=60.0), plane(800.0, 0.0, 0.0)]
+    planes = [plane(500.0, 0.0, 0.0, half=61.0), plane(800.0, 0.0, 0.0)]
     pair = joined([planes[first], planes[1 - first]])
     both = np.tile(np.eye(3, 4, dtype=np.float32), (1, 2, 1, 1))
     drawn = device.depth_renderer(pair, (64, 48), 1).depth(both, CAMERA, WHOLE)[0]
     directions = rays(CAMERA, WHOLE)
-    near = (np.abs(500.0 * directions[..., :2]) < 60.0).all(axis=-1)
+    near = (np.abs(500.0 * directions[..., :2]) < 61.0).all(axis=-1)
     assert near.any()
     np.testing.assert_allclose(drawn, np.where(near, 500.0, 800.0), atol=DEPTH_MM)
 
@@ -102,7 +105,7 @@ def test_windows_and_steps_show_the_rays_through_pixel_centres(
     np.testing.assert_allclose(drawn, expected, atol=DEPTH_MM)
 
 
-def test_nothing_nearer_than_the_near_plane_or_behind_the_sensor(device: RenderingDevice) -> None:
+def test_nothing_nearer_than_the_near_plane(reference_device: RenderingDevice) -> None:
     # a floor from behind the sensor to far in front: drawn from the near plane on
     floor = rigid(
         [[-900, 20, -1000], [900, 20, -1000], [900, 20, 2000], [-900, 20, 2000]], [(0, 1, 2), (0, 2, 3)]
@@ -113,12 +116,25 @@ def test_nothing_nearer_than_the_near_plane_or_behind_the_sensor(device: Renderi
         depth = 20.0 / directions[..., 1]
     seen = (depth > NEAR_MM) & (depth < 2000.0)
     assert 0 < seen.sum() < seen.size
-    drawn = np.maximum(draw(device, floor, WHOLE), draw(device, turned, WHOLE))
+    drawn = np.maximum(draw(reference_device, floor, WHOLE), draw(reference_device, turned, WHOLE))
     np.testing.assert_array_equal(drawn > 0, seen)
     np.testing.assert_allclose(drawn[seen], depth[seen], rtol=1e-5, atol=DEPTH_MM)
+
+
+def test_nothing_behind_the_sensor_or_too_near(device: RenderingDevice) -> None:
     behind = device.depth_renderer(sphere(30.0, 2), (64, 48), 3)
     offsets = moved((0, 0, -400), (0, 0, 0), (0, 0, NEAR_MM - 31))
     assert not behind.depth(offsets, CAMERA, WHOLE).any()
+
+
+def test_the_processor_draws_nothing_of_a_mesh_that_comes_too_near() -> None:
+    """Unlike OpenGL, which draws what lies beyond the near plane: no sensor sees that near."""
+    drawing = CpuDevice().depth_renderer(sphere(30.0, 2), (64, 48))
+    near, far = drawing.depth(moved((0, 0, NEAR_MM + 29), (0, 0, NEAR_MM + 31)), CAMERA, WHOLE)
+    assert not near.any()
+    assert far.any()
+    sums = drawing.sums(moved((0, 0, NEAR_MM + 29)), CAMERA, WHOLE, Comparison(far, 40.0, PixelMixture()))
+    assert sums.both[0] == sums.misfit[0] == sums.relief[0] == 0.0
 
 
 def test_a_vertex_on_three_bones_is_skinned_as_in_numpy(device: RenderingDevice) -> None:

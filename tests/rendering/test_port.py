@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.start import scattered_poses
+from posetrack_cli.rendering.cpu import tiled as cpu_tiled
+from posetrack_cli.rendering.cpu.device import CpuDevice
 from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison
+from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.results.reader import read_result
 from support.hand import KINECT
@@ -40,6 +43,8 @@ OUTLINE_PIXELS = 3
 DEPTH_MM = 0.1
 SUMS_RELATIVE = 1e-4
 """Float32 sums of a thousand terms."""
+ROUNDING = 1e-4
+"""Float32 depth, of which a difference of 1 mm is compared with 1e-4."""
 MISFIT_RELATIVE = 0.02
 """A pixel at the outline is 7 of a sum of some 500."""
 
@@ -54,11 +59,11 @@ def window() -> Window:
     return Window.around(np.array([KINECT.cx, KINECT.cy]), TILE, STEP)
 
 
-def test_hands_are_drawn_alike(device: RenderingDevice, hands: np.ndarray) -> None:
+def test_hands_are_drawn_alike(fast_device: RenderingDevice, hands: np.ndarray) -> None:
     mesh = hand_mesh(make_anatomy())
     first, second = (
         one.depth_renderer(mesh, (TILE, TILE)).depth(hands, KINECT, window())
-        for one in (device, NumpyDevice())
+        for one in (fast_device, NumpyDevice())
     )
     different = (first > 0) != (second > 0)
     assert different.sum() <= COUNT * OUTLINE_PIXELS
@@ -68,9 +73,9 @@ def test_hands_are_drawn_alike(device: RenderingDevice, hands: np.ndarray) -> No
     np.testing.assert_allclose(first[inner], second[inner], atol=DEPTH_MM)
 
 
-def test_hands_are_summed_alike(device: RenderingDevice, hands: np.ndarray) -> None:
+def test_hands_are_summed_alike(fast_device: RenderingDevice, hands: np.ndarray) -> None:
     mesh = hand_mesh(make_anatomy())
-    drawing = [one.depth_renderer(mesh, (TILE, TILE)) for one in (device, NumpyDevice())]
+    drawing = [one.depth_renderer(mesh, (TILE, TILE)) for one in (fast_device, NumpyDevice())]
     depth = drawing[1].depth(hands[:1], KINECT, window())[0]
     observed = np.where(depth > 0, depth + 4.0, -1500.0).astype(np.float32)
     observed[:3] = 0.0
@@ -85,6 +90,37 @@ def test_hands_are_summed_alike(device: RenderingDevice, hands: np.ndarray) -> N
         )
     np.testing.assert_allclose(first.error, second.error, atol=40.0 * OUTLINE_PIXELS, rtol=SUMS_RELATIVE)
     np.testing.assert_allclose(first.misfit, second.misfit, rtol=MISFIT_RELATIVE)
+
+
+def test_sums_are_those_of_the_depth_that_is_drawn(hands: np.ndarray) -> None:
+    """Of the processor: the same depth, so nothing but rounding differs from the sums in numpy."""
+    drawing = CpuDevice().depth_renderer(hand_mesh(make_anatomy()), (TILE, TILE))
+    depth = drawing.depth(hands, KINECT, window())
+    rng = np.random.default_rng(3)
+    noisy = depth[0] + rng.normal(0.0, 6.0, depth[0].shape)
+    observed = np.where(rng.random(depth[0].shape) < 0.2, 0.0, np.where(depth[0] > 0, noisy, -700.0))
+    for model in (None, PixelMixture()):
+        comparison = Comparison(observed.astype(np.float32), 40.0, model, match_mm=10.0)
+        found = drawing.sums(hands, KINECT, window(), comparison)
+        expected = sums_in_numpy(depth, comparison, STEP / KINECT.fx)
+        for field in fields(TileSums):
+            np.testing.assert_allclose(
+                getattr(found, field.name), getattr(expected, field.name), rtol=ROUNDING, err_msg=field.name
+            )
+
+
+def test_sums_do_not_depend_on_the_number_of_cores(
+    hands: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comparison = Comparison(np.full((TILE, TILE), 600.0, dtype=np.float32), 40.0, PixelMixture())
+    found = []
+    for cores in (1, 2, 5):
+        monkeypatch.setattr(cpu_tiled, "thread_count", lambda cores=cores: cores)
+        drawing = CpuDevice().depth_renderer(hand_mesh(make_anatomy()), (TILE, TILE))
+        found.append(drawing.sums(hands, KINECT, window(), comparison))
+    for name in ("error", "misfit", "relief"):
+        first, *others = (getattr(one, name).tobytes() for one in found)
+        assert others == [first, first]
 
 
 def test_both_refuse_what_does_not_fit(any_device: RenderingDevice) -> None:

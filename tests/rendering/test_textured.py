@@ -22,9 +22,9 @@ FLOAT = 1e-5
 
 
 @pytest.fixture(scope="module")
-def device(any_device: RenderingDevice) -> RenderingDevice:
+def device(reference_device: RenderingDevice) -> RenderingDevice:
     """All that follows holds for every implementation."""
-    return any_device
+    return reference_device
 
 
 def square_surface(reflectance: float, gloss: float = 0.0) -> Surface:

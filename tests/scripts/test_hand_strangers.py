@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy import stats
 
-from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.cli.hand import hand_run
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.evaluation.honesty import JudgedFrames, pooled_frames
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 from reproduction import hand_strangers
 from reproduction.running import Targets
 from reproduction.strangers import figures, tasks, tool
 from reproduction.strangers.default import Defaults
 from reproduction.strangers.honesty import Honesty, confidence_figures
-from reproduction.strangers.intervals import joint_variances
 from reproduction.strangers.measuring import Frames, Measured, path_lengths
 from reproduction.strangers.mesh import OwnMesh
 from reproduction.strangers.options import ARM, DEFAULT, EXACT, FREE_ELBOW, Options
@@ -37,27 +31,36 @@ from reproduction.task import EntrantsTask
 FEW = tuple(map(Person, (800, 801, 804)))
 
 
-def frames(
-    error: list[float],
-    wrist: list[float] | None = None,
-    lost: list[int] | None = None,
-    confidence: float = 1.0,
-) -> Frames:
+def frames(error: list[float], wrist: list[float] | None = None, lost: list[int] | None = None) -> Frames:
     """Frames with these errors, mm; the wrist's are the same, and nothing is lost, if it is not said."""
     count = len(error)
     gone = np.array(lost or [0] * count, dtype=np.bool_)
     still = np.zeros(count)
     of_wrist = np.array(wrist or error, dtype=np.float64)
-    sure = np.full(count, confidence)
-    return Frames(np.array(error, dtype=np.float64), of_wrist, still, still, gone, ~gone, sure)
+    return Frames(np.array(error, dtype=np.float64), of_wrist, still, still, gone)
+
+
+def frames_judged(error: list[float], lost: list[int] | None = None, confidence: float = 1.0) -> JudgedFrames:
+    """Frames with these errors, mm, all of one confidence."""
+    errors, gone = np.array(error), np.array(lost or [0] * len(error), dtype=np.bool_)
+    sure = np.full(len(error), confidence)
+    return JudgedFrames(sure, errors <= 20.0, errors > 40.0, gone, "right", "far")
 
 
 class MadeUp(Measured):
-    """Frames by task's name, entrant and track, given instead of measured."""
+    """Frames by task's name, entrant and track, and how they are judged, given instead of measured."""
 
-    def __init__(self, given: dict[tuple[str, str, str], Frames], side: str = "right") -> None:
+    def __init__(
+        self,
+        given: dict[tuple[str, str, str], Frames],
+        side: str = "right",
+        of_tasks: dict[str, JudgedFrames] | None = None,
+    ) -> None:
         super().__init__(Path("nowhere"))
-        self._given, self._side = given, side
+        self._given, self._side, self._judged = given, side, of_tasks or {}
+
+    def judged(self, task: EntrantsTask, entrant: str) -> JudgedFrames | None:
+        return self._judged.get(task.name)
 
     def frames(self, task: EntrantsTask, entrant: str, track: str = FILTERED) -> Frames | None:
         return self._given.get((task.name, entrant, track))
@@ -99,67 +102,16 @@ def test_found_is_the_first_frame_on_the_wrist_that_does_not_say_it_is_lost() ->
     assert figures.kept(wrist) == pytest.approx(2 / 5)  # less than 60 mm: 10 and 5
 
 
-def brute_force(scores: FloatArray, right: BoolArray) -> float:
-    pairs = list(product(scores[right], scores[~right]))
-    return sum(1.0 if a > b else 0.5 if a == b else 0.0 for a, b in pairs) / len(pairs)
-
-
-@pytest.mark.parametrize("levels", [3, 10, 10**6])
-def test_the_roc_area_is_that_of_all_pairs_and_of_mann_and_whitney(levels: int) -> None:
-    rng = np.random.default_rng(levels)
-    right = rng.random(80) < 0.7
-    scores = rng.integers(levels, size=80) / levels + 0.2 * right  # few levels: many ties
-    area = figures.roc_area(scores, right)
-    statistic = stats.mannwhitneyu(scores[right], scores[~right]).statistic
-    assert area == pytest.approx(brute_force(scores, right), abs=1e-12)
-    assert area == pytest.approx(statistic / (right.sum() * (~right).sum()), abs=1e-12)
-
-
-def test_the_roc_area_of_ties_alone_is_a_half_and_of_one_kind_unknown() -> None:
-    right = np.array([True, False, True])
-    assert figures.roc_area(np.ones(3), right) == 0.5
-    assert figures.roc_area(np.array([1.0, 0.0, 0.5]), right) == 1.0
-    assert figures.roc_area(np.array([0.0, 1.0, 0.5]), right) == 0.0
-    assert np.isnan(figures.roc_area(np.ones(3), right | True))
-    assert np.isnan(figures.roc_area(np.ones(3), right & False))
-
-
-def test_brier_and_reliability() -> None:
-    confidence, right = np.array([0.0, 0.05, 0.1, 0.95, 1.0]), np.array([False, True, False, True, False])
-    # squares: 0, 0.9025, 0.01, 0.0025, 1
-    assert figures.brier_score(confidence, right) == pytest.approx(1.915 / 5)
-    bins = list(figures.reliability(confidence, right))
-    assert [one.count for one in bins] == [2, 1, 0, 0, 0, 0, 0, 0, 0, 2]
-    assert (bins[0].low, bins[0].high, bins[9].high) == (0.0, 0.1, 1.0)
-    assert (bins[0].confidence, bins[0].right) == (pytest.approx(0.025), 0.5)
-    assert (bins[9].confidence, bins[9].right) == (pytest.approx(0.975), 0.5)
-    assert np.isnan(bins[5].right)
-
-
-def test_pooled_frames_count_each() -> None:
-    good, bad = frames([5.0, 20.0], confidence=0.9), frames([30.0, 50.0], lost=[0, 1], confidence=0.2)
-    told = confidence_figures([good, bad])
-    assert (told["frames"], told["wrong"], told["roc_area"]) == (4, 0.5, 1.0)
-    assert told["far_tracking"] == 0.0  # 50 mm off, but it says so
-    assert told["brier_score"] == pytest.approx((2 * 0.01 + 2 * 0.04) / 4)
-    assert confidence_figures([frames([41.0, 39.0, 40.0])])["far_tracking"] == pytest.approx(1 / 3)
-
-
-def test_intervals_of_joints_hold_as_often_as_they_say() -> None:
-    anatomy, rng, draws = make_anatomy("right"), np.random.default_rng(0), 2000
-    pose = np.zeros(22)
-    pose[2], pose[6], pose[7:] = 600.0, 1.0, 0.2
-    variances = np.full(21, 1e-4)  # rad^2 and mm^2: small enough to be linear
-    moved = np.repeat(pose[None], draws, axis=0)
-    steps = rng.normal(0.0, np.sqrt(variances), (draws, 21))
-    moved[:, :3] += steps[:, :3]
-    moved[:, 3:6], moved[:, 7:] = steps[:, 3:6] / 2, pose[7:] + steps[:, 6:]  # a small turn w: (w / 2, 1)
-    moved[:, 6] = np.sqrt(1.0 - (moved[:, 3:6] ** 2).sum(axis=1))
-    sd = np.sqrt(joint_variances(anatomy, pose[None], variances[None])[0])
-    inside = np.abs(joint_positions(anatomy, moved) - joint_positions(anatomy, pose[None])) <= INSIDE_90 * sd
-    tolerance = 4.0 * np.sqrt(0.9 * 0.1 / draws)
-    assert np.abs(inside.mean(axis=0) - 0.9).max() < tolerance + 0.01  # 0.01: what is not linear
-    assert sd[0] == pytest.approx([0.01] * 3)  # the wrist's are stated
+def test_confidence_is_told_of_all_frames_alike() -> None:
+    good, bad = (
+        frames_judged([5.0, 20.0], confidence=0.9),
+        frames_judged([30.0, 50.0], lost=[0, 1], confidence=0.2),
+    )
+    told = confidence_figures(pooled_frames([good, bad]))
+    assert (told["frames"], told["frames_wrong"], told["confidence_roc_area"]) == (4, 0.5, 1.0)
+    assert told["frames_far_tracked"] == 0.0  # 50 mm off, but it says so
+    assert told["confidence_brier_score"] == pytest.approx((2 * 0.01 + 2 * 0.04) / 4)
+    assert "confidence_roc_area" not in confidence_figures(bad)
 
 
 def test_people_are_named_once_each_and_differ_in_side_and_view() -> None:
@@ -304,12 +256,12 @@ def test_the_area_is_told_of_hard_recordings_alone_too(tmp_path: Path) -> None:
             return [Task("P7", "tool", (), {DEFAULT: ()})]
 
     targets = Targets()
-    measured = MadeUp({("P7", DEFAULT, FILTERED): frames([5.0, 50.0])})
+    measured = MadeUp({}, of_tasks={"P7": frames_judged([5.0, 50.0])})
     list(OnlyP7().lines(options(tmp_path), measured, targets))
     said = judged(targets)
     assert said["confidence, P7: area under the ROC curve"] == ("0.500", "**missed**")
     assert said["confidence, P1: area under the ROC curve"] == ("-", "not measured")
-    assert said["frames > 40 mm off that say tracking"] == ("50.00 %", "**missed**")
+    assert said["frames > 40 mm off that are not lost"] == ("50.00 %", "**missed**")
 
 
 def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:

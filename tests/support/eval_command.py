@@ -29,12 +29,12 @@ SUBJECT = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 CONFIGURATION = '{"filter": {"kind": "rbpf", "particles": 64}, "hand": {"side": "right"}}'
 
 
-def estimate(track: Track, row: int, status: Status = Status.TRACKING) -> Estimate:
+def estimate(track: Track, row: int, status: Status = Status.TRACKING, confidence: float = 0.8) -> Estimate:
     return Estimate(
         frame_index=row,
         stamp_ns=int(track.stamp_ns[row]),
         status=status,
-        confidence=0.8,
+        confidence=confidence,
         position=track.position[row],
         quaternion=track.quaternion[row],
         shape=track.shape[row],
@@ -67,12 +67,17 @@ def write_frames(
     truth: bool = True,
     lost: Collection[int] = (),
     seed: int = 1,
+    knows: bool = False,
 ) -> None:
+    """Write estimates and their truth; one that ``knows`` states how probably its position is right."""
     track, true = hand_track("made up", frames, error_mm, seed), hand_track("truth", frames, 0.0)
     for row in range(frames):
         if truth:
             writer.add_truth(truth_message("/truth/hand/estimate", estimate(true, row)))
-        writer.write(estimate(track, row, Status.LOST if row in lost else Status.TRACKING))
+        status = Status.LOST if row in lost else Status.TRACKING
+        away = float(np.linalg.norm(track.position[row] - true.position[row]))
+        confidence = 1.0 / (1.0 + (away / 20.0) ** 4) if knows else 0.8
+        writer.write(estimate(track, row, status, confidence))
 
 
 def write_result(path: Path, frames: int = 90, error_mm: float = 5.0, recording: str = "aa", **more) -> Path:

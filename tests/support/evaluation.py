@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, statistics
+from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from support.tracks import hand_track
 
@@ -47,5 +48,13 @@ def hand_evaluation(name: str = "a", frames: int = 300, error_mm: float = 5.0, *
         "track": track,
         "truth": truth,
         "pairs": Pairs(rows, rows),
+        "judged": JudgedFrames(
+            confidence=np.where(np.arange(frames) % 4 == 0, 0.65, 0.85),
+            right=errors.mean(axis=1) <= np.median(errors.mean(axis=1)),
+            far=errors.mean(axis=1) > np.percentile(errors.mean(axis=1), 90),
+            lost=np.zeros(frames, dtype=np.bool_),
+            right_if="mean joint error at most the median",
+            far_if="mean joint error above nine tenths",
+        ),
     }
     return Evaluation(**{**values, **changes})

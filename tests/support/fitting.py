@@ -8,11 +8,12 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fitting.fitter import HandFitter
-from posetrack_cli.hand.fitting.raster import Skin, View, draw, empty_drawing
 from posetrack_cli.hand.fitting.skeleton import Skeleton, empty_posed, pose_bones
+from posetrack_cli.hand.fitting.skin import Skin
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.observation import Observation, window_around
+from posetrack_cli.rendering.raster import View, draw, empty_drawing
 from support.hand import KINECT
 
 TILE_PX = 64
@@ -25,9 +26,9 @@ def drawn_depth(
     skeleton: Skeleton, skin: Skin, pose: FloatArray, view: View, size: int = TILE_PX
 ) -> FloatArray:
     """Depth (size, size), mm, of a pose (22,), infinite where nothing is drawn."""
-    posed, drawing = empty_posed(), empty_drawing(skin, size, size)
+    posed, drawing = empty_posed(), empty_drawing(skin.mesh, size, size)
     pose_bones(skeleton, pose, posed)
-    assert draw(skin, posed.bones, view, drawing)
+    assert draw(skin.mesh, posed.bones, view, drawing)
     return np.divide(1.0, drawing.inverse, out=np.full((size, size), np.inf), where=drawing.inverse > 0)
 
 

@@ -114,16 +114,14 @@ def pose_file(path: Path, pose: FloatArray) -> Path:
     return path
 
 
-def acquisition(device: RenderingDevice, hand: HandModel, config: HandConfig | None = None) -> Acquisition:
+def acquisition(hand: HandModel, config: HandConfig | None = None) -> Acquisition:
     """What looks for a hand without a prediction."""
-    config = config or HandConfig()
-    scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
-    return Acquisition(config, hand, KINECT, scorer)
+    return Acquisition(config or HandConfig(), hand, KINECT)
 
 
 def tracker(device: RenderingDevice, hand: HandModel, config: HandConfig | None = None) -> HandTracker:
     """The tracker with all that it asks."""
     config = config or HandConfig()
-    finder = acquisition(device, hand, config)
+    finder = acquisition(hand, config)
     scorer = RenderedCosts(device, hand, KINECT, config.observation, config.filter.particles)
     return HandTracker(config, hand.anatomy, scorer, finder.observer, finder)

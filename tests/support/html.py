@@ -113,4 +113,5 @@ def without_truth(evaluation: Evaluation) -> Evaluation:
         curve=None,
         truth=None,
         pairs=None,
+        judged=None,
     )

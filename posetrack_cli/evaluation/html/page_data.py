@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
+from posetrack_cli.evaluation.honesty import JudgedFrames, reliability, roc_area, roc_curve
 from posetrack_cli.evaluation.html.components import components, readable
 from posetrack_cli.evaluation.html.packing import envelope_rows, packed
 from posetrack_cli.evaluation.html.scene import scene
@@ -17,6 +18,7 @@ from posetrack_cli.evaluation.html.timebase import RowTable, Timebase, gap_spans
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, place_of
 from posetrack_cli.evaluation.metrics.without_truth import run_series
 from posetrack_cli.evaluation.pictures import Picture
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.evaluation.subjects import KINDS
 
 
@@ -41,7 +43,9 @@ def budget_for(results: int) -> Budget:
     return Budget(max(300, 6000 // share), max(100, 2500 // share), max(100, 5000 // share))
 
 
-def page_data(evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence[Picture]]) -> dict[str, Any]:
+def page_data(
+    evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence[Picture]], pools: Sequence[Pool] = ()
+) -> dict[str, Any]:
     """Return everything that the page's scripts need, ready for JSON (see ``packing.json_text``).
 
     Arrays are packed; a line or scene names its frames by places in its result's table of kept frames.
@@ -55,6 +59,7 @@ def page_data(evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence
             _result(evaluation, base, budget, pictures.get(evaluation.name, ()))
             for evaluation, base in zip(evaluations, bases, strict=True)
         ],
+        "pools": [{"name": pool.name, "honesty": _honesty(pool.judged)} for pool in pools if pool.says_more],
     }
 
 
@@ -70,6 +75,7 @@ def _result(
         "frames": len(track),
         "quantities": _quantities(evaluation, table, budget.quantity_points),
         "curve": _curve(evaluation),
+        "honesty": _honesty(evaluation.judged),
         "components": _components(evaluation, table, budget.component_points),
         "parts": _parts(evaluation),
         "scene": scene(evaluation, table, budget.scene_frames, [one.stamp_ns for one in pictures]),
@@ -140,6 +146,27 @@ def _curve(evaluation: Evaluation) -> dict[str, Any] | None:
         "thresholds": np.round(curve.thresholds_mm, 6).tolist(),
         "share": np.round(curve.share, 6).tolist(),
         "meanShare": np.round(curve.mean_share, 6).tolist(),
+    }
+
+
+def _honesty(judged: JudgedFrames | None) -> dict[str, Any] | None:
+    """The reliability of confidence, bins without frames left out, and its ROC curve."""
+    if judged is None or not len(judged.scored[0]):
+        return None
+    bins = [one for one in reliability(*judged.scored) if one.count]
+    curve = roc_curve(*judged.scored)
+    return {
+        "confidence": [round(one.confidence, 6) for one in bins],
+        "right": [round(one.right, 6) for one in bins],
+        "count": [one.count for one in bins],
+        "roc": None
+        if curve is None
+        else {
+            "confidence": curve.confidence.tolist(),
+            "rightKept": np.round(curve.right_kept, 6).tolist(),
+            "wrongKept": np.round(curve.wrong_kept, 6).tolist(),
+            "area": roc_area(*judged.scored),
+        },
     }
 
 

@@ -8,8 +8,20 @@ from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.html.components import details, element, listed, readable, row, scrolling, text
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
-from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, shown, tables
+from posetrack_cli.evaluation.reports.table import (
+    ABSENT,
+    Row,
+    Section,
+    Table,
+    criterion_lines,
+    pool_lines,
+    pooled_table,
+    reliability_table,
+    shown,
+    tables,
+)
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.losses import loss_line
 
@@ -62,8 +74,8 @@ def _lead_of(evaluation: Evaluation) -> str:
     return "; ".join(parts) + "."
 
 
-def summary_tables(evaluations: Sequence[Evaluation]) -> str:
-    """Return the tables of figures, those of parts on demand, the absent ones and the meanings."""
+def summary_tables(evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()) -> str:
+    """Return the tables of figures, those of parts and confidence on demand, absent ones and meanings."""
     if not evaluations:
         return element("p", "No result was given.", class_="missing")
     made = tables(evaluations)
@@ -71,8 +83,20 @@ def summary_tables(evaluations: Sequence[Evaluation]) -> str:
     parts = _parts_only(tables(evaluations, parts=True)[0])
     if parts.sections:
         found.append(details("Per joint, finger, angle or point", _table(parts, "Parts")))
+    pooled = pooled_table(pools)
+    if pooled is not None:
+        notes = listed(text(line) for line in pool_lines(pools))
+        found.append(_table(pooled, pooled.title) + element("div", notes, class_="remark"))
+    confidence = reliability_table(evaluations, pools)
+    if confidence is not None:
+        found.append(details("Reliability of confidence", _table(confidence, confidence.title)))
     found += [_absent(evaluations), _meanings(evaluations)]
     return "".join(found)
+
+
+def honesty_remark(evaluations: Sequence[Evaluation]) -> str:
+    """Say what makes a frame right; nothing where none was judged."""
+    return text(" ".join(f"{line[0].upper()}{line[1:]}." for line in criterion_lines(evaluations)))
 
 
 def comparison_section(comparison: Comparison | None) -> str:
@@ -171,7 +195,8 @@ def _meanings(evaluations: Sequence[Evaluation]) -> str:
         )
     content = element("dl", "".join(items)) + element(
         "p",
-        "sd is the standard deviation of the values themselves; p95 their 95th percentile. Lost frames count "
+        "sd is the standard deviation of the values themselves; p95 their 95th percentile, and p5, "
+        "told where small is bad, their 5th. Lost frames count "
         "in every figure that does not say otherwise. The names in code are those of <code>--fail-if</code>.",
     )
     return details("What the figures mean", content)

@@ -18,7 +18,14 @@ from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_sec
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
 from posetrack_cli.evaluation.html.provenance import about, component_remark, plot_remark, provenance
-from posetrack_cli.evaluation.html.summary import comparison_section, lead, notices, summary_tables
+from posetrack_cli.evaluation.html.summary import (
+    comparison_section,
+    honesty_remark,
+    lead,
+    notices,
+    summary_tables,
+)
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.files import write_output
 from posetrack_cli.outputs import check_place, whole_or_nothing
 
@@ -34,6 +41,7 @@ SCRIPTS = (
     "plot",
     "over_time",
     "curve",
+    "honesty",
     "parts",
     "trajectories",
     "camera_view",
@@ -56,12 +64,14 @@ class ReportPage:
         comparison: paired differences of several results; None shows none.
         pictures: of each result, by its name, the worst frames first; or why there are none, as text.
         title: heading of the page.
+        pools: the evaluations' frames together, where that says more than they do.
     """
 
     evaluations: Sequence[Evaluation]
     comparison: Comparison | None
     pictures: Pictures
     title: str
+    pools: Sequence[Pool] = ()
 
 
 def write_html(path: Path, page: ReportPage) -> None:
@@ -100,7 +110,7 @@ def html_page(page: ReportPage) -> str:
     style = _asset("report.css")
     script = '"use strict";\n' + "\n".join(_asset(f"scripts/{name}.js") for name in SCRIPTS)
     gallery = fitting(evaluations, page.pictures)
-    data = page_data(evaluations, gallery.pictures)
+    data = page_data(evaluations, gallery.pictures, page.pools)
     return Template(_asset("report.html")).substitute(
         policy=_policy(style, script),
         version=text(__version__),
@@ -110,8 +120,9 @@ def html_page(page: ReportPage) -> str:
         top="top single" if len(evaluations) == 1 else "top",
         lead=lead(evaluations),
         notices=notices(evaluations),
-        summary=summary_tables(evaluations),
+        summary=summary_tables(evaluations, page.pools),
         comparison=comparison_section(page.comparison),
+        honesty_remark=honesty_remark(evaluations),
         plot_remark=plot_remark(data),
         component_remark=component_remark(data),
         gallery=gallery_section(evaluations, gallery),

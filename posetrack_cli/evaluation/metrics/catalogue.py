@@ -13,7 +13,8 @@ from functools import cache
 
 from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES
-from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Metric
+from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Better, Metric
+from posetrack_cli.evaluation.metrics.pose_errors import INTERVALS
 from posetrack_cli.evaluation.subjects import KINDS, SubjectKind
 
 _NEES = (
@@ -21,9 +22,42 @@ _NEES = (
     "a consistent filter has a mean of that number, a larger one means overconfidence."
 )
 _INSIDE = (
-    "Share of the entries of {what} whose true value lies within +-1.645 stated standard deviations; "
-    "a consistent filter with Gaussian errors has 0.9."
+    "Share of the entries of {what} whose true value lies within +-{width} stated standard deviations; "
+    "a consistent filter with Gaussian errors has {share}."
 )
+
+
+def _in_every_kind(limits: str, relation: str, between: str) -> str:
+    """What limits of errors are, kind by kind."""
+    of_kinds = {kind: getattr(kind, limits) for kind in KINDS.values()}
+    return ", ".join(
+        f"{kind.name}: {kind.in_words(own, relation, between)}" for kind, own in of_kinds.items() if own
+    )
+
+
+_WRONG = _in_every_kind("right", "above", " or ")
+_FAR = _in_every_kind("far", "above", " or ")
+
+
+def _inside(what: str, percent: int, prefix: str = "") -> Metric:
+    name = f"inside_{percent}"
+    width, share = f"{INTERVALS[name]:.3f}", f"{percent / 100:g}"
+    return Metric(
+        f"{prefix}{name}",
+        "",
+        _INSIDE.format(what=what, width=width, share=share),
+        part="state",
+        group="covariance",
+        better="neither",
+        scalar=True,
+        spoken=f"{prefix.replace('_', ' ')}inside {percent} % interval",
+        pooled=True,
+    )
+
+
+def _honesty(name: str, meaning: str, spoken: str, better: Better = "lower") -> Metric:
+    return Metric(name, "", meaning, None, "honesty", better, scalar=True, spoken=spoken, pooled=True)
+
 
 GENERAL: tuple[Metric, ...] = (
     Metric(
@@ -33,17 +67,36 @@ GENERAL: tuple[Metric, ...] = (
         group="coverage",
         better="higher",
         scalar=True,
+        pooled=True,
     ),
-    Metric("frames", "", "Estimates in the result.", group="coverage", better="neither", scalar=True),
-    Metric("tracked", "", "Estimates that are not lost.", group="coverage", better="neither", scalar=True),
+    Metric(
+        "frames", "", "Estimates in the result.", group="coverage", better="neither", scalar=True, pooled=True
+    ),
+    Metric(
+        "tracked",
+        "",
+        "Estimates that are not lost.",
+        group="coverage",
+        better="neither",
+        scalar=True,
+        pooled=True,
+    ),
     Metric(
         "lost",
         "",
         "Estimates whose status is lost; their errors count all the same.",
         group="coverage",
         scalar=True,
+        pooled=True,
     ),
-    Metric("reinitialised", "", "Estimates where the track was found anew.", group="coverage", scalar=True),
+    Metric(
+        "reinitialised",
+        "",
+        "Estimates where the track was found anew.",
+        group="coverage",
+        scalar=True,
+        pooled=True,
+    ),
     Metric(
         "matched",
         "",
@@ -51,14 +104,23 @@ GENERAL: tuple[Metric, ...] = (
         group="coverage",
         better="neither",
         scalar=True,
+        pooled=True,
     ),
-    Metric("unmatched", "", "Estimates without a truth at their stamp.", group="coverage", scalar=True),
+    Metric(
+        "unmatched",
+        "",
+        "Estimates without a truth at their stamp.",
+        group="coverage",
+        scalar=True,
+        pooled=True,
+    ),
     Metric(
         "missed",
         "",
         "Frames that the run left out though there is a truth for them.",
         group="coverage",
         scalar=True,
+        pooled=True,
     ),
     Metric(
         "truth_outside",
@@ -67,6 +129,7 @@ GENERAL: tuple[Metric, ...] = (
         group="coverage",
         better="neither",
         scalar=True,
+        pooled=True,
     ),
     Metric(
         "velocity_error_mm_s",
@@ -81,16 +144,7 @@ GENERAL: tuple[Metric, ...] = (
         group="velocity",
     ),
     Metric("nees", "", _NEES.format(what="the pose"), group="covariance", better="neither", spoken="NEES"),
-    Metric(
-        "inside_90",
-        "",
-        _INSIDE.format(what="the pose"),
-        part="state",
-        group="covariance",
-        better="neither",
-        scalar=True,
-        spoken="inside 90 % interval",
-    ),
+    *(_inside("the pose", percent) for percent in (50, 90)),
     Metric(
         "velocity_nees",
         "",
@@ -99,15 +153,34 @@ GENERAL: tuple[Metric, ...] = (
         better="neither",
         spoken="velocity NEES",
     ),
-    Metric(
-        "velocity_inside_90",
-        "",
-        _INSIDE.format(what="the velocity"),
-        part="state",
-        group="covariance",
-        better="neither",
-        scalar=True,
-        spoken="velocity inside 90 % interval",
+    *(_inside("the velocity", percent, "velocity_") for percent in (50, 90)),
+    _honesty(
+        "frames_wrong", f"Share of the frames with truth that are wrong ({_WRONG}), lost ones included.", ""
+    ),
+    _honesty(
+        "frames_far_tracked",
+        f"Share of the frames with truth that are far off ({_FAR}) and yet not lost.",
+        "frames far off and not lost",
+    ),
+    _honesty("frames_right_lost", "Share of the right frames that say they are lost.", "right frames lost"),
+    _honesty(
+        "confidence_roc_area",
+        "Area under the ROC curve of confidence: how probably a right frame has a higher one than a wrong "
+        "frame, ties counting half; 0.5 tells nothing apart.",
+        "ROC area of confidence",
+        better="higher",
+    ),
+    _honesty(
+        "confidence_brier_score",
+        "Mean square of confidence minus 1 in right frames and minus 0 in wrong ones; always saying 0.5 "
+        "has 0.25.",
+        "Brier score of confidence",
+    ),
+    _honesty(
+        "confidence_calibration_error",
+        "How far confidence is from the share of frames that are right, averaged over ten bins of "
+        "confidence, each by its frames.",
+        "calibration error of confidence",
     ),
     Metric("cost_mm", "mm", "The run's own cost of its estimate against the image.", group="consistency"),
     Metric(
@@ -277,7 +350,10 @@ def is_measured(metric: Metric, kind: SubjectKind) -> bool:
     """Whether a kind of subject is measured by a metric."""
     if metric in kind.metrics:
         return True
-    return metric in GENERAL and (kind.compare_images is not None or not metric.needs_depth)
+    lacking = (metric.needs_depth and kind.compare_images is None) or (
+        metric.group == "honesty" and not kind.right
+    )
+    return metric in GENERAL and not lacking
 
 
 def _known(name: str, known: Iterable[str]) -> str:

@@ -28,13 +28,13 @@ POSE_AXES = ("x", "y", "z", "about_x", "about_y", "about_z")
 ANGLES = "angles"
 """The part of a state that its shape entries are, if they belong to the pose."""
 _BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6), ANGLES: slice(6, None)}
-POSE = ("nees", "inside_90")
-VELOCITY = ("velocity_nees", "velocity_inside_90")
+POSE = ("nees", *pose_errors.INTERVALS)
+VELOCITY = tuple(f"velocity_{name}" for name in POSE)
 NO_SHAPE = Common((), (), (), ())
 
 
 def covariance_metrics(measures: Measures, matched: Matched, parts: Sequence[str]) -> None:
-    """Add NEES and the share inside 90 % intervals, of poses and of velocities.
+    """Add NEES and the shares inside 50 % and 90 % intervals, of poses and of velocities.
 
     Args:
         measures: where to.
@@ -61,14 +61,15 @@ class _Collected:
     measures: Measures
     parts: Sequence[str]
 
-    def add(self, names: tuple[str, str], normalised: FloatArray, known: BoolArray) -> None:
+    def add(self, names: Sequence[str], normalised: FloatArray, known: BoolArray) -> None:
         """Add NEES and the shares inside, of the frames (M,) whose normalised squares (M, D) are known."""
-        nees, inside_90 = names
+        nees, *levels = names
         self.measures.add(nees, normalised.sum(axis=1), known)
-        inside = pose_errors.inside_interval(normalised[known])
-        self.measures.share(inside_90, inside)
-        for part in self.parts:
-            self.measures.share(f"{inside_90}.{part}", inside[:, _columns(part, self.parts)])
+        for name, half_width in zip(levels, pose_errors.INTERVALS.values(), strict=True):
+            inside = pose_errors.inside_interval(normalised[known], half_width)
+            self.measures.share(name, inside)
+            for part in self.parts:
+                self.measures.share(f"{name}.{part}", inside[:, _columns(part, self.parts)])
 
 
 def _pose(collected: _Collected, matched: Matched, shapes: Common, reason: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Value, statistics
+from posetrack_cli.evaluation.evaluation import Count, Value, statistics
 from posetrack_cli.evaluation.track import Track
 
 
@@ -108,6 +108,7 @@ class Measures:
         metrics: values by address without statistic.
         series: per-frame values by address; of wholes only, parts would be many.
         absent: reasons by metric or address.
+        counts: by address what ``share`` made shares from.
         notes: what a reader must know about the figures.
     """
 
@@ -116,6 +117,7 @@ class Measures:
     series: dict[str, FloatArray] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    counts: dict[str, Count] = field(default_factory=dict)
 
     def add(self, address: str, values: FloatArray, known: BoolArray | None = None) -> None:
         """Summarise the values of frames (M,), or of frames and parts (M, K), whose mean is the series.
@@ -151,6 +153,7 @@ class Measures:
         """Keep which share of truth values is true; of none the reason is kept."""
         if inside.size:
             self.metrics[address] = float(inside.mean())
+            self.counts[address] = Count(int(inside.sum()), inside.size)
         else:
             self.absent[address] = self.nothing
 

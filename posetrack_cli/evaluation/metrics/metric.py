@@ -7,13 +7,14 @@ from typing import Literal, TypeAlias
 
 Better: TypeAlias = Literal["lower", "higher", "neither"]
 PartKind: TypeAlias = Literal["joint", "finger", "angle", "point", "state"]
-Group: TypeAlias = Literal["coverage", "accuracy", "velocity", "covariance", "consistency", "run"]
+Group: TypeAlias = Literal["coverage", "accuracy", "velocity", "covariance", "honesty", "consistency", "run"]
 
 GROUP_TITLES: dict[Group, str] = {
     "coverage": "Coverage",
     "accuracy": "Error against truth",
     "velocity": "Velocity error against truth",
     "covariance": "Stated covariance against truth",
+    "honesty": "Honesty against truth",
     "consistency": "Self-consistency, without truth",
     "run": "Run",
 }
@@ -36,6 +37,7 @@ class Metric:
         scalar: one number; otherwise ``Statistics``.
         spoken: what a page calls it; by default the name without its unit.
         needs_depth: whether it is measured against depth images.
+        pooled: whether it is told of several results together, too.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Metric:
     scalar: bool = False
     spoken: str = ""
     needs_depth: bool = False
+    pooled: bool = False
 
     @property
     def label(self) -> str:

@@ -14,8 +14,10 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.euler import head_roll_pitch_yaw
 
-INSIDE_90 = 1.6448536269514722
-"""Half width of the 90 % interval of a normal distribution, in standard deviations."""
+INSIDE_50, INSIDE_90 = 0.6744897501960817, 1.6448536269514722
+"""Half widths of the 50 % and the 90 % interval of a normal distribution, in standard deviations."""
+INTERVALS = {"inside_50": INSIDE_50, "inside_90": INSIDE_90}
+"""Half widths of the intervals whose shares are counted, by metric."""
 
 ROUNDING = 1e-9
 """Errors this small, mm or rad, come from arithmetic: an estimate that claims certainty is right then."""
@@ -82,9 +84,9 @@ def normalised_squares(errors: FloatArray, variances: FloatArray) -> FloatArray:
     return squares
 
 
-def inside_interval(normalised: FloatArray) -> BoolArray:
-    """Return which entries lie within +-1.645 standard deviations, from their normalised squares."""
-    inside: BoolArray = normalised <= INSIDE_90**2
+def inside_interval(normalised: FloatArray, half_width: float = INSIDE_90) -> BoolArray:
+    """Return which entries lie within so many standard deviations, from their normalised squares."""
+    inside: BoolArray = normalised <= half_width**2
     return inside
 
 

@@ -18,8 +18,10 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Statistics, Value
 from posetrack_cli.evaluation.gates import GateOutcome
+from posetrack_cli.evaluation.honesty import JudgedFrames, reliability, roc_curve
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import metric_of, split_address
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.outputs import check_free, check_place, whole_or_nothing
 from posetrack_cli.text import printable_json
@@ -70,25 +72,29 @@ def json_report(
     options: Mapping[str, Any],
     comparison: Comparison | None = None,
     gates: Sequence[GateOutcome] = (),
+    pools: Sequence[Pool] = (),
 ) -> str:
     """Return the report as JSON text.
 
     ``results`` has for each result its name, file, track, subject, coverage, metrics by address (``unit``
-    with either ``value`` or mean, sd, median, p95, max and count), absent metrics with reasons, curve,
-    joint offsets that were removed, notes, losses and run record; ``comparison`` the paired differences,
-    ``gates`` the outcome of every gate.
+    with either ``value`` or mean, sd, median, p95, max, p5 and count), absent metrics with reasons, curve,
+    reliability and ROC curve of confidence, joint offsets that were removed, notes, losses and run record;
+    ``pooled`` the same of the results together and of each group, as far as it is pooled; ``comparison`` the
+    paired differences, ``gates`` the outcome of every gate.
 
     Args:
         evaluations: the results.
         options: what they were evaluated with.
         comparison: of the results or groups.
         gates: of ``--fail-if``, files of gates and a baseline.
+        pools: results together.
     """
     report = {
         "format": FORMAT,
         "version": __version__,
         "options": dict(options),
         "results": [_result(one) for one in evaluations],
+        "pooled": [_pool(one) for one in pools],
         "comparison": None if comparison is None else _comparison(comparison),
         "gates": [asdict(outcome) for outcome in gates],
     }
@@ -116,10 +122,35 @@ def _result(evaluation: Evaluation) -> dict[str, Any]:
         "metrics": {base: _metric(base, value) for base, value in evaluation.metrics.items()},
         "absent": dict(evaluation.absent),
         "curve": None if evaluation.curve is None else _curve(evaluation.curve),
+        "honesty": None if evaluation.judged is None else _honesty(evaluation.judged),
         "joint_offsets": _offsets(evaluation.joint_offsets),
         "notes": list(evaluation.notes),
         "losses": [asdict(loss) for loss in evaluation.losses],
         "run": dict(evaluation.run),
+    }
+
+
+def _pool(pool: Pool) -> dict[str, Any]:
+    return {
+        "name": pool.name,
+        "results": list(pool.results),
+        "track": pool.which,
+        "subject": pool.subject,
+        "coverage": {**asdict(pool.coverage), "share": pool.coverage.share},
+        "metrics": {base: _metric(base, value) for base, value in pool.metrics.items()},
+        "absent": dict(pool.absent),
+        "honesty": None if pool.judged is None else _honesty(pool.judged),
+    }
+
+
+def _honesty(judged: JudgedFrames) -> dict[str, Any]:
+    """What confidence says: bins with the share of frames that are right, and the ROC curve."""
+    curve = roc_curve(*judged.scored)
+    return {
+        "right_if": judged.right_if,
+        "far_if": judged.far_if,
+        "reliability": [asdict(one) for one in reliability(*judged.scored)],
+        "roc": None if curve is None else {name: values.tolist() for name, values in vars(curve).items()},
     }
 
 
@@ -169,17 +200,21 @@ KINDS = ("largest", "mean")
 """Of a frame's joint errors."""
 
 
-def csv_report(evaluations: Sequence[Evaluation], comparison: Comparison | None = None) -> str:
+def csv_report(
+    evaluations: Sequence[Evaluation], comparison: Comparison | None = None, pools: Sequence[Pool] = ()
+) -> str:
     """Return lines ``result,metric,part,statistic,value,unit``, UTF-8, with a header.
 
     ``part`` is empty for a metric as a whole; ``statistic`` is empty for a metric that is one number. Of a
     comparison ``result`` is ``second - first`` and ``statistic`` ends in ``difference``, ``low``, ``high``,
-    ``p_value`` or ``pairs``. Values have all their digits; those that are not finite are ``nan`` or ``inf``.
+    ``p_value`` or ``pairs``; of results that are pooled ``result`` is the pool's name. Values have all their
+    digits; those that are not finite are ``nan`` or ``inf``.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADER)
-    for one in evaluations:
+    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
+    for one in every:
         for base, value in one.metrics.items():
             writer.writerows(_lines(one.name, base, value))
     if comparison is not None:

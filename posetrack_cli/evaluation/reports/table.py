@@ -10,19 +10,26 @@ from typing import TypeAlias
 import numpy as np
 
 from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Statistics, Value
+from posetrack_cli.evaluation.figures import Measured
+from posetrack_cli.evaluation.honesty import Bin, reliability
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, metric_of, place_of
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Group
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.losses import loss_line
 
 ABSENT = "-"
-SPREAD = ("median", "p95", "max")
-SHOWN = tuple(name for name in STATISTIC_NAMES if name != "count")
+SHOWN = ("mean", "sd", "median", "p95", "max", "p5")
+"""Columns of one result; the last is filled where small is bad."""
+SPREAD, LOW_SPREAD = ("median", "p95", "max"), ("median", "p5")
+"""What several results show below the mean, where large is bad and where small is."""
 
 OFFSETS_TITLE = "Joint offsets removed, mm"
 OFFSET_COLUMNS: tuple[str, ...] = ("x", "y", "z", "length")
 """Truth minus estimate, in the axes that a note names."""
+
+RELIABILITY_COLUMNS: tuple[str, ...] = ("frames", "mean confidence", "share right")
 
 MOST_NAMES = 4
 """How many results a line below the tables names."""
@@ -70,7 +77,8 @@ def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Ta
     """Make the tables of results beside each other, in the catalogue's order, coverage always first.
 
     One result has a column for each statistic; of several each has a column with mean and sd, and below it
-    median, 95th percentile and largest. Metrics without a value are left out: see ``closing_lines``.
+    median, 95th percentile and largest, or where small is bad median and 5th percentile. Metrics without a
+    value are left out: see ``closing_lines``.
 
     Args:
         evaluations: at least one.
@@ -93,6 +101,62 @@ def catalogue_lines() -> Iterator[str]:
         yield f"{metric.name}{part}{statistic}{unit}{better}"
         yield f"    {metric.meaning}"
     yield f"STATISTIC is one of {', '.join(STATISTIC_NAMES)}"
+    pooled = ", ".join(metric.name for metric in CATALOGUE if metric.pooled)
+    yield f"pooled.NAME is the figure of all results together, or of each group; of {pooled}"
+
+
+def pooled_table(pools: Sequence[Pool]) -> Table | None:
+    """The figures of results together, or None where no two were pooled."""
+    shown_pools = [pool for pool in pools if pool.says_more]
+    if not shown_pools:
+        return None
+    bases = [base for base in _bases(shown_pools) if "." not in base]
+    rows = (
+        (metric_of(base).group, [_row(base, tuple(_mean_cell(one.metrics.get(base)) for one in shown_pools))])
+        for base in bases
+    )
+    return Table("Pooled over results", tuple(pool.name for pool in shown_pools), _sections(rows))
+
+
+def reliability_table(evaluations: Sequence[Evaluation], pools: Sequence[Pool]) -> Table | None:
+    """How many frames of each confidence are right, of results and pools; None where no frame was judged.
+
+    One result has columns of counts, mean confidences and shares right; of several each has a column.
+    """
+    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
+    found = {one.name: reliability(*one.judged.scored) for one in every if one.judged is not None}
+    if not found:
+        return None
+    bins = list(zip(*found.values(), strict=True))
+    labels = [f"{own[0].low:.1f} to {own[0].high:.1f}" for own in bins]
+    if len(found) == 1:
+        columns: tuple[str, ...] = RELIABILITY_COLUMNS
+        cells = [_reliability_cells(own[0]) for own in bins]
+    else:
+        columns = tuple(found)
+        cells = [tuple(" / ".join(_reliability_cells(one)) for one in own) for own in bins]
+    rows = tuple(Row(label, own) for label, own in zip(labels, cells, strict=True))
+    what = "" if len(found) == 1 else f": {' / '.join(RELIABILITY_COLUMNS)}"
+    return Table(f"Confidence{what}", columns, (Section("", rows),))
+
+
+def criterion_lines(evaluations: Sequence[Evaluation]) -> list[str]:
+    """What makes frames right, or far off, in the results that were judged."""
+    judged = [one.judged for one in evaluations if one.judged is not None]
+    lines = (f"right: {one.right_if}; far off: {one.far_if}" for one in judged)
+    return list(dict.fromkeys(lines))
+
+
+def pool_lines(pools: Sequence[Pool]) -> list[str]:
+    """Why results have no figures together, or not all of them."""
+    several = [pool for pool in pools if len(pool.results) > 1]
+    return [f"{one.name}: {line}" for one in several for line in _absent_lines(one.absent)]
+
+
+def _reliability_cells(one: Bin) -> tuple[str, ...]:
+    if not one.count:
+        return ("0", ABSENT, ABSENT)
+    return (str(one.count), shown(one.confidence), shown(one.right))
 
 
 def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
@@ -173,7 +237,7 @@ def _of_one(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...], Ro
     (evaluation,) = evaluations
 
     def rows(base: str) -> list[Row]:
-        return [_row(base, _statistics_cells(evaluation.metrics[base]))]
+        return [_row(base, _statistics_cells(base, evaluation.metrics[base]))]
 
     return evaluation.name, ("mean/value", *SHOWN[1:]), rows
 
@@ -186,7 +250,8 @@ def _of_several(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...]
         main = _row(base, tuple(_mean_cell(value) for value in values))
         if main.indent or not any(isinstance(value, Statistics) for value in values):
             return [main]
-        return [main, Row(" / ".join(SPREAD), tuple(_spread_cell(value) for value in values), base, 1)]
+        names = LOW_SPREAD if _small_is_bad(base) else SPREAD
+        return [main, Row(" / ".join(names), tuple(_spread_cell(value, names) for value in values), base, 1)]
 
     return "Results", tuple(one.name for one in evaluations), rows
 
@@ -199,7 +264,7 @@ def _sections(grouped: Iterable[tuple[Group, list[Row]]]) -> tuple[Section, ...]
     return tuple(Section(GROUP_TITLES[group], tuple(rows)) for group, rows in found.items() if rows)
 
 
-def _bases(evaluations: Sequence[Evaluation]) -> list[str]:
+def _bases(evaluations: Iterable[Measured]) -> list[str]:
     """Every address that a result has, in the catalogue's order; parts as they come."""
     found = dict.fromkeys(base for one in evaluations for base in one.metrics)
     return sorted(found, key=place_of)
@@ -210,10 +275,15 @@ def _row(base: str, cells: tuple[str, ...]) -> Row:
     return Row(part or name, cells, base, 1 if part else 0)
 
 
-def _statistics_cells(value: Value) -> tuple[str, ...]:
-    if isinstance(value, Statistics):
-        return tuple(shown(getattr(value, name)) for name in SHOWN)
-    return (shown(value), *[""] * (len(SHOWN) - 1))
+def _small_is_bad(base: str) -> bool:
+    return metric_of(base).better == "higher"
+
+
+def _statistics_cells(base: str, value: Value) -> tuple[str, ...]:
+    if not isinstance(value, Statistics):
+        return (shown(value), *[""] * (len(SHOWN) - 1))
+    cells = [shown(getattr(value, name)) for name in SHOWN]
+    return (*cells[:-1], cells[-1] if _small_is_bad(base) else "")
 
 
 def _mean_cell(value: Value | None) -> str:
@@ -222,10 +292,10 @@ def _mean_cell(value: Value | None) -> str:
     return mean_and_sd(value.mean, value.sd) if isinstance(value, Statistics) else shown(value)
 
 
-def _spread_cell(value: Value | None) -> str:
+def _spread_cell(value: Value | None, names: Sequence[str]) -> str:
     if not isinstance(value, Statistics):
         return ABSENT
-    return " / ".join(shown(getattr(value, name)) for name in SPREAD)
+    return " / ".join(shown(getattr(value, name)) for name in names)
 
 
 def _thesis_row(evaluation: Evaluation, statistic: str, heads: int) -> Row:

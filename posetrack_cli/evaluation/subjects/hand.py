@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.joint_offsets import JointOffsets, OffsetFrame, remove_joint_offsets
 from posetrack_cli.evaluation.metrics.hand_metrics import STATE_PARTS, WITHIN_MM, hand_metrics
-from posetrack_cli.evaluation.metrics.measures import Matched
+from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.metrics.metric import Metric
+from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_50, INSIDE_90
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
+from posetrack_cli.hand.confidence import RIGHT_MM
 from posetrack_cli.results.reader import Result
 
 if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
+FAR_MM = 40.0
+"""A hand whose joints are farther off on average is somewhere else, or turned over."""
 _PALM_AXES = {
     "x": "a right hand's thumb ahead",
     "y": "the wrist ahead",
@@ -49,6 +53,32 @@ def _without_offsets(
 
     anatomy = hand_of(result).anatomy
     return remove_joint_offsets(matched.estimate, matched.truth, matched.pairs, anatomy, frame)
+
+
+def _joint_intervals(measures: Measures, result: Result, matched: Matched) -> None:
+    from posetrack_cli.evaluation.metrics.joint_intervals import joint_intervals
+    from posetrack_cli.evaluation.recorded_hand import anatomy_of
+
+    joint_intervals(measures, matched, lambda: anatomy_of(result))
+
+
+def _inside(percent: int, half_width: float) -> Metric:
+    meaning = (
+        f"Share of the true joint coordinates within +-{half_width:.3f} standard deviations that follow from "
+        f"the stated ones of the pose; with independent Gaussian errors {percent / 100:g}."
+    )
+    spoken = f"joints inside {percent} % interval"
+    return Metric(
+        f"joint_inside_{percent}",
+        "",
+        meaning,
+        "joint",
+        "covariance",
+        "neither",
+        scalar=True,
+        spoken=spoken,
+        pooled=True,
+    )
 
 
 def _compared(result: Result, recording: Recording, which: str) -> Mapping[str, FloatArray]:
@@ -100,6 +130,8 @@ _METRICS = (
         "angle",
         "velocity",
     ),
+    _inside(50, INSIDE_50),
+    _inside(90, INSIDE_90),
 )
 
 HAND = SubjectKind(
@@ -138,6 +170,9 @@ HAND = SubjectKind(
     lead=("joint_error_mm",),
     readings=("joint_error_mm", "largest_joint_error_mm"),
     worst_by=("joint_error_mm",),
+    right={"joint_error_mm": RIGHT_MM},
+    far={"joint_error_mm": FAR_MM},
+    measure_intervals=_joint_intervals,
     remove_offsets=_without_offsets,
     compare_images=_compared,
 )

@@ -6,6 +6,9 @@ from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE, STATE_PARTS
 from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 
+RIGHT_DEG, RIGHT_MM = 3.0, 5.0
+"""Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
+FAR_DEG = 10.0
 _METRICS = (
     Metric("x_mm", "mm", "Absolute error of the head's position along x, right.", spoken="x error"),
     Metric("y_mm", "mm", "Absolute error of the head's position along y, down.", spoken="y error"),
@@ -56,4 +59,6 @@ HEAD = SubjectKind(
     lead=("position_mm", "rotation_deg"),
     readings=("position_mm", "rotation_deg", "point_error_mm"),
     worst_by=("point_error_mm", "position_mm"),
+    right={"rotation_deg": RIGHT_DEG, "point_error_mm": RIGHT_MM},
+    far={"rotation_deg": FAR_DEG},
 )

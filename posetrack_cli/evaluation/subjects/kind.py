@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 from posetrack_cli.arrays import FloatArray
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 Measure: TypeAlias = Callable[[Measures, Matched, int], Curve | None]
 """Adds what is measured of matched frames against truth; the number is that of frames that were missed."""
 RemoveOffsets: TypeAlias = Callable[[Result, Matched, OffsetFrame], tuple[Track, JointOffsets | None]]
+MeasureIntervals: TypeAlias = Callable[[Measures, Result, Matched], None]
 CompareImages: TypeAlias = Callable[[Result, "Recording", str], Mapping[str, FloatArray]]
 """Measures a track of a result, by name, against images: values (N,) by metric, NaN where there is none."""
 
@@ -41,7 +42,12 @@ class SubjectKind:
         studied_figures: what groups of results are compared by beyond the key figures.
         lead: metrics that a page begins with.
         readings: metrics that a page tells beside the view in space.
+        right: the largest errors of a frame that is right, by metric; empty where that is not defined. Frames
+            are judged where the first is known; confidence is the probability that they are right.
+        far: the errors above which a frame is far off; the first must be the first of ``right``.
         worst_by: those of its metrics that say how bad a frame is; the first counts that an evaluation has.
+        measure_intervals: adds whether points lie within the intervals that follow from a pose's; None where
+            that is not known.
         remove_offsets: takes a constant offset of each point out of an estimate; None where none is meant.
         compare_images: measures against depth images; None where there are none.
     """
@@ -59,8 +65,19 @@ class SubjectKind:
     lead: tuple[str, ...]
     readings: tuple[str, ...]
     worst_by: tuple[str, ...]
+    right: Mapping[str, float] = field(default_factory=dict)
+    far: Mapping[str, float] = field(default_factory=dict)
+    measure_intervals: MeasureIntervals | None = None
     remove_offsets: RemoveOffsets | None = None
     compare_images: CompareImages | None = None
+
+    def in_words(self, limits: Mapping[str, float], relation: str, between: str) -> str:
+        """Say limits of errors: ``rotation error at most 3 deg and point error at most 5 mm``."""
+        metrics = {metric.name: metric for metric in self.metrics}
+        labels = {name: f"mean {one.label}" if one.part else one.label for name, one in metrics.items()}
+        return between.join(
+            f"{labels[name]} {relation} {limit:g} {metrics[name].unit}" for name, limit in limits.items()
+        )
 
     def part_names(
         self, metric: Metric, point_names: Sequence[str] = (), shape_names: Sequence[str] = ()

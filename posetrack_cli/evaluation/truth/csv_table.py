@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
@@ -16,13 +15,12 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.csv_rows import Row, csv_rows
 from posetrack_cli.errors import TruthError
-from posetrack_cli.files import open_input
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.units import NS_PER_S
 
-COMMENT = "#"
 SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces"}
 """What other programs write between columns."""
 STATUS = "status"
@@ -142,57 +140,11 @@ def read_table(header: CsvHeader, columns: Sequence[str], optional: Collection[s
     return table
 
 
-_Row = tuple[int, list[str]]
-"""A row of cells and its line."""
+def _rows(path: Path) -> Iterator[Row]:
+    return csv_rows(path, TruthError, "a truth is an MCAP file or a CSV file in UTF-8")
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines with their numbers from 1."""
-    number = 0
-    try:
-        with open_input(path) as stream:
-            while line := stream.readline(limits.LINE_BYTES + 1):
-                number += 1
-                if len(line) > limits.LINE_BYTES:
-                    found, expected = "a line without end", f"at most {limits.LINE_BYTES} bytes"
-                    raise TruthError(
-                        "is no CSV", where=f"{path} line {number}", found=found, expected=expected
-                    )
-                yield number, line.decode("utf-8-sig" if number == 1 else "utf-8")
-    except OSError as error:
-        raise TruthError("cannot be read", where=path, found=error.strerror or error) from error
-    except UnicodeDecodeError as error:
-        found = f"byte 0x{error.object[error.start]:02x}"
-        raise TruthError(
-            "is no UTF-8 text",
-            where=f"{path} line {number}",
-            found=found,
-            hint="a truth is an MCAP file or a CSV file in UTF-8",
-        ) from error
-
-
-def _rows(path: Path) -> Iterator[_Row]:
-    """Yield the rows, the header row first, without comments and empty lines."""
-    latest = 0
-
-    def data_lines() -> Iterator[str]:
-        nonlocal latest
-        for number, line in _lines(path):
-            latest = number
-            if not line.startswith(COMMENT):
-                yield line
-
-    try:
-        for row in csv.reader(data_lines()):
-            if any(cell.strip() for cell in row):
-                yield latest, row
-    except csv.Error as error:
-        line_ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
-        found, hint = ("a carriage return alone", "end lines with a line feed") if line_ends else (error, "")
-        raise TruthError("is no CSV", where=f"{path} line {latest}", found=found, hint=hint) from error
-
-
-def _blocks(header: CsvHeader) -> Iterator[list[_Row]]:
+def _blocks(header: CsvHeader) -> Iterator[list[Row]]:
     """Yield the rows after the header, some at a time, each of the header's length."""
     rows = islice(_rows(header.path), 1, None)
     while block := list(islice(rows, BLOCK_ROWS)):
@@ -207,14 +159,14 @@ def _blocks(header: CsvHeader) -> Iterator[list[_Row]]:
         yield block
 
 
-def _not_lost(header: CsvHeader, block: list[_Row]) -> list[_Row]:
+def _not_lost(header: CsvHeader, block: list[Row]) -> list[Row]:
     if STATUS not in header.columns:
         return block
     place = header.columns.index(STATUS)
     return [(line, row) for line, row in block if row[place].strip() != Status.LOST.value]
 
 
-def _stamps(header: CsvHeader, block: list[_Row]) -> list[int]:
+def _stamps(header: CsvHeader, block: list[Row]) -> list[int]:
     column = str(header.stamp_column)
     place, unit = header.columns.index(column), NS_PER_UNIT[column]
     return [
@@ -236,7 +188,7 @@ def _stamp(cell: str, ns_per_unit: int, where: str) -> int:
 
 
 def _numbers(
-    header: CsvHeader, block: list[_Row], columns: Sequence[str], optional: Collection[str]
+    header: CsvHeader, block: list[Row], columns: Sequence[str], optional: Collection[str]
 ) -> FloatArray:
     """Return the cells of some columns of a block of rows as numbers."""
     if not (columns and block):

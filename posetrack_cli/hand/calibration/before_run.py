@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, takewhile
+from itertools import chain, product, takewhile
 
 import numpy as np
 
@@ -24,8 +24,11 @@ from posetrack_cli.hand.calibration.calibrate import (
     calibrate,
 )
 from posetrack_cli.hand.config import HandConfig, HandSettings
+from posetrack_cli.hand.keypoints.file import KeypointFile
+from posetrack_cli.hand.keypoints.told import ToldSide, told_candidates
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.proposals import PROPOSALS
+from posetrack_cli.hand.segmentation import Detection
 from posetrack_cli.hand.shape import SHAPE_NAMES
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
@@ -49,8 +52,10 @@ _SIZE_SD = (0.12, 0.15)
 """Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
 larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
 sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4)."""
-_QUICK = {"fitted": 16, "refined": 2, "scattered": 4}
-"""A search for another size may miss the last tenths of a millimetre, and looks at nothing twice."""
+_QUICK = {"scattered": 4, "finished": 3}
+"""A search for another size may miss the last tenths of a millimetre."""
+_HOPELESS_MM = 4.0
+"""A side that costs so much more than the other in a frame is not tried in further sizes."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ def find_hand(
     start: int,
     seed: int,
     report: Callable[[str], None] = lambda line: None,
+    keypoints: KeypointFile | None = None,
 ) -> HandFound:
     """Decide what a configuration leaves open about the hand, from the first seconds of the run's part.
 
@@ -81,6 +87,7 @@ def find_hand(
         start: the run's first frame.
         seed: of fits.
         report: called with what is being done.
+        keypoints: from elsewhere: further places, and evidence of the side.
 
     Raises:
         RecordingError: a shape is asked for, and no hand can be tracked.
@@ -92,16 +99,22 @@ def find_hand(
         found = calibrate(recording, config, options, report)
         return HandFound(_with_shape(config, found), _shape_line(found))
     if config.hand.side == "auto":
-        return _hand_of(recording, config, start, SIDES)
+        return _hand_of(recording, config, start, SIDES, keypoints)
     if not _is_size_open(config):
         return HandFound(config)
-    sized = _hand_of(recording, config, start, (config.hand.side,))
+    sized = _hand_of(recording, config, start, (config.hand.side,), keypoints)
     return sized if sized.config.hand.scale != config.hand.scale else HandFound(config)
 
 
-def _hand_of(recording: Recording, config: HandConfig, start: int, sides: Sequence[str]) -> HandFound:
+def _hand_of(
+    recording: Recording,
+    config: HandConfig,
+    start: int,
+    sides: Sequence[str],
+    keypoints: KeypointFile | None,
+) -> HandFound:
     """The hand's side and size as they are cheapest; frames are asked until they agree clearly enough."""
-    trial = _Trial(config, recording.cameras[0], sides)
+    trial = _Trial(config, recording.cameras[0], sides, keypoints)
     for frame in _early_frames(recording, start):
         trial.ask(frame)
         if trial.is_clear:
@@ -134,9 +147,17 @@ class _Trial:
         config: of the hand and the search.
         camera: of the depth images.
         sides: to be tried.
+        keypoints: from elsewhere.
     """
 
-    def __init__(self, config: HandConfig, camera: Camera, sides: Sequence[str]) -> None:
+    def __init__(
+        self,
+        config: HandConfig,
+        camera: Camera,
+        sides: Sequence[str],
+        keypoints: KeypointFile | None = None,
+    ) -> None:
+        self._keypoints, self._told = keypoints, ToldSide(keypoints, camera)
         quick = config.acquisition.model_copy(update=_QUICK)
         never = config.status.model_copy(update={"sure_mm": config.observation.clamp_mm})
         self._quick = config.model_copy(update={"acquisition": quick, "status": never})
@@ -144,6 +165,8 @@ class _Trial:
         self._sides, self.asked, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
         self._scales = tuple(own * _RATIO**k for k in _STEPS) if _is_size_open(config) else (own,)
+        off = np.log(np.array(self._scales) / own)
+        self._unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
         self._finders: dict[tuple[int, int], Acquisition] = {}
@@ -152,21 +175,33 @@ class _Trial:
         """Add what a frame costs, if there may be a hand in it."""
         own = len(self._scales) // 2
         places = self._finder(0, own).detect(frame.depth)
-        if not places:
+        if not places and not told_candidates(self._keypoints, self._camera, self._finder(0, own), frame):
             return
+        self._ask_keypoints(frame)
 
-        def of_all_sides(k: int) -> list[float]:
-            sides = range(len(self._sides))
-            return [self._finder(side, k).best_cost(frame.depth, places) for side in sides]
+        def of(side: int, k: int, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
+            finder = self._finder(side, k)
+            told = told_candidates(self._keypoints, self._camera, finder, frame)
+            return finder.appraise(frame.depth, places, told)
 
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
-        costs[:, own] = of_all_sides(own)
+        costs[0, own], likely = of(0, own, places)
+
+        def appraise(side: int, k: int) -> None:
+            if (side, k) != (0, own):
+                costs[side, k] = of(side, k, likely)[0]
+
+        for side in range(len(self._sides)):
+            appraise(side, own)
+        least = costs[:, own].min()
+        possible = [side for side in range(len(self._sides)) if costs[side, own] < least + _HOPELESS_MM]
         if not self._tried:
-            fits = costs[:, own].min() <= _OWN_MM
-            self._tried = (own,) if fits else range(len(self._scales))
-        for k in self._tried:
-            if k != own:
-                costs[:, k] = of_all_sides(k)
+            self._tried = [own]
+            if len(self._scales) > 1 and least > _OWN_MM:
+                self._tried = sorted({k for side in possible for k in self._climbed(side, costs, appraise)})
+        else:
+            for side, k in product(possible, set(self._tried) - {own}):
+                appraise(side, k)
         self._costs += costs
         self.asked += 1
         self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
@@ -174,18 +209,38 @@ class _Trial:
             difference = float(costs[1].min() - costs[0].min()) / _COST_PER_LOG_ODDS
             self._log_odds += float(np.clip(difference, -_MOST_A_FRAME, _MOST_A_FRAME))
 
+    def _ask_keypoints(self, frame: Frame) -> None:
+        """Add what the frame's keypoints tell of the side."""
+        if len(self._sides) > 1:
+            right, left = (self._finder(side, len(self._scales) // 2).observer.anatomy for side in (0, 1))
+            self._told.ask(frame, right, left)
+
+    def _climbed(self, side: int, costs: FloatArray, appraise: Callable[[int, int], None]) -> set[int]:
+        """Try sizes of a side beside the cheapest, until that lies between two; return which were tried."""
+        tried, best = {len(self._scales) // 2}, -1
+        while True:
+            before, best = best, int(np.argmin(costs[side] + self._unusual))
+            if best == before:
+                return tried
+            for k in {best - 1, best + 1} & set(range(len(self._scales))) - tried:
+                appraise(side, k)
+                tried.add(k)
+
+    @property
+    def _odds(self) -> float:
+        """The logarithm of the first side's odds, by costs and by keypoints."""
+        return self._log_odds + self._told.log_odds
+
     @property
     def _best(self) -> tuple[int, int]:
         """Which side, and which size of it, costs least so far."""
-        side = 0 if len(self._sides) == 1 or self._log_odds >= 0.0 else 1
+        side = 0 if len(self._sides) == 1 or self._odds >= 0.0 else 1
         return side, int(np.argmin(self._doubts[side]))
 
     @property
     def _doubts(self) -> FloatArray:
         """What sides and sizes (S, K) cost, and what speaks against the sizes beforehand."""
-        off = np.log(np.array(self._scales) / self._config.hand.scale)
-        unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))
-        return np.asarray(self._costs + self.asked * unusual)
+        return np.asarray(self._costs + self.asked * self._unusual)
 
     @property
     def side(self) -> str:
@@ -195,12 +250,12 @@ class _Trial:
     @property
     def probability(self) -> float:
         """Of that side."""
-        return float(1.0 / (1.0 + np.exp(-abs(self._log_odds))))
+        return float(1.0 / (1.0 + np.exp(-abs(self._odds))))
 
     @property
     def is_sure_of_side(self) -> bool:
         """Whether frames agree on the side."""
-        return len(self._sides) == 1 or abs(self._log_odds) >= CLEAR_LOG_ODDS
+        return len(self._sides) == 1 or abs(self._odds) >= CLEAR_LOG_ODDS
 
     @property
     def is_clear(self) -> bool:

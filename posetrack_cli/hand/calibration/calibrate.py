@@ -22,7 +22,6 @@ from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
 from posetrack_cli.hand.calibration.sequence import SequenceFit, SequenceFitter
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
-from posetrack_cli.hand.fitting.raster import View
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandMaker, HandModel, hand_maker
 from posetrack_cli.hand.observer import Observer
@@ -30,6 +29,7 @@ from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.rendering.raster import View
 
 SIDES = ("right", "left")
 TRIED_SCALES = (0.78, 0.88, 1.0, 1.13, 1.28)

@@ -14,11 +14,12 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
-from posetrack_cli.hand.fitting.raster import Drawing, Skin, draw, empty_drawing, skin_of
+from posetrack_cli.hand.fitting.skin import Skin, skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.rendering.raster import Drawing, draw, empty_drawing
 
 POSE_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, 15])
 """Differences of the tangent vector, mm and rad: the skin moves by about half a millimetre."""
@@ -80,10 +81,10 @@ class FrameRows:
     def _drawn(self, tile: Tile, pose: FloatArray, hand: HandModel) -> Drawing | None:
         if self._of is not hand:
             self._skin, self._of = skin_of(hand.smooth), hand
-            self._drawing = empty_drawing(self._skin, self._tile_px, self._tile_px)
+            self._drawing = empty_drawing(self._skin.mesh, self._tile_px, self._tile_px)
         assert self._skin is not None and self._drawing is not None
         bones = skinning_transforms(hand.anatomy, pose[None])[0].astype(np.float64)
-        return self._drawing if draw(self._skin, bones, tile.projection, self._drawing) else None
+        return self._drawing if draw(self._skin.mesh, bones, tile.projection, self._drawing) else None
 
     def _surface(
         self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.compiled import thread_count
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
@@ -28,12 +29,14 @@ from posetrack_cli.hand.fitting.gauss_newton import (
     make_workspace,
 )
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
-from posetrack_cli.hand.fitting.raster import View, skin_of
 from posetrack_cli.hand.fitting.skeleton import pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.raster import View
 
 # MCP and PIP flexion, rad, of a straight, curled, half-bent, hooked and flat-bent finger.
 _FOLDS = np.array([(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)])
@@ -81,7 +84,6 @@ def refolds(pose: FloatArray) -> FloatArray:
 
 
 FINGER_ANGLES = tuple(slice(7 + 3 * f, 10 + 3 * f) for f in range(5))  # of a pose
-THREADS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +107,12 @@ class HandFitter:
     """Fits one hand model to observations of one size.
 
     Args:
-        model: the hand; its smooth mesh is fitted.
+        model: the hand.
         camera: pinhole intrinsics.
         tile_px: side of the observations.
         terms: weights of the residuals.
         steps: largest steps.
+        skin: of the hand and its forearm, by default the smooth one.
     """
 
     def __init__(
@@ -119,12 +122,13 @@ class HandFitter:
         tile_px: int,
         terms: Terms | None = None,
         steps: Steps | None = None,
+        skin: SkinnedMesh | None = None,
     ) -> None:
-        anatomy = model.anatomy
-        self.hand = Hand(skeleton_of(anatomy), skin_of(model.smooth_with_arm), plausibility_of(anatomy))
+        anatomy, skin = model.anatomy, skin or model.smooth_with_arm
+        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy))
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
-        self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(THREADS)]
-        self._threads = ThreadPoolExecutor(THREADS)
+        self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]
+        self._threads = ThreadPoolExecutor(len(self._free))
 
     def tile(self, observation: Observation) -> Tile:
         """Return an observation as the fits read it."""
@@ -213,7 +217,8 @@ class HandFitter:
     def _each(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
         """Call a compiled function for every item, on all threads; each has a workspace of its own."""
         count = len(arguments[0])
-        parts = [range(first, count, THREADS) for first in range(THREADS)]
+        threads = min(len(self._free), count)
+        parts = [range(first, count, threads) for first in range(threads)]
         results: list[Any] = [None] * count
 
         def run(part: range, workspace: Workspace) -> None:

@@ -19,10 +19,11 @@ from posetrack_cli.hand.fitting.normal_equations import (
     empty_equations,
     gather,
 )
-from posetrack_cli.hand.fitting.raster import Drawing, Skin, View, draw, empty_drawing
 from posetrack_cli.hand.fitting.skeleton import ARM, Posed, Skeleton, empty_posed, place_arm, pose_bones
+from posetrack_cli.hand.fitting.skin import Skin
 from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
 from posetrack_cli.hand.observation import IGNORED
+from posetrack_cli.rendering.raster import Drawing, View, draw, empty_drawing
 
 WIDENING = 1.3  # factor on the robust scales per iteration left
 SWING_SD, GIRTH_SD = 0.25, 0.1
@@ -79,7 +80,7 @@ def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
     """Return the workspace of fits to images of one size."""
     return Workspace(
         empty_posed(),
-        empty_drawing(hand.skin, height, width),
+        empty_drawing(hand.skin.mesh, height, width),
         empty_buffers(hand.skin, height, width),
         np.zeros((5, SPHERES, 3)),
         empty_equations(),
@@ -108,7 +109,7 @@ def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def _step(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
+def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
     """Move a pose by a tangent vector, no farther than ``most``."""
     length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
     shrink = min(1.0, most.translation_mm / (length + 1e-30))
@@ -245,7 +246,7 @@ def descend(
         place_arm(arm, workspace.posed)
         clear(workspace.data)
         cost = terms.clamp_mm
-        if draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
+        if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
             widening = WIDENING ** (iterations - k)
             cost = add_terms(
                 tile,
@@ -262,7 +263,7 @@ def descend(
             _keep(pose, arm, workspace.data, cost, out)
         if k < iterations:
             _solve(hand, tile, pose, arm, mean, precision, workspace, delta)
-            _step(pose, delta, most)
+            step_pose(pose, delta, most)
             _move_arm(arm, delta, workspace.posed, most)
 
 
@@ -271,7 +272,7 @@ def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: W
     """The union cost D, mm, of a pose (22,)."""
     pose_bones(hand.skeleton, pose, workspace.posed)
     place_arm(tile.arm, workspace.posed)
-    if not draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
+    if not draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
         return terms.clamp_mm
     return union_cost(tile, workspace.drawing, terms)
 
@@ -283,7 +284,7 @@ def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Wo
     place_arm(tile.arm, workspace.posed)
     clear(workspace.data)
     cost = terms.clamp_mm
-    if draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
+    if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
         cost = add_terms(
             tile, workspace.posed, hand.skin, workspace.drawing, terms, 1.0, workspace.buffers, workspace.data
         )
@@ -299,10 +300,11 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
     """
     pose_bones(hand.skeleton, pose, workspace.posed)
     place_arm(tile.arm, workspace.posed)
-    if tile.observed == 0 or not draw(hand.skin, workspace.posed.bones, tile.projection, workspace.drawing):
+    bones, drawing = workspace.posed.bones, workspace.drawing
+    if tile.observed == 0 or not draw(hand.skin.mesh, bones, tile.projection, drawing):
         return False
     drawn, target = np.zeros(3), np.zeros(3)
-    count = _add_middle(workspace.drawing.inverse, tile.image, True, drawn)
+    count = _add_middle(drawing.inverse, tile.image, True, drawn)
     if count == 0:
         return False
     _place_middle(drawn, count, tile.projection)

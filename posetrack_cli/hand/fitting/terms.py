@@ -19,9 +19,10 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations, add_row
-from posetrack_cli.hand.fitting.raster import Drawing, Skin, View
 from posetrack_cli.hand.fitting.skeleton import Posed, point_row
+from posetrack_cli.hand.fitting.skin import Skin
 from posetrack_cli.hand.observation import NO_ARM
+from posetrack_cli.rendering.raster import Drawing, View
 
 
 class Tile(NamedTuple):
@@ -82,7 +83,7 @@ class TermBuffers(NamedTuple):
 
 def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     """Return the buffers for one image."""
-    return TermBuffers(np.zeros((height * width, 3)), np.zeros(len(skin.vertices), dtype=np.int64))
+    return TermBuffers(np.zeros((height * width, 3)), np.zeros(len(skin.mesh.vertices), dtype=np.int64))
 
 
 @inlined

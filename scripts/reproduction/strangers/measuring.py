@@ -14,6 +14,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import figure_of
+from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.evaluation.metrics.hand_metrics import joint_errors
 from posetrack_cli.evaluation.metrics.measures import Matched, common_columns, rows_of
 from posetrack_cli.evaluation.metrics.pose_errors import distances
@@ -35,8 +36,6 @@ class Frames:
         moved: mean over the joints of how far each went since the frame before, mm; 0 in the first.
         truly_moved: the same of the truth.
         lost: frames whose status is lost.
-        tracking: frames whose status is tracking.
-        confidence: as stated, 0 to 1.
     """
 
     error: FloatArray
@@ -44,8 +43,6 @@ class Frames:
     moved: FloatArray
     truly_moved: FloatArray
     lost: BoolArray
-    tracking: BoolArray
-    confidence: FloatArray
 
 
 def frames_of(evaluation: Evaluation) -> Frames | None:
@@ -55,17 +52,14 @@ def frames_of(evaluation: Evaluation) -> Frames | None:
     if truth is None or pairs is None or not len(pairs.estimate) or WRIST not in joints.names:
         return None
     assert track.points is not None and truth.points is not None
-    assert track.lost is not None and track.reinitialised is not None and track.confidence is not None
+    assert track.lost is not None
     errors = joint_errors(Matched(track, truth, pairs), joints)
-    lost, again = (rows_of(flags, pairs.estimate) for flags in (track.lost, track.reinitialised))
     return Frames(
         error=errors.mean(axis=1),
         wrist=errors[:, joints.names.index(WRIST)],
         moved=path_lengths(rows_of(track.points, pairs.estimate)[:, joints.estimate]),
         truly_moved=path_lengths(rows_of(truth.points, pairs.truth)[:, joints.truth]),
-        lost=lost,
-        tracking=~(lost | again),
-        confidence=rows_of(track.confidence, pairs.estimate),
+        lost=rows_of(track.lost, pairs.estimate),
     )
 
 
@@ -90,6 +84,11 @@ class Measured:
         """The frames of a track of a result; None without one."""
         found = self.evaluation(task, entrant, EvalOptions(track=track))
         return None if found is None else frames_of(found)
+
+    def judged(self, task: EntrantsTask, entrant: str) -> JudgedFrames | None:
+        """The frames of a result, right or wrong as ``posetrack eval`` judges them; None without one."""
+        found = self.evaluation(task, entrant, EvalOptions())
+        return None if found is None else found.judged
 
     def error(self, task: EntrantsTask, entrant: str, track: str = FILTERED) -> float:
         """Mean joint error of a track over all its frames, mm; NaN where it is missing."""

@@ -59,6 +59,8 @@ def test_nees_by_hand() -> None:
     assert number(measures, "inside_90.position") == pytest.approx(5 / 6)
     assert number(measures, "inside_90.rotation") == 1.0
     assert number(measures, "inside_90.angles") == pytest.approx(29 / 30)
+    assert number(measures, "inside_50") == pytest.approx(40 / 42)
+    assert number(measures, "velocity_inside_50.rotation") == pytest.approx(5 / 6)
     alone = {"x": 0.5, "y": 1.0, "about_y": 1.0, "little_pip_flexion": 0.5, "little_mcp_abduction": 1.0}
     assert {name: number(measures, f"inside_90.{name}") for name in alone} == alone
     assert number(measures, "velocity_inside_90") == pytest.approx(41 / 42)
@@ -96,6 +98,7 @@ def test_calibrated_gaussian_errors_are_found_consistent(random: object, dimensi
     for prefix in ("", "velocity_"):
         assert figures(measures, f"{prefix}nees").mean == pytest.approx(dimension, abs=nees_error)
         assert number(measures, f"{prefix}inside_90") == pytest.approx(0.9, abs=share_error)
+        assert number(measures, f"{prefix}inside_50") == pytest.approx(0.5, abs=share_error * 5 / 3)
         for part, size in (("position", 3), ("rotation", 3)):
             part_error = share_error * math.sqrt(dimension / size)
             assert number(measures, f"{prefix}inside_90.{part}") == pytest.approx(0.9, abs=part_error)

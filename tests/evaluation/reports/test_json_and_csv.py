@@ -15,6 +15,7 @@ from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluation import Statistics, statistics
 from posetrack_cli.evaluation.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.pooling import make_pools
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables, shown_p
 from posetrack_cli.evaluation.reports.report_files import FORMAT, HEADER, csv_report, json_report
 from posetrack_cli.losses import Loss
@@ -50,6 +51,7 @@ def test_json_holds_everything() -> None:
         "median": figures.median,
         "p95": figures.p95,
         "max": figures.max,
+        "p5": figures.p5,
         "count": figures.count,
     }
     assert result["metrics"]["coverage"] == {"unit": "", "value": 1.0}
@@ -64,7 +66,7 @@ def test_json_holds_everything() -> None:
 
 
 def test_what_json_cannot_hold_is_null() -> None:
-    metrics = {"joint_error_mm": Statistics(NAN, 0.0, NAN, NAN, math.inf, 0), "coverage": NAN}
+    metrics = {"joint_error_mm": Statistics(NAN, 0.0, NAN, NAN, math.inf, NAN, 0), "coverage": NAN}
     result = loaded(hand_evaluation("a", metrics=metrics, curve=None))["results"][0]
     assert result["metrics"]["coverage"]["value"] is None
     assert result["metrics"]["joint_error_mm"]["mean"] is result["metrics"]["joint_error_mm"]["max"] is None
@@ -82,6 +84,26 @@ def test_json_has_gates_and_comparison() -> None:
     assert (difference["figure"], difference["first"], difference["second"]) == ("joint_error_mm", "a", "b")
     assert difference["low"] == expected.paired.low and difference["count"] == 4
     assert [(gate["failed"], gate["figure"]) for gate in report["gates"]] == [(False, 1.0), (True, None)]
+
+
+def test_json_has_what_confidence_says_and_the_pools() -> None:
+    a, b = with_run("a"), with_run("b", recording="bb", error_mm=9.0)
+    pools = make_pools([a, b], {})
+    report = loaded(a, replace(b, judged=None), pools=pools)
+    told, none = (result["honesty"] for result in report["results"])
+    assert none is None and a.judged is not None
+    assert told["right_if"] == a.judged.right_if and told["far_if"] == a.judged.far_if
+    bins = told["reliability"]
+    assert [one["count"] for one in bins] == [0, 0, 0, 0, 0, 0, 30, 0, 90, 0]
+    assert (bins[6]["low"], bins[6]["high"], bins[6]["confidence"]) == (0.6, 0.7, pytest.approx(0.65))
+    assert bins[8]["right"] == a.judged.right[a.judged.confidence == 0.85].mean() and bins[0]["right"] is None
+    assert told["roc"]["confidence"] == [None, 0.85, 0.65]  # nothing is above all of them
+    assert told["roc"]["right_kept"][-1] == told["roc"]["wrong_kept"][-1] == 1.0
+    (pooled,) = report["pooled"]
+    assert (pooled["name"], pooled["results"], pooled["subject"]) == ("pooled", ["a", "b"], "hand")
+    assert pooled["metrics"]["frames_wrong"]["value"] == pools[0].metrics["frames_wrong"]
+    assert [one["count"] for one in pooled["honesty"]["reliability"]][6::2] == [60, 180]
+    assert pooled["coverage"]["frames"] == 240 and pooled["absent"] == dict(pools[0].absent)
 
 
 def test_the_same_results_give_the_same_bytes() -> None:
@@ -116,7 +138,14 @@ def test_csv_has_one_figure_a_line() -> None:
     assert found["coverage", "", ""] == (1.0, "")
     assert {r["result"] for r in lines} == {'a,"b"'}
     statistics_found = sum(isinstance(value, Statistics) for value in one.metrics.values())
-    assert len(lines) == 6 * statistics_found + (len(one.metrics) - statistics_found)
+    assert len(lines) == 7 * statistics_found + (len(one.metrics) - statistics_found)
+
+
+def test_csv_has_lines_of_pools_of_several_results() -> None:
+    a, b = with_run("a"), with_run("b", recording="bb")
+    lines = rows(csv_report([a, b], pools=make_pools([a, b], {})))
+    assert ["pooled", "frames_wrong", "", "", "0.5", ""] in [list(line.values()) for line in lines]
+    assert {line["result"] for line in rows(csv_report([a], pools=make_pools([a], {})))} == {"a"}
 
 
 def test_csv_shows_what_is_no_number() -> None:

@@ -14,13 +14,15 @@ from hypothesis import strategies as st
 from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
+from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, tables
 from posetrack_cli.evaluation.reports.terminal import print_tables
 from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 
-FIGURES = Statistics(mean=8.25, sd=2.0, median=7.5, p95=12.0, max=30.0, count=600)
-OTHER = Statistics(mean=4.0, sd=1.0, median=3.5, p95=6.0, max=15.0, count=600)
+FIGURES = Statistics(mean=8.25, sd=2.0, median=7.5, p95=12.0, max=30.0, p5=4.5, count=600)
+OTHER = Statistics(mean=4.0, sd=1.0, median=3.5, p95=6.0, max=15.0, p5=2.25, count=600)
+TWO = (("a", FIGURES), ("b", OTHER))
 SIX = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 
 
@@ -36,7 +38,7 @@ def evaluation(name: str = "a", figures: Statistics = FIGURES, **changes: object
 
 
 def head(name: str):
-    metrics = {"coverage": 1.0, **{m: Statistics(i, i / 8, 0, 0, 9, 3) for i, m in enumerate(SIX, 1)}}
+    metrics = {"coverage": 1.0, **{m: Statistics(i, i / 8, 0, 0, 9, 0, 3) for i, m in enumerate(SIX, 1)}}
     return hand_evaluation(name, 30, subject="head", metrics=metrics, absent={})
 
 
@@ -52,13 +54,28 @@ def printed(made: list[Table], width: int | None = None, lines: tuple[str, ...] 
 
 def test_one_result_has_a_column_for_each_statistic() -> None:
     (table,) = tables([evaluation()])
-    assert table.columns == ("mean/value", "sd", "median", "p95", "max")
+    assert table.columns == ("mean/value", "sd", "median", "p95", "max", "p5")
     assert rows(table) == {
-        "coverage": ("0.9800", "", "", "", ""),
-        "joint_error_mm": ("8.250", "2", "7.500", "12", "30"),
-        "frames_within_20mm": ("0.7500", "", "", "", ""),
-        "ms_per_frame": ("8.250", "2", "7.500", "12", "30"),
+        "coverage": ("0.9800", "", "", "", "", ""),
+        "joint_error_mm": ("8.250", "2", "7.500", "12", "30", ""),
+        "frames_within_20mm": ("0.7500", "", "", "", "", ""),
+        "ms_per_frame": ("8.250", "2", "7.500", "12", "30", ""),
     }
+
+
+@pytest.mark.parametrize("metric", [one for one in CATALOGUE if not one.scalar], ids=lambda one: one.name)
+def test_the_5th_percentile_is_shown_where_small_is_bad(metric: Metric) -> None:
+    low = metric.better == "higher"
+    assert low == (metric.name in {"region_overlap", "confidence", "ess"})
+    (table,) = tables([evaluation(metrics={metric.name: FIGURES})])
+    assert rows(table)[metric.name][-1] == ("4.500" if low else "")
+    (table,) = tables([evaluation(name, figures, metrics={metric.name: figures}) for name, figures in TWO])
+    label, cells = (
+        ("median / p5", ("7.500 / 4.500", "3.500 / 2.250"))
+        if low
+        else ("median / p95 / max", ("7.500 / 12 / 30", "3.500 / 6 / 15"))
+    )
+    assert rows(table)[label] == cells
 
 
 def test_several_results_have_a_column_each() -> None:
@@ -156,7 +173,7 @@ def test_a_part_that_is_absent_alone_is_said() -> None:
 
 
 def test_one_result_fits_into_80_columns() -> None:
-    every = {m.name: 1.0 if m.scalar else Statistics(*[9999.5] * 5, count=9) for m in CATALOGUE}
+    every = {m.name: 1.0 if m.scalar else Statistics(*[9999.5] * 6, count=9) for m in CATALOGUE}
     text = printed(tables([evaluation("r", metrics=every)]))
     assert max(map(len, text.splitlines())) <= 80
 

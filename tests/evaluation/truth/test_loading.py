@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from posetrack_cli import csv_rows
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
@@ -378,7 +379,7 @@ def test_an_unreadable_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise PermissionError(13, "Permission denied")
 
     result = result_of(tmp_path)
-    monkeypatch.setattr(csv_table, "open_input", refuse)
+    monkeypatch.setattr(csv_rows, "open_input", refuse)
     with pytest.raises(TruthError, match=r"t\.csv: cannot be read, found Permission denied"):
         load_truth(result, path)
 

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.hand.anatomy import BONE_COUNT
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.fitting.raster import NEAR_MM, NOTHING, Drawing, View, draw, empty_drawing, skin_of
 from posetrack_cli.hand.fitting.skeleton import PALM, empty_posed, pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.observation import window_around
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.raster import NEAR_MM, NOTHING, Drawing, View, draw, empty_drawing
 from support.fitting import HANDS, TILE_PX
 from support.hand import KINECT, random_poses
 
@@ -34,8 +35,8 @@ def solid(vertices: FloatArray, triangles: IntArray) -> SkinnedMesh:
 
 def drawn(mesh: SkinnedMesh, view: View = VIEW, size: tuple[int, int] = (60, 64)) -> Drawing:
     skin = skin_of(mesh)
-    out = empty_drawing(skin, *size)
-    assert draw(skin, STILL, view, out)
+    out = empty_drawing(skin.mesh, *size)
+    assert draw(skin.mesh, STILL, view, out)
     return out
 
 
@@ -158,48 +159,48 @@ def test_hands_are_drawn_as_by_the_renderer(name: str, device: RenderingDevice) 
     hand = HANDS[name]
     skin, skeleton, posed = skin_of(hand.smooth), skeleton_of(hand.anatomy), empty_posed()
     renderer = device.depth_renderer(hand.smooth, (TILE_PX, TILE_PX), 1)
-    out = empty_drawing(skin, TILE_PX, TILE_PX)
+    out = empty_drawing(skin.mesh, TILE_PX, TILE_PX)
     for pose in random_poses(12, seed=5):
         window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())
         expected = renderer.depth(skinning_transforms(hand.anatomy, pose[None]), KINECT, window)[0]
         pose_bones(skeleton, pose, posed)
-        assert draw(skin, posed.bones, View(*window.tile_projection(KINECT)), out)
+        assert draw(skin.mesh, posed.bones, View(*window.tile_projection(KINECT)), out)
         found = depth_of(out)
         both = (found > 0) & (expected > 0)
         assert np.count_nonzero((found > 0) != (expected > 0)) <= 0.01 * both.sum()
         same = np.abs(found - expected)[both] < 0.01  # mm; float32 at 800 mm, and slopes
         assert np.count_nonzero(~same) <= 0.01 * both.sum()
         shown = out.triangle != NOTHING
-        corners = out.vertices[skin.triangles[out.triangle[shown]]]
+        corners = out.vertices[skin.mesh.triangles[out.triangle[shown]]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         np.testing.assert_allclose(out.normals[out.triangle[shown]], normals, atol=1e-9)
         assert ((normals * corners[:, 0]).sum(axis=1) < 0).all()  # towards the camera
-        assert out.facing[skin.triangles[out.triangle[shown]]].all()
+        assert out.facing[skin.mesh.triangles[out.triangle[shown]]].all()
 
 
 def test_a_hand_too_near_is_not_drawn_and_leaves_nothing_behind() -> None:
     mesh = quad(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 500.0]), 100.0)
     skin = skin_of(mesh)
-    out = empty_drawing(skin, 60, 64)
-    assert draw(skin, STILL, VIEW, out)
+    out = empty_drawing(skin.mesh, 60, 64)
+    assert draw(skin.mesh, STILL, VIEW, out)
     near = STILL.copy()
     near[0, 2, 3] = NEAR_MM - 500.0 - 1.0
-    assert not draw(skin, near, VIEW, out)
+    assert not draw(skin.mesh, near, VIEW, out)
     assert not out.inverse.any()
     assert (out.triangle == NOTHING).all()
     assert not out.facing.any()
     near[0, 2, 3] += 2.0
-    assert draw(skin, near, VIEW, out)
+    assert draw(skin.mesh, near, VIEW, out)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_pose_that_is_no_number_draws_nothing(value: float) -> None:
     mesh = quad(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 500.0]), 100.0)
     skin = skin_of(mesh)
-    out, bones = empty_drawing(skin, 60, 64), STILL.copy()
+    out, bones = empty_drawing(skin.mesh, 60, 64), STILL.copy()
     bones[:, :, 3] = value
-    draw(skin, bones, VIEW, out)
+    draw(skin.mesh, bones, VIEW, out)
     assert not out.inverse.any()
 
 
@@ -208,9 +209,9 @@ def test_the_skin_knows_which_finger_moves_it(name: str) -> None:
     mesh = HANDS[name].smooth
     skin = skin_of(mesh)
     spread = np.zeros_like(mesh.weights)
-    np.put_along_axis(spread, skin.bones, skin.weights, axis=1)
+    np.put_along_axis(spread, skin.mesh.bones, skin.mesh.weights, axis=1)
     np.testing.assert_array_equal(spread, mesh.weights)  # no influence is left out
-    assert (np.diff(skin.weights, axis=1) <= 0).all()
+    assert (np.diff(skin.mesh.weights, axis=1) <= 0).all()
     by_finger = mesh.weights[:, 1:].reshape(-1, 5, 3)
     for v in range(0, len(mesh.vertices), 7):
         whole = by_finger[v].sum(axis=1)

@@ -17,8 +17,8 @@ from posetrack_cli.hand.fitting.normal_equations import (
     empty_equations,
     gather,
 )
-from posetrack_cli.hand.fitting.raster import Skin, View, draw, empty_drawing, skin_of
 from posetrack_cli.hand.fitting.skeleton import ARM, PALM, Skeleton, empty_posed, pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.skin import Skin, skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile, add_terms, empty_buffers, union_cost
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
@@ -27,6 +27,7 @@ from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.hand.space import HandSpace, inside_limits
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.raster import View, draw, empty_drawing
 from support.fitting import HANDS, TILE_PX, WALL_MM, drawn_depth
 from support.hand import KINECT, random_poses
 
@@ -99,9 +100,9 @@ def scene(name: str, seed: int) -> Scene:
     image[5:25, 35:45] = -300.0
     image[40:50, 10:50] += np.where(image[40:50, 10:50] > 0, 60.0, 0.0)  # beyond the gate
     tile = Tile(image, nearest_pixels(image > 0), int(np.count_nonzero(image > 0)), view)
-    posed, out = empty_posed(), empty_drawing(skin, TILE_PX, TILE_PX)
+    posed, out = empty_posed(), empty_drawing(skin.mesh, TILE_PX, TILE_PX)
     pose_bones(skeleton, pose, posed)
-    assert draw(skin, posed.bones, view, out)
+    assert draw(skin.mesh, posed.bones, view, out)
     depth = np.divide(1.0, out.inverse, out=np.full((TILE_PX, TILE_PX), np.inf), where=out.inverse > 0)
     facing = np.flatnonzero(out.facing)
     return Scene(
@@ -152,7 +153,7 @@ def expected_residuals(s: Scene, widening: float) -> dict[str, Residuals]:
     shown, drawn = image > 0, np.isfinite(s.depth)
     z = np.where(drawn, s.depth, 0.0)
     dz = image - z
-    bone = s.bones[s.skin.triangles[s.triangle, 0]]
+    bone = s.bones[s.skin.mesh.triangles[s.triangle, 0]]
     ahead = np.array([0.0, 0.0, 1.0])
 
     def of(mask, targets, directions, weights, **more) -> Residuals:  # type: ignore[no-untyped-def]
@@ -208,9 +209,9 @@ def derivatives(s: Scene, residuals: Residuals, step: float = 1e-5) -> FloatArra
 
 
 def added(s: Scene, widening: float, terms: Terms = SETTINGS) -> tuple[NormalEquations, float]:
-    posed, drawing = empty_posed(), empty_drawing(s.skin, TILE_PX, TILE_PX)
+    posed, drawing = empty_posed(), empty_drawing(s.skin.mesh, TILE_PX, TILE_PX)
     pose_bones(s.skeleton, s.pose, posed)
-    assert draw(s.skin, posed.bones, s.tile.projection, drawing)
+    assert draw(s.skin.mesh, posed.bones, s.tile.projection, drawing)
     equations, room = empty_equations(), empty_buffers(s.skin, TILE_PX, TILE_PX)
     cost = add_terms(s.tile, posed, s.skin, drawing, terms, widening, room, equations)
     gather(equations)
@@ -252,9 +253,9 @@ def test_the_cost_is_the_union_s(name: str) -> None:
         disagree = beside.sum() + t.unread_weight * (drawn & (image == 0)).sum() + (shown & ~drawn).sum()
         expected = (error + t.clamp_mm * disagree) / ((drawn & shown).sum() + disagree)
         assert added(s, 1.0)[1] == pytest.approx(expected, rel=1e-12)
-        posed, drawing = empty_posed(), empty_drawing(s.skin, TILE_PX, TILE_PX)
+        posed, drawing = empty_posed(), empty_drawing(s.skin.mesh, TILE_PX, TILE_PX)
         pose_bones(s.skeleton, s.pose, posed)
-        draw(s.skin, posed.bones, s.tile.projection, drawing)
+        draw(s.skin.mesh, posed.bones, s.tile.projection, drawing)
         assert union_cost(s.tile, drawing, SETTINGS) == pytest.approx(expected, rel=1e-12)
 
 

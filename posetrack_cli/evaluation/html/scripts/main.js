@@ -5,12 +5,14 @@ function showReport() {
   const results = data.results.map((result, index) => new Result(result, index, data.tickSeconds));
   const store = new Store(results);
   store.sharedTime = data.sharedTime;
+  store.pools = data.pools;
   document.querySelectorAll(".scripted").forEach((section) => { section.hidden = false; });
   const find = (id) => document.getElementById(id);
   new OverTime(store, find("quantity-choice"), find("over-time-plot"));
   showCurve(store, find("curve-choice"), find("curve-plot"));
   if (results.length && results.every((result) => result.subject === "head")) find("parts-title").textContent = "Error by point";
   new Parts(store, find("parts-plot"));
+  showHonesty(store, find("reliability-plot"), find("roc-plot"));
   new Trajectories(store, find("component-choice"), find("trajectory-legend"), find("trajectory-plots"));
   new Player(store, find("scene-view"), find("scene-remark"));
   showGallery(store);

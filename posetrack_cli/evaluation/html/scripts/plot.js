@@ -6,6 +6,7 @@ let plotCount = 0;
 /**
  * Options: label (for screen readers), xTitle, yTitle, height, fromZero, xDomain (a function), yDomain, yText,
  * lines [{x, y, half, kind, index, name, unit, gaps, frameOf}], spans [{kind, from, to}],
+ * (a line may have noteOf(i) for the read-out and radius, px, of its spots), diagonal [from, to],
  * rasters [{index, name, spans}], title(x) of the read-out, onPick(x), store (for a time axis).
  */
 class Plot {
@@ -75,7 +76,7 @@ class Plot {
       this.clipPath(left, width, height),
       ...yAxis(this.ys, left, right, yTicks, yTexts, this.options.yTitle),
       ...xAxis(this.xs, height, this.options.xTitle),
-      makeSvg("g", { "clip-path": `url(#${this.clip})` }, ...this.spanShapes(), ...this.lineShapes()),
+      makeSvg("g", { "clip-path": `url(#${this.clip})` }, ...this.spanShapes(), ...this.diagonalShapes(), ...this.lineShapes()),
     );
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     this.nowLine = this.verticalLine("now");
@@ -121,6 +122,15 @@ class Plot {
     return shown;
   }
 
+  /** Where both axes have the same value. */
+  diagonalShapes() {
+    if (!this.options.diagonal) return [];
+    const [low, high] = this.options.diagonal;
+    return [makeSvg("line", {
+      class: "diagonal", x1: this.xs.at(low), x2: this.xs.at(high), y1: this.ys.at(low), y2: this.ys.at(high),
+    })];
+  }
+
   lineShapes() {
     const bands = [], paths = [];
     const faded = this.options.lines.filter((line) => line.faded);
@@ -135,7 +145,14 @@ class Plot {
       const d = linePath(this.xs, this.ys, line.x, line.y, runs);
       paths.unshift(makeSvg("path", { class: `line ${line.kind ?? ""} ${line.faded ? "faded" : ""} ${colour}`, d, "stroke-dasharray": line.kind === "truth" ? null : dashes(line.index ?? 0) }));
     }
-    return [...bands, ...paths];
+    return [...bands, ...paths, ...this.options.lines.flatMap((line) => this.spotShapes(line))];
+  }
+
+  /** A spot on each point of a line that has radii. */
+  spotShapes(line) {
+    if (!line.radius) return [];
+    const kind = `spot ${line.kind ?? ""} ${line.faded ? "faded" : ""} ${colourClass(line.index ?? 0)}`;
+    return Array.from(line.radius, (r, i) => makeSvg("circle", { class: kind, r, cx: this.xs.at(line.x[i]), cy: this.ys.at(line.y[i]) }));
   }
 
   verticalLine(kind) {
@@ -205,7 +222,12 @@ class Plot {
     const last = points.length - 1;
     const place = this.cursorAt === undefined ? -1 : nearestIndex(points, this.cursorAt);
     const step = event.shiftKey ? Math.max(1, Math.round(points.length / 50)) : 1;
-    const next = { ArrowLeft: place < 0 ? last : place - step, ArrowRight: place + step, Home: 0, End: last }[event.key];
+    const along = (by) => {
+      let at = place + by;
+      while (points[at] === points[place] && at > 0 && at < last) at += Math.sign(by);  // a curve may rise upright
+      return at;
+    };
+    const next = { ArrowLeft: place < 0 ? last : along(-step), ArrowRight: along(step), Home: 0, End: last }[event.key];
     if (next !== undefined && last >= 0) {
       event.preventDefault();
       this.showTip(points[Math.min(last, Math.max(0, next))]);

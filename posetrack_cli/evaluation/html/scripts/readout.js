@@ -34,8 +34,9 @@ function readoutRow({ line, i }, withFrame) {
   const half = line.half && Number.isFinite(line.half[i]) ? ` ± ${formatNumber(line.half[i])}` : "";
   const value = `${formatNumber(line.y[i])}${half}${line.unit ? ` ${line.unit}` : ""}`;
   const frame = withFrame && line.frameOf ? frameText(line.frameOf(i)) : "";
+  const note = line.noteOf ? makeElement("span", { class: "unit" }, line.noteOf(i)) : "";
   const swatch = makeSwatch(line.kind ?? "", line.index ?? 0);
-  return makeElement("div", {}, swatch, makeElement("bdi", {}, line.name), frame, makeElement("b", {}, value));
+  return makeElement("div", {}, swatch, makeElement("bdi", {}, line.name), frame, makeElement("b", {}, value), note);
 }
 
 function frameText(frame) {

@@ -1,7 +1,7 @@
 """A small depth rasteriser for one skinned mesh in one pose; compiled.
 
-It draws what ``rendering.tiled`` draws, without a device and with the triangle behind every pixel, which
-the derivatives need.
+It draws what ``gl.tiled`` draws, without a device and with the triangle behind every pixel, which derivatives
+need.
 """
 
 from __future__ import annotations
@@ -12,36 +12,26 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.hand.anatomy import ARM_BONE
-from posetrack_cli.hand.fitting.skeleton import ARM, PALM
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 NEAR_MM = 50.0
 NOTHING = -1  # the triangle of a pixel on which nothing is drawn
 
 
-class Skin(NamedTuple):
-    """A mesh as the kernels read it.
+class RestMesh(NamedTuple):
+    """A skinned mesh as the kernels read it.
 
     Attributes:
         vertices: (V, 3) at rest, mm.
         bones: (V, k) bones of a vertex, heaviest first.
         weights: (V, k).
         triangles: (T, 3).
-        fingers: (V,) finger that moves the vertex most, or PALM, or ARM.
-        reaches: (V, 3) skinning weight of its bones from joint 3, 2, 1 outwards.
-        triangle_fingers: (T,) the same of a triangle.
-        triangle_reaches: (T, 3).
     """
 
     vertices: FloatArray
     bones: IntArray
     weights: FloatArray
     triangles: IntArray
-    fingers: IntArray
-    reaches: FloatArray
-    triangle_fingers: IntArray
-    triangle_reaches: FloatArray
 
 
 class View(NamedTuple):
@@ -73,52 +63,35 @@ class Drawing(NamedTuple):
     facing: BoolArray
 
 
-def skin_of(mesh: SkinnedMesh) -> Skin:
-    """Return a mesh bound to the hand's 16 bones, or 17 with a forearm's, as the kernels read it."""
+def rest_mesh(mesh: SkinnedMesh) -> RestMesh:
+    """Return a mesh as the kernels read it."""
     most = int((mesh.weights > 0).sum(axis=1).max())
     order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :most]
-    by_finger = mesh.weights[:, 1:ARM_BONE].reshape(-1, 5, 3)
-    outwards = np.cumsum(by_finger[:, :, ::-1], axis=2)[:, :, ::-1]
-    fingers, reaches = _strongest(outwards)
-    triangle_fingers, triangle_reaches = _strongest(outwards[mesh.triangles].mean(axis=1))
-    of_arm: BoolArray = mesh.weights[:, ARM_BONE:].sum(axis=1) > 0.0
-    fingers[of_arm], triangle_fingers[of_arm[mesh.triangles[:, 0]]] = ARM, ARM
-    return Skin(
+    return RestMesh(
         np.ascontiguousarray(mesh.vertices),
         np.ascontiguousarray(order),
         np.take_along_axis(mesh.weights, order, axis=1),
         np.ascontiguousarray(mesh.triangles),
-        fingers,
-        reaches,
-        triangle_fingers,
-        triangle_reaches,
     )
 
 
-def _strongest(outwards: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Of reaches (M, 5, 3) the finger with the most weight (M,), or PALM, and its reaches (M, 3)."""
-    finger = outwards[:, :, 0].argmax(axis=1)
-    reach = np.take_along_axis(outwards, finger[:, None, None], axis=1)[:, 0]
-    return np.where(reach[:, 0] > 0.0, finger, PALM).astype(np.int64), np.ascontiguousarray(reach)
-
-
-def empty_drawing(skin: Skin, height: int, width: int) -> Drawing:
+def empty_drawing(mesh: RestMesh, height: int, width: int) -> Drawing:
     """Return a drawing to be filled in."""
-    count = len(skin.vertices)
+    count = len(mesh.vertices)
     return Drawing(
         np.zeros((count, 3)),
         np.zeros((count, 3)),
         np.zeros((height, width)),
         np.full((height, width), NOTHING, dtype=np.int64),
-        np.zeros((len(skin.triangles), 3)),
+        np.zeros((len(mesh.triangles), 3)),
         np.zeros(count, dtype=np.bool_),
     )
 
 
 @kernel
-def _place(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
+def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Pose and project the vertices; False if one is too near to be drawn."""
-    vertices, indices, weights = skin.vertices, skin.bones, skin.weights
+    vertices, indices, weights = mesh.vertices, mesh.bones, mesh.weights
     for v in range(len(vertices)):
         x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         px, py, pz = 0.0, 0.0, 0.0
@@ -129,7 +102,7 @@ def _place(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
             px += w * (bones[b, 0, 0] * x + bones[b, 0, 1] * y + bones[b, 0, 2] * z + bones[b, 0, 3])
             py += w * (bones[b, 1, 0] * x + bones[b, 1, 1] * y + bones[b, 1, 2] * z + bones[b, 1, 3])
             pz += w * (bones[b, 2, 0] * x + bones[b, 2, 1] * y + bones[b, 2, 2] * z + bones[b, 2, 3])
-        if pz < NEAR_MM:
+        if not pz >= NEAR_MM:  # nor where it is no number
             return False
         out.vertices[v, 0], out.vertices[v, 1], out.vertices[v, 2] = px, py, pz
         inverse = 1.0 / pz
@@ -176,14 +149,14 @@ def _write_normal(out: Drawing, t: int, a: int, b: int, c: int) -> None:
 
 
 @kernel
-def draw(skin: Skin, bones: FloatArray, view: View, out: Drawing) -> bool:
+def draw(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Draw the mesh posed by bones (B, 3, 4); False, and nothing drawn, if it is too near the camera."""
     out.inverse[:] = 0.0
     out.triangle[:] = NOTHING
     out.facing[:] = False
-    if not _place(skin, bones, view, out):
+    if not _place(mesh, bones, view, out):
         return False
-    triangles, screen = skin.triangles, out.screen
+    triangles, screen = mesh.triangles, out.screen
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ux, uy = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]

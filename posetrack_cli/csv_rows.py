@@ -1,0 +1,74 @@
+"""Rows of a stranger's CSV file one by one with their lines: a long file takes the memory of a row."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+from posetrack_cli import limits
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.files import open_input
+
+COMMENT = "#"
+Row = tuple[int, list[str]]
+"""A row of cells and its line."""
+
+
+def text_lines(path: Path, kind: type[PosetrackError], expected: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a UTF-8 text with their numbers from 1.
+
+    Args:
+        path: the file.
+        kind: of error that is raised.
+        expected: what kind of file it should be, for the error's hint.
+
+    Raises:
+        PosetrackError: of the kind given: the file cannot be read, a line is longer than
+            ``limits.LINE_BYTES``, or it is no UTF-8.
+    """
+    number = 0
+    try:
+        with open_input(path) as stream:
+            while line := stream.readline(limits.LINE_BYTES + 1):
+                number += 1
+                if len(line) > limits.LINE_BYTES:
+                    raise kind(
+                        "line is too long",
+                        where=f"{path} line {number}",
+                        found="a line without end",
+                        expected=f"at most {limits.LINE_BYTES} bytes",
+                        hint=expected,
+                    )
+                yield number, line.decode("utf-8-sig" if number == 1 else "utf-8")
+    except OSError as error:
+        raise kind("cannot be read", where=path, found=error.strerror or error) from error
+    except UnicodeDecodeError as error:
+        found = f"byte 0x{error.object[error.start]:02x}"
+        where = f"{path} line {number}"
+        raise kind("is no UTF-8 text", where=where, found=found, hint=expected) from error
+
+
+def csv_rows(path: Path, kind: type[PosetrackError], expected: str) -> Iterator[Row]:
+    """Yield the rows of a CSV file, the header row first, without comments (``#``) and empty lines.
+
+    Args, Raises:
+        as ``text_lines``; also for what is no CSV.
+    """
+    latest = 0
+
+    def data_lines() -> Iterator[str]:
+        nonlocal latest
+        for number, line in text_lines(path, kind, expected):
+            latest = number
+            if not line.startswith(COMMENT):
+                yield line
+
+    try:
+        for row in csv.reader(data_lines()):
+            if any(cell.strip() for cell in row):
+                yield latest, row
+    except csv.Error as error:
+        line_ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
+        found, hint = ("a carriage return alone", "end lines with a line feed") if line_ends else (error, "")
+        raise kind("is no CSV", where=f"{path} line {latest}", found=found, hint=hint) from error

@@ -1,0 +1,165 @@
+"""Several results as one: each frame counts alike, whichever recording it is of.
+
+What is pooled are counts of frames, shares and what a track says of itself: the metrics that say ``pooled``.
+A gate addresses them by ``pooled.NAME``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.evaluate import coverage_metrics
+from posetrack_cli.evaluation.evaluation import Count, Evaluation, Value
+from posetrack_cli.evaluation.honesty import JudgedFrames, pooled_frames
+from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of
+from posetrack_cli.evaluation.metrics.honesty_metrics import HONESTY, honesty_metrics
+from posetrack_cli.evaluation.metrics.measures import Measures
+from posetrack_cli.recording.base import RECORDING_KEY
+
+NO_FRAMES = "the results have no frame in common with their truth"
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Results of one kind of subject and track, together.
+
+    Attributes:
+        name: what tables call it.
+        subject: of all of them.
+        which: of their tracks.
+        results: their names.
+        coverage: their counts of frames, added up.
+        metrics: values by address, as of an ``Evaluation``; only what every member has.
+        absent: the addresses that are pooled and have no value, and why.
+        judged: all their frames with a truth; None where a member has none.
+    """
+
+    name: str
+    subject: str
+    which: str
+    results: tuple[str, ...]
+    coverage: Coverage
+    metrics: Mapping[str, float]
+    absent: Mapping[str, str]
+    judged: JudgedFrames | None
+
+    @property
+    def says_more(self) -> bool:
+        """Whether it has figures that no single result has."""
+        return len(self.results) > 1 and bool(self.metrics)
+
+
+def make_pools(
+    evaluations: Sequence[Evaluation], groups: Mapping[str, Sequence[Evaluation]]
+) -> tuple[Pool, ...]:
+    """Pool results that stand for themselves, by subject and track, and those of each group.
+
+    Results of one recording that are in no group are there to be compared, not to be counted twice: such
+    pools have no figures, and say why.
+
+    Args:
+        evaluations: that are in no group.
+        groups: by name; the members of one are of the same subject and track.
+    """
+    kinds: dict[tuple[str, str], list[Evaluation]] = {}
+    for one in evaluations:
+        kinds.setdefault((one.subject, one.which), []).append(one)
+    alone = [pool(_name(of, kinds), of, _same_recording(of)) for of in kinds.values()]
+    return (*alone, *(pool(f"pooled {name}", members) for name, members in groups.items()))
+
+
+def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> str:
+    """As short as tells the pools apart."""
+    first, kinds = members[0], list(kinds)
+    subjects, tracks = ({kind[k] for kind in kinds} for k in (0, 1))
+    more = [first.subject] * (len(subjects) > 1) + [first.which] * (len(tracks) > 1)
+    return " ".join(["pooled", *more])
+
+
+def _same_recording(members: Sequence[Evaluation]) -> str:
+    """Why these results are not one sample, or nothing."""
+    first: dict[str, Evaluation] = {}
+    for one in members:
+        recording = one.run.get(RECORDING_KEY, "")
+        other = first.setdefault(recording, one) if recording else one
+        if other is not one:
+            return (
+                f"{other.name} and {one.name} are of one recording, so results are compared, not pooled; "
+                "--group pools each group"
+            )
+    return ""
+
+
+def pool(name: str, members: Sequence[Evaluation], reason: str = "") -> Pool:
+    """Pool results of one kind of subject.
+
+    A figure that one of them lacks is not made of the others alone. What confidence says is made anew from
+    all frames, also where single results have no wrong frame or no right one.
+
+    Args:
+        name: what the pool is called.
+        members: at least one.
+        reason: why they have no figures together; by default they do.
+    """
+    coverage = _added([one.coverage for one in members])
+    judged = None if reason else _judged(members)
+    measures = Measures(NO_FRAMES)
+    if not reason:
+        measures.metrics |= coverage_metrics(coverage) | _shares(members)
+        if judged is not None:
+            honesty_metrics(measures, judged)
+    found = {base: value for base, value in measures.metrics.items() if isinstance(value, float)}
+    every = dict.fromkeys((*_addresses(members), *found, *measures.absent))
+    addresses = sorted(every, key=place_of)
+    return Pool(
+        name,
+        members[0].subject,
+        members[0].which,
+        tuple(one.name for one in members),
+        coverage,
+        {base: found[base] for base in addresses if base in found},
+        {
+            base: reason or measures.absent.get(base) or _lacking(members, base)
+            for base in addresses
+            if base not in found
+        },
+        judged,
+    )
+
+
+def _added(coverages: Sequence[Coverage]) -> Coverage:
+    """Counts added up; there is a truth where all have one."""
+    rows = [asdict(one) for one in coverages]
+    added = {name: sum(row[name] for row in rows) for name in rows[0]}
+    return Coverage(**{**added, "has_truth": all(one.has_truth for one in coverages)})
+
+
+def _judged(members: Sequence[Evaluation]) -> JudgedFrames | None:
+    found = [one.judged for one in members if one.judged is not None]
+    return pooled_frames(found) if len(found) == len(members) else None
+
+
+def _shares(members: Sequence[Evaluation]) -> dict[str, Value]:
+    """The shares that all have counts of, each entry counting alike."""
+    first, *others = (one.counts for one in members)
+    common = [base for base in first if base not in HONESTY and all(base in other for other in others)]
+    return {base: _share([one.counts[base] for one in members]) for base in common}
+
+
+def _share(counts: Sequence[Count]) -> float:
+    return sum(one.true for one in counts) / sum(one.of for one in counts)
+
+
+def _addresses(members: Sequence[Evaluation]) -> dict[str, None]:
+    """What is pooled of everything that a member has or lacks."""
+    every = dict.fromkeys(base for one in members for base in (*one.metrics, *one.absent))
+    return {base: None for base in every if metric_of(base).pooled}
+
+
+def _lacking(members: Sequence[Evaluation], base: str) -> str:
+    """Why a figure of all is missing: the first that has none, and its reason."""
+    lacking = ((one.name, one.absent.get(base, "not measured")) for one in members if base not in one.metrics)
+    name, reason = next(lacking, ("", NO_FRAMES))
+    return f"{name}: {reason}" if name else reason

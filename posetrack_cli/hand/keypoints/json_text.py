@@ -1,0 +1,329 @@
+"""Keypoints in JSON: frames with hands as MediaPipe gives them, COCO's annotations, exports of ours."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path, PurePath
+from typing import Any, NoReturn
+
+from posetrack_cli import limits
+from posetrack_cli.csv_rows import text_lines
+from posetrack_cli.errors import UsageError
+from posetrack_cli.files import read_text
+from posetrack_cli.hand.keypoints.layout import (
+    FRAME_FIELDS,
+    HANDEDNESS,
+    KEYS,
+    MIRRORED,
+    NS_PER_UNIT,
+    POINT_FIELDS,
+    SCORE_FIELDS,
+    SIDE,
+    Parsed,
+    joint_of,
+    key_of,
+    number_of,
+    point_of,
+    right_of,
+    score_of,
+    unit_of,
+)
+from posetrack_cli.hand.keypoints.sets import POINTS, SetCollector
+from posetrack_cli.hand.keypoints.tables import KIND, parse_table
+
+EXPECTED = "a list of frames, each with landmarks: 21 of [x, y], [x, y, z] or {x, y, z}"
+_ONE = ("landmarks", "keypoints", "points", "landmark")
+_HANDS = ("hands", "multi_hand_landmarks", "hand_landmarks", "handLandmarks")
+_LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
+"""Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
+_LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
+_VISIBILITY = {0: 0.0, 1: 0.5, 2: 1.0}
+"""Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
+
+
+def read_json(path: Path) -> Parsed:
+    """Read one JSON value.
+
+    Raises:
+        UsageError: names file, frame and field of what cannot be used.
+    """
+    try:
+        text = read_text(path, limits.KEYPOINT_JSON_BYTES, "utf-8-sig")
+        said = json.loads(text, parse_constant=_refuse)
+    except OSError as error:
+        hint = "a longer file is one of JSON lines (.jsonl) or CSV"
+        raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=hint) from error
+    except (ValueError, RecursionError) as error:
+        found = "values nested too deeply" if isinstance(error, RecursionError) else error
+        raise UsageError("is no JSON", where=path, found=found, hint=KIND) from error
+    return _parsed(path, said)
+
+
+def read_json_lines(path: Path) -> Parsed:
+    """Read a frame per line; see ``read_json``."""
+    return _parsed(path, (_line(path, number, line) for number, line in text_lines(path, UsageError, KIND)))
+
+
+def _line(path: Path, number: int, line: str) -> Any:
+    try:
+        return json.loads(line, parse_constant=_refuse) if line.strip() else None
+    except (ValueError, RecursionError) as error:
+        found = "values nested too deeply" if isinstance(error, RecursionError) else error
+        raise UsageError("is no JSON", where=f"{path} line {number}", found=found, hint=KIND) from error
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant}, which JSON does not have: null is for what is unknown")
+
+
+def _parsed(path: Path, said: Any) -> Parsed:
+    """What a file's value says, by what it has."""
+    if isinstance(said, Mapping):
+        unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
+        if isinstance(said.get("columns"), Mapping):
+            return _exported(path, said["columns"])
+        if isinstance(said.get("annotations"), list):
+            return _coco(path, said, unit)
+        if isinstance(said.get("frames"), (list, Mapping)):
+            return _frames(path, said["frames"], unit)
+        if said and all(str(key).isdecimal() for key in said):
+            return _frames(path, said, unit)
+        found = ", ".join(map(str, list(said)[:5]))[:80] or "an empty object"
+        raise UsageError("holds no frames", where=path, found=found, expected=EXPECTED)
+    if isinstance(said, (list, Iterator)):
+        return _frames(path, said, None)
+    raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=EXPECTED)
+
+
+# Frames
+
+
+def _frames(path: Path, frames: Any, unit: str | None) -> Parsed:
+    """A list of frames, which count where they do not say their number, or an object of them by number."""
+    entries = frames.items() if isinstance(frames, Mapping) else enumerate(frames)
+    collector: SetCollector | None = None
+    stamp: str | None = None
+    sides: set[str] = set()
+    for count, (place, frame) in enumerate(entries):
+        _check_count(count, path)
+        if frame is None:
+            continue
+        where = f"{path}, frame entry {place}"
+        if not isinstance(frame, Mapping):
+            frame = {_ONE[0]: frame}
+        if collector is None:
+            stamp = next((name for name in NS_PER_UNIT if name in frame), None)
+            collector = SetCollector(path, stamp is not None)
+        key = _key(frame, stamp, place, where)
+        sides |= _take_frame(collector, key, frame, where)
+    if collector is None:
+        raise UsageError("holds no frames", where=path, found="none", expected=EXPECTED)
+    if len(sides) > 1:
+        raise UsageError("sides are told in two ways", where=path, found=" and ".join(sorted(sides)))
+    return Parsed(collector.sets(), unit, next(iter(sides), None))
+
+
+def _check_count(count: int, where: object) -> None:
+    """Raise where more frames, images or annotations came before than are looked at."""
+    if count >= limits.KEYPOINT_SETS:
+        raise UsageError(
+            "too many frames", where=where, found="more", expected=f"{limits.KEYPOINT_SETS} at most"
+        )
+
+
+def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) -> int:
+    if stamp is not None:
+        if stamp not in frame:
+            raise UsageError("has no stamp", where=where, expected=f"{stamp}, as the first frame has")
+        return key_of(frame[stamp], NS_PER_UNIT[stamp], f"{where}, {stamp}")
+    name = next((name for name in FRAME_FIELDS if name in frame), None)
+    return key_of(place if name is None else frame[name], None, where)
+
+
+def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], where: str) -> set[str]:
+    """Add a frame's hands; return which fields told their sides."""
+    first = 0
+    while not collector.is_new(key, first):  # entries of one frame: a hand each
+        first += 1
+    told: set[str] = set()
+    hands, labels = _hands(frame, where), _labels(frame)
+    for n, hand in enumerate(hands):
+        points, own = (hand, {}) if not isinstance(hand, Mapping) else (_of(hand, _ONE, hand), hand)
+        own_labels = _labels(own)
+        field, label = (own_labels[0], own_labels[1][:1]) if own_labels else ("", [])
+        if not label and labels is not None and n < len(labels[1]):
+            field, label = labels[0], [labels[1][n]]
+        if not points:
+            continue
+        _take_points(collector, key, first + n, points, f"{where}, hand {n}" if len(hands) > 1 else where)
+        if label:
+            told.add(field)
+            collector.tell_side(key, first + n, _right(label[0], where))
+    return told
+
+
+def _hands(frame: Mapping[str, Any], where: str) -> Sequence[Any]:
+    """What a frame says of its hands, each as points or as an object with them."""
+    hands = _of(frame, _HANDS, None)
+    if hands is None:
+        one = _of(frame, _ONE, None)
+        if one is None:
+            return ()
+        return one if _is_list_of_hands(one) else (one,)
+    if not isinstance(hands, list):
+        raise UsageError("hands are no list", where=where, found=type(hands).__name__, expected=EXPECTED)
+    return hands
+
+
+def _is_list_of_hands(value: Any) -> bool:
+    """Whether landmarks are those of several hands: points of points, as MediaPipe's tasks give them."""
+    if not isinstance(value, list) or not value or not isinstance(value[0], list):
+        return False
+    return bool(value[0]) and isinstance(value[0][0], (list, Mapping))
+
+
+def _labels(frame: Mapping[str, Any]) -> tuple[str, list[Any]] | None:
+    """Which of ``SIDE_FIELDS`` a frame or a hand has, and what it says of each hand."""
+    name = next((name for name in _LABELS if frame.get(name) is not None), None)
+    if name is None:
+        return None
+    said = frame[name]
+    return _LABELS[name], said if isinstance(said, list) else [said]
+
+
+def _right(label: Any, where: str) -> float:
+    """The probability of a right hand that a label states, alone or with a score, in lists or by itself."""
+    for _ in range(3):
+        if isinstance(label, list) and label:
+            label = label[0]
+        elif isinstance(label, Mapping) and "classification" in label:
+            label = label["classification"]
+    if isinstance(label, Mapping):
+        score = score_of(label.get("score"), f"{where}, score of the side")
+        return right_of(_of(label, _LABEL_NAMES, None), score, where)
+    return right_of(label, math.nan, where)
+
+
+def _take_points(collector: SetCollector, key: int, hand: int, points: Any, where: str) -> None:
+    """Add 21 points: a list, an object by name or number, or x, y, score one after the other."""
+    values = collector.set_of(key, hand, where)
+    if isinstance(points, Mapping):
+        named = [
+            (name, point) for name, point in points.items() if joint_of(name) is not None or name.isdecimal()
+        ]
+        if not named:
+            found = ", ".join(map(str, list(points)[:5]))[:80]
+            raise UsageError("holds no points", where=where, found=found, expected=EXPECTED)
+        listed = [(point_of(name, where), point) for name, point in named]
+    elif isinstance(points, list):
+        listed = [(_named(point, k, where), point) for k, point in enumerate(points)]
+        if len(points) != POINTS:
+            raise UsageError("has another number of points", where=where, found=len(points), expected=POINTS)
+    else:
+        raise UsageError("points are no list", where=where, found=type(points).__name__, expected=EXPECTED)
+    for number, point in listed:
+        collector.put(values, number, _values(point, f"{where}, point {number}"), where)
+
+
+def _named(point: Any, place: int, where: str) -> int:
+    """Which point an entry of a list is: by its own name where it has one, else by its place."""
+    name = _of(point, POINT_FIELDS, None) if isinstance(point, Mapping) else None
+    return place if name is None else point_of(name, where)
+
+
+def _values(point: Any, where: str) -> tuple[float, float, float, float]:
+    """x, y, z and score of a point, NaN where unknown."""
+    if point is None:
+        return (math.nan,) * 4
+    if isinstance(point, Mapping):
+        x, y, z = (number_of(point.get(axis), f"{where}, {axis}") for axis in "xyz")
+        return x, y, z, score_of(_of(point, SCORE_FIELDS, None), f"{where}, score")
+    if not isinstance(point, list) or not 2 <= len(point) <= 4:
+        found = f"{len(point)} numbers" if isinstance(point, list) else type(point).__name__
+        raise UsageError(
+            "is no point", where=where, found=found, expected="[x, y], [x, y, z], [x, y, z, score]"
+        )
+    x, y, z = (number_of(value, where) for value in [*point, None][:3])
+    return x, y, z, score_of(point[3] if len(point) == 4 else None, f"{where}, score")
+
+
+def _of(said: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
+    return next((said[name] for name in names if said.get(name) is not None), otherwise)
+
+
+# Exports of others and of ours
+
+
+def _exported(path: Path, columns: Mapping[str, Any]) -> Parsed:
+    """What ``posetrack export --format json`` writes: lists by the names of a table's columns."""
+    names, lists = list(columns), list(columns.values())
+    if not names or not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
+        raise UsageError("columns are not of one length", where=path, expected="lists of as many values each")
+    cells = (
+        (k, ["" if v is None else str(v) for v in row]) for k, row in enumerate(zip(*lists, strict=True))
+    )
+    return parse_table(path, names, cells, str(path))
+
+
+def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
+    """COCO's keypoint annotations, as label tools export them; an image's name numbers its frame."""
+    frames = _coco_frames(path, said.get("images"))
+    order = _coco_order(path, said.get("categories"))
+    collector = SetCollector(path, by_stamp=False)
+    for n, annotation in enumerate(said["annotations"]):
+        _check_count(n, path)
+        where = f"{path}, annotation {n}"
+        points = annotation.get("keypoints") if isinstance(annotation, Mapping) else None
+        if not points:
+            continue
+        image = annotation.get("image_id")
+        if image not in frames:
+            raise UsageError("image is not listed", where=where, found=image, expected="an id in images")
+        if not isinstance(points, list) or len(points) != 3 * POINTS:
+            found = f"{len(points)} numbers" if isinstance(points, list) else type(points).__name__
+            raise UsageError("has other points", where=where, found=found, expected=f"{POINTS} times x, y, v")
+        hand = 0
+        while not collector.is_new(frames[image], hand):
+            hand += 1
+        values = collector.set_of(frames[image], hand, where)
+        for k, point in enumerate(order):
+            x, y, v = (number_of(value, f"{where}, point {k}") for value in points[3 * k : 3 * k + 3])
+            score = _VISIBILITY[int(v)] if v in _VISIBILITY else score_of(v, f"{where}, point {k}, v")
+            unknown = score == 0.0
+            said_of = (math.nan if unknown else x, math.nan if unknown else y, math.nan, score)
+            collector.put(values, point, said_of, where)
+    return Parsed(collector.sets(), unit or "px", None)
+
+
+def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
+    """Frame numbers by the images' ids."""
+    if not isinstance(images, list) or not all(isinstance(image, Mapping) for image in images):
+        raise UsageError("images are not listed", where=path, expected="images with id and file_name")
+    frames: dict[Any, int] = {}
+    for n, image in enumerate(images):
+        _check_count(n, path)
+        where = f"{path}, image {n}"
+        name = next((field for field in FRAME_FIELDS if field in image), None)
+        digits = re.findall(r"\d{1,18}", PurePath(str(image.get("file_name", ""))).stem)
+        if name is None and not digits:
+            raise UsageError("no frame number", where=where, found=image.get("file_name"), expected=KEYS)
+        ident = image.get("id")
+        if not isinstance(ident, (int, str)):
+            raise UsageError("image has no id", where=where, found=ident)
+        frames[ident] = key_of(digits[-1] if name is None else image[name], None, where)
+    return frames
+
+
+def _coco_order(path: Path, categories: Any) -> Sequence[int]:
+    """The number of each annotated point: by the category's names, where these are joints of a hand."""
+    first = categories[0] if isinstance(categories, list) and categories else {}
+    names = first.get("keypoints") if isinstance(first, Mapping) else None
+    if not isinstance(names, list) or any(joint_of(str(name)) is None for name in names):
+        return range(POINTS)
+    order = [point_of(name, f"{path}, categories") for name in names]
+    if sorted(order) != list(range(POINTS)):
+        raise UsageError("has other points", where=f"{path}, categories", found=len(names), expected=POINTS)
+    return order

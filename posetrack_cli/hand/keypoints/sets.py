@@ -1,0 +1,121 @@
+"""What a file of keypoints says, whatever its layout: sets of 21 points, by frame or by time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli import limits
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import UsageError
+
+POINTS = 21
+X, Y, Z, SCORE = range(4)
+"""Columns of a set's values."""
+NS_TOLERANCE = 10_000_000
+"""Stamps of a set and of its frame differ by so much at most, ns."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeypointSets:
+    """The sets of a file, sorted by their keys.
+
+    Attributes:
+        keys: (N,) frame numbers, or stamps, ns; a frame with several hands has several sets.
+        by_stamp: which of the two.
+        points: (N, 21, 3) x, y, z in the file's unit; NaN where unknown, z everywhere for points in images.
+        scores: (N, 21) 0 to 1; NaN where none is stated.
+        right: (N,) the stated probability that the hand is a right one; NaN where none is stated.
+    """
+
+    keys: IntArray
+    by_stamp: bool
+    points: FloatArray
+    scores: FloatArray
+    right: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def of(self, index: int, stamp_ns: int) -> slice:
+        """Return which sets are of a frame: of its number or, told by stamps, of the stamp nearest to its."""
+        key = stamp_ns if self.by_stamp else index
+        if self.by_stamp and len(self.keys):
+            after = int(np.searchsorted(self.keys, key))
+            near = self.keys[max(after - 1, 0) : after + 1]
+            nearest = int(near[int(np.argmin(np.abs(near - key)))])
+            if abs(nearest - key) > NS_TOLERANCE:
+                return slice(0, 0)
+            key = nearest
+        return slice(int(np.searchsorted(self.keys, key)), int(np.searchsorted(self.keys, key, "right")))
+
+
+@dataclass
+class SetCollector:
+    """Puts sets together, point by point.
+
+    Attributes:
+        path: of the file.
+        by_stamp: whether keys are stamps.
+    """
+
+    path: Path
+    by_stamp: bool
+    _values: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+    _right: dict[tuple[int, int], float] = field(default_factory=dict)
+
+    def set_of(self, key: int, hand: int, where: object) -> FloatArray:
+        """Return the values (21, 4) of a set, to be written to; a new one is NaN.
+
+        Args:
+            key: frame number or stamp.
+            hand: which of the frame's hands.
+            where: it is said, for errors.
+
+        Raises:
+            UsageError: there are too many.
+        """
+        if (key, hand) not in self._values:
+            if len(self._values) >= limits.KEYPOINT_SETS:
+                expected = f"{limits.KEYPOINT_SETS} at most"
+                raise UsageError("too many sets of keypoints", where=where, found="more", expected=expected)
+            self._values[key, hand] = np.full((POINTS, 4), np.nan)
+        return self._values[key, hand]
+
+    def is_new(self, key: int, hand: int) -> bool:
+        """Whether nothing was said of a set."""
+        return (key, hand) not in self._values
+
+    def put(self, values: FloatArray, point: int, said: tuple[float, ...], where: object) -> None:
+        """Write x, y, z and score of a point, NaN where unknown.
+
+        Raises:
+            UsageError: it was said before, or a score is none.
+        """
+        if not np.isnan(values[point, X]):
+            raise UsageError("point occurs twice in a frame", where=where, found=f"point {point}")
+        values[point] = said
+
+    def tell_side(self, key: int, hand: int, right: float) -> None:
+        """Say with which probability a set is of a right hand."""
+        self._right[key, hand] = right
+
+    def sets(self) -> KeypointSets:
+        """Return what was said.
+
+        Raises:
+            UsageError: no point was.
+        """
+        order = sorted(self._values)
+        known = [key for key in order if np.isfinite(self._values[key][:, :Z]).all(axis=1).any()]
+        if not known:
+            raise UsageError(
+                "holds no keypoint", where=self.path, expected="21 points a frame; posetrack hand run --help"
+            )
+        values = np.stack([self._values[key] for key in known])
+        values[~np.isfinite(values[..., :Z]).all(axis=2)] = np.nan
+        right = np.array([self._right.get(key, np.nan) for key in known])
+        keys = np.array([key for key, _ in known], dtype=np.int64)
+        return KeypointSets(keys, self.by_stamp, values[..., :SCORE], values[..., SCORE], right)

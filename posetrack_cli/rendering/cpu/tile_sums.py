@@ -1,0 +1,214 @@
+"""The sums over one drawn tile that ``sums.sums_in_numpy`` defines; compiled.
+
+The processor's counterpart of ``gl/shaders/tile_sums.comp``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.rendering.pixel_model import LOOKS_BESIDE, REACH_PX, PixelMixture
+from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw
+from posetrack_cli.rendering.sums import Comparison
+
+_LOGISTIC_OF_NORMAL = 1.702
+_FAR = 80.0  # the exponent is bounded: beyond, both shares are 0 or 1
+ROW = 8
+"""Sums of a tile, in the order of ``TileSums.from_rows``."""
+
+
+class Reading(NamedTuple):
+    """What a tile is compared with, as the kernels read it.
+
+    Attributes:
+        image: (h, w) as ``Comparison.observed``.
+        off: (h, w) distance to the nearest target pixel, pixels.
+        before: (h, w) of target pixels exp(-l y), with l the rate of what hides a surface.
+        clamp_mm, match_mm: as in ``Comparison``.
+        slope: a pixel's width, mm, per mm of depth.
+    """
+
+    image: FloatArray
+    off: FloatArray
+    before: FloatArray
+    clamp_mm: float
+    match_mm: float
+    slope: float
+
+
+class Mixture(NamedTuple):
+    """The numbers of a ``PixelMixture``; ``is_asked`` is False where there is none."""
+
+    is_asked: bool
+    near_sd: float = 1.0
+    sd_growth: float = 0.0
+    occluder_rate: float = 1.0
+    occluded_per_sd: float = 0.0
+    outlier_per_sd: float = 0.0
+    outline_sd: float = 1.0
+    unread_weight: float = 0.0
+
+
+def mixture_of(model: PixelMixture | None) -> Mixture:
+    """Return a pixel's model as the kernels read it."""
+    return Mixture(False) if model is None else Mixture(True, **model.uniforms)
+
+
+def reading_of(comparison: Comparison, off: FloatArray, slope: float) -> Reading:
+    """Return an observed image, and how it is compared, as the kernels read it."""
+    image = comparison.observed.astype(np.float64)
+    rate = 0.0 if comparison.model is None else comparison.model.uniforms["occluder_rate"]
+    before = np.exp(-rate * np.maximum(image, 0.0))
+    return Reading(image, off, before, comparison.clamp_mm, comparison.match_mm, slope)
+
+
+@inlined
+def _misfit(d: float, y: float, before: float, off: float, model: Mixture) -> float:
+    """``PixelMixture.misfit``."""
+    sd = model.near_sd + model.sd_growth * d * d
+    outlier = model.outlier_per_sd * sd
+    t, s = (y - d) / sd, off / model.outline_sd
+    far_end = np.exp(-model.occluder_rate * d)
+    hidden = model.occluded_per_sd * sd / (1.0 - far_end)
+    front = hidden * before if y <= d else 0.0
+    here = np.exp(-0.5 * (t * t + s * s))
+    return float(np.log((1.0 + hidden * far_end + outlier) / (here + front + outlier)))
+
+
+@inlined
+def _misfit_of_other(d: float, y: float, off: float, model: Mixture) -> float:
+    """``PixelMixture.misfit_of_other`` of a reading -y, and of none where y is 0."""
+    sd = model.near_sd + model.sd_growth * d * d
+    outlier, t = model.outlier_per_sd * sd, off / model.outline_sd
+    beside = (np.exp(-0.5 * t * t) + outlier) / (1.0 + outlier)
+    if y == 0.0:
+        return float(-model.unread_weight * np.log(beside))
+    behind = min(max(-_LOGISTIC_OF_NORMAL * (d + y) / sd, -_FAR), _FAR)
+    front = 1.0 / (1.0 + np.exp(behind))
+    return float(-np.log(front + (1.0 - front) * beside))
+
+
+@inlined
+def _unexplained(y: float, model: Mixture) -> float:
+    """``PixelMixture.unexplained``."""
+    outlier = model.outlier_per_sd * (model.near_sd + model.sd_growth * y * y)
+    return float(np.log(1.0 + 1.0 / outlier))
+
+
+@kernel
+def _misfit_beside(inverse: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
+    """The misfit of a target pixel with what fits best of what is drawn ``REACH_PX`` beside it."""
+    height, width = inverse.shape
+    y = reading.image[j, i]
+    sd = model.near_sd + model.sd_growth * y * y
+    pixel = reading.slope * y
+    least, depth, aside = np.inf, 0.0, 0.0
+    for dj in range(-REACH_PX, REACH_PX + 1):
+        for di in range(-REACH_PX, REACH_PX + 1):
+            off2 = di * di + dj * dj
+            if off2 == 0 or off2 > REACH_PX * REACH_PX:
+                continue
+            row, column = j + dj, i + di
+            if row < 0 or column < 0 or row >= height or column >= width or inverse[row, column] == 0.0:
+                continue
+            d = 1.0 / inverse[row, column]
+            square = ((y - d) / sd) ** 2 + off2 * (pixel / model.outline_sd) ** 2
+            if square < least:
+                least, depth, aside = square, d, np.sqrt(off2) * pixel
+    if depth == 0.0:
+        return np.inf
+    return _misfit(depth, y, reading.before[j, i], aside, model)
+
+
+@kernel
+def _box(drawing: Drawing) -> tuple[int, int, int, int]:
+    """First column and row, then one past the last, of what is covered and what lies beside it."""
+    screen, (height, width) = drawing.screen, drawing.inverse.shape
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for v in range(len(screen)):
+        x, y = screen[v, 0], screen[v, 1]
+        left, right = min(left, x), max(right, x)
+        top, bottom = min(top, y), max(bottom, y)
+    reach = REACH_PX + 1.0  # and what rounding leaves
+    return (
+        int(min(max(left - reach, 0.0), width)),
+        int(min(max(top - reach, 0.0), height)),
+        int(min(max(right + reach, 0.0), width)),
+        int(min(max(bottom + reach, 0.0), height)),
+    )
+
+
+@kernel
+def add_sums(drawing: Drawing, reading: Reading, model: Mixture, row: FloatArray) -> None:
+    """Write the sums over a drawn tile to a row (8,)."""
+    inverses, image = drawing.inverse, reading.image
+    left, top, right, bottom = _box(drawing)
+    error, misfit, relief = 0.0, 0.0, 0.0
+    both, other, unread, hidden, matched = 0, 0, 0, 0, 0
+    for j in range(top, bottom):
+        for i in range(left, right):
+            inverse, y = inverses[j, i], image[j, i]
+            if inverse == 0.0:
+                if model.is_asked and y > 0.0:
+                    alone = _unexplained(y, model)
+                    relief += max(0.0, alone - _misfit_beside(inverses, i, j, reading, model))
+                continue
+            d = 1.0 / inverse
+            if y > 0.0:
+                apart = abs(d - y)
+                both, error = both + 1, error + min(apart, reading.clamp_mm)
+                matched += apart < reading.match_mm
+                if model.is_asked:
+                    alone = _misfit(d, y, reading.before[j, i], 0.0, model)
+                    if alone > LOOKS_BESIDE:
+                        alone = min(alone, _misfit_beside(inverses, i, j, reading, model))
+                    misfit += alone
+                continue
+            unread, other = unread + (y == 0.0), other + (y < 0.0)
+            hidden += (y < 0.0) & (-y < d)
+            if model.is_asked:
+                misfit += _misfit_of_other(d, y, reading.off[j, i] * reading.slope * d, model)
+    row[0], row[1], row[2], row[3] = error, both, other, unread
+    row[4], row[5], row[6], row[7] = misfit, hidden, matched, relief
+
+
+@kernel
+def sum_poses(
+    mesh: RestMesh,
+    bones: FloatArray,
+    first: int,
+    stride: int,
+    view: View,
+    reading: Reading,
+    model: Mixture,
+    drawing: Drawing,
+    rows: FloatArray,
+) -> None:
+    """Draw every ``stride``-th of poses (N, B, 3, 4) and write its sums (N, 8)."""
+    for n in range(first, len(bones), stride):
+        rows[n, :] = 0.0
+        if draw(mesh, bones[n], view, drawing):
+            add_sums(drawing, reading, model, rows[n])
+
+
+@kernel
+def draw_poses(
+    mesh: RestMesh,
+    bones: FloatArray,
+    first: int,
+    stride: int,
+    view: View,
+    drawing: Drawing,
+    depth: FloatArray,
+) -> None:
+    """Draw every ``stride``-th of poses (N, B, 3, 4) and write its depth (N, h, w), mm; 0 for nothing."""
+    for n in range(first, len(bones), stride):
+        drawn = draw(mesh, bones[n], view, drawing)
+        for j in range(depth.shape[1]):
+            for i in range(depth.shape[2]):
+                inverse = drawing.inverse[j, i]
+                depth[n, j, i] = 1.0 / inverse if drawn and inverse > 0.0 else 0.0

@@ -1,0 +1,79 @@
+"""Depth of one skinned mesh in many poses, drawn on all cores (``rendering.port.DepthRenderer``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.compiled import thread_count
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.rendering.cpu.tile_sums import ROW, draw_poses, mixture_of, reading_of, sum_poses
+from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.pixel_model import outline_distances
+from posetrack_cli.rendering.port import check_observed, check_poses
+from posetrack_cli.rendering.raster import Drawing, View, empty_drawing, rest_mesh
+from posetrack_cli.rendering.sums import Comparison, TileSums
+from posetrack_cli.rendering.window import Window
+
+
+class CompiledDepthRenderer:
+    """Depth images, or sums over them, of one mesh in N poses.
+
+    A mesh of which anything comes nearer than ``raster.NEAR_MM`` is not drawn at all. Sums do not depend on
+    how many cores there are.
+
+    Args:
+        mesh: the mesh that all poses share.
+        tile: (width, height) of a tile, pixels.
+    """
+
+    def __init__(self, mesh: SkinnedMesh, tile: tuple[int, int]) -> None:
+        self.tile, self.bones = tile, mesh.weights.shape[1]
+        self._mesh, self._threads = rest_mesh(mesh), thread_count()
+        self._drawings = [empty_drawing(self._mesh, tile[1], tile[0]) for _ in range(self._threads)]
+        self._pool = ThreadPoolExecutor(self._threads)
+
+    def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
+        """Draw, and return depth (N, height, width), mm."""
+        check_poses(self, transforms, window)
+        bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
+        depth = np.empty((len(bones), self.tile[1], self.tile[0]))
+
+        def draw_part(first: int, drawing: Drawing) -> None:
+            draw_poses(self._mesh, bones, first, self._threads, view, drawing, depth)
+
+        self._on_all_threads(draw_part, len(bones))
+        return depth.astype(np.float32)
+
+    def sums(
+        self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
+    ) -> TileSums:
+        """Draw, and sum what ``sums.sums_in_numpy`` defines."""
+        check_observed(comparison.observed, window)
+        check_poses(self, transforms, window)
+        bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
+        model = mixture_of(comparison.model)
+        off = outline_distances(comparison.observed) if model.is_asked else comparison.observed
+        reading = reading_of(comparison, off.astype(np.float64), window.step / camera.fx)
+        rows = np.empty((len(bones), ROW))
+
+        def sum_part(first: int, drawing: Drawing) -> None:
+            sum_poses(self._mesh, bones, first, self._threads, view, reading, model, drawing, rows)
+
+        self._on_all_threads(sum_part, len(bones))
+        return TileSums.from_rows(rows, float(np.count_nonzero(comparison.observed > 0)))
+
+    def _on_all_threads(self, work: Callable[[int, Drawing], None], count: int) -> None:
+        """Call a compiled function with a thread's first pose and drawing, on as many as poses need."""
+        parts = range(min(count, self._threads))
+        if len(parts) <= 1:
+            work(0, self._drawings[0])
+            return
+        list(self._pool.map(work, parts, self._drawings))
+
+
+def _bones_of(transforms: Float32Array) -> FloatArray:
+    return np.ascontiguousarray(transforms, dtype=np.float64)
