@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import io
 import sys
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.results import load_arrays, read_result
 
 FRAMES = 10
@@ -84,9 +85,7 @@ def test_the_shipped_configuration_is_the_default_swarm(recording: Path, tmp_pat
     assert load_arrays(first)["evaluations"].tolist() == [64 * 25 + 1]
 
 
-def test_an_interrupted_run_resumes_to_the_same_bytes(
-    recording: Path, result: Path, tmp_path: Path, device: RenderingDevice
-) -> None:
+def test_an_interrupted_run_resumes_to_the_same_bytes(recording: Path, result: Path, tmp_path: Path) -> None:
     output, seen = tmp_path / "r.mcap", list[int]()
     flushing = {"flush_frames": 2}
     tables = {"hand": {"side": "right"}, "filter": {"kind": "pso", "particles": 32}, "pso": SWARM}
@@ -96,9 +95,10 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     assert track(recording, whole, *FLUSHING) == 0
     config = config.model_copy(update={"output": config.output.model_copy(update=flushing)})
     options = RunOptions(output, init=str(recording), end=6)
-    stopped = HandRun(open_recording(recording), config, options, device).track(
-        lambda estimate: seen.append(estimate.frame_index), lambda: len(seen) == 3
-    )
+    with closing(open_fastest_device()) as device:  # as the command does
+        stopped = HandRun(open_recording(recording), config, options, device).track(
+            lambda estimate: seen.append(estimate.frame_index), lambda: len(seen) == 3
+        )
     assert stopped.stopped and stopped.frames == 3
     assert track(recording, output, *FLUSHING, "--resume") == 0
     assert filecmp.cmp(output, whole, shallow=False)

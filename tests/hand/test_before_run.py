@@ -113,20 +113,18 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
-def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path) -> None:
     """A hand three quarters as large as expected: its size to half a step between those tried.
 
     That a size that is told is not asked for the tests of told costs show: there are none for other sizes.
     """
-    monkeypatch.setattr(before_run, "_FRAMES_FOR_SIZE", 1)  # of a hand that is drawn, one is enough
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=3, frames=FRAMES, side="right", scale=0.78), path)
-    found = find_hand(open_path(path), FEW, start=0, seed=0)
+    found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
     assert f"of scale {found.config.hand.scale:.2f}" in found.line
-    right = FEW.model_copy(update={"hand": with_hand(side="right").hand})
-    of_side = find_hand(open_path(path), right, start=0, seed=0)
+    of_side = find_hand(open_path(path), with_hand(side="right"), start=0, seed=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
 
 
