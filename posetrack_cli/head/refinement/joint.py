@@ -80,7 +80,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
     count, size = len(face.mean), POSE + len(face.precisions)
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
-    matrix, vector = np.empty((size, size)), np.empty(size)
+    matrix, vector, step = np.empty((size, size)), np.empty(size), np.empty(size)
     arms = np.empty((count, 3))
     hessians, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
     for _ in range(iterations):
@@ -93,7 +93,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
                 for j in range(3):
                     hessians[k, i, j] = evidence.hessian[i, j]
             eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
-        step = np.linalg.solve(matrix, -vector)
+        step[:] = np.linalg.solve(matrix, -vector)
         farthest = 0.0
         for k in range(count):
             moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)
