@@ -28,8 +28,9 @@ LONGEST = (
 """Begun first, in this order; all others as they are found."""
 
 # The same examples in every run: a red run means a change. HYPOTHESIS_PROFILE=random looks for new ones.
+# 40 of them: what breaks a law is among the first few, and the same search again finds nothing new.
 # No deadline: a machine with much to do is no error.
-settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("same", derandomize=True, deadline=None, max_examples=40)
 settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 

@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Set
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -33,10 +34,20 @@ MODULES = {
 }
 
 
+@cache
+def trees() -> Mapping[str, ast.Module]:
+    return {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
+
+
+@cache
+def used() -> Mapping[str, Set[str]]:
+    """What each module imports anywhere."""
+    return {name: imported(ast.walk(tree)) for name, tree in trees().items()}
+
+
 def test_imports_lead_downwards() -> None:
-    used = {name: imported(ast.walk(ast.parse(path.read_text()))) for name, path in MODULES.items()}
-    used_at_once = {name: imported(ast.parse(path.read_text()).body) for name, path in MODULES.items()}
-    arrows = arrows_of(used)
+    used_at_once = {name: imported(tree.body) for name, tree in trees().items()}
+    arrows = arrows_of(used())
     assert not {(a, b) for a, b in arrows if b in LAYERS and a not in LAYERS[: LAYERS.index(b) + 1]}
     assert not {("hand", "head"), ("head", "hand")} & arrows
     of_filters = {b for a, b in arrows if a == "filtering"}
@@ -47,8 +58,7 @@ def test_imports_lead_downwards() -> None:
 
 
 def test_imports_make_no_circle() -> None:
-    used = {name: imported(ast.walk(ast.parse(path.read_text()))) for name, path in MODULES.items()}
-    TopologicalSorter({name: names & MODULES.keys() for name, names in used.items()}).prepare()
+    TopologicalSorter({name: names & MODULES.keys() for name, names in used().items()}).prepare()
 
 
 def arrows_of(imports: Mapping[str, Set[str]]) -> set[tuple[str, str]]:

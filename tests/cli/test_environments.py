@@ -19,7 +19,6 @@ from support.hostile_files import write_depth, write_grey, write_hand_result
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
 KEPT = ("PATH", "PYTHONPATH", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-POSIX = {**ASCII, "LC_ALL": "POSIX"}
 NOT_UTF8 = os.fsdecode(b"caf\xe9 \xff\x9b31m")
 """A name in Latin-1, with a control of its own."""
 
@@ -39,9 +38,8 @@ def command(
     [
         {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "LC_ALL": "xx_XX.UTF-8"},
         ASCII,
-        POSIX,
     ],
-    ids=["no folders", "C", "POSIX"],
+    ids=["no folders", "C"],
 )
 def test_files_are_read_and_written_without_home_locale_and_terminal(
     tmp_path: Path, environment: dict[str, str]

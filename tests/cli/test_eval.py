@@ -549,8 +549,7 @@ def test_a_closed_pipe_is_no_stack_trace(result: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("buffered", [True, False])
-@pytest.mark.parametrize(("gate", "code"), [(PASSES, 0), (FAILS, 1)])
+@pytest.mark.parametrize(("gate", "code", "buffered"), [(PASSES, 0, False), (FAILS, 1, True)])
 def test_a_reader_that_leaves_early_does_not_change_what_gates_say(
     result: Path, gate: str, code: int, buffered: bool
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,32 +11,27 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
-from posetrack_cli.hand.calibration import calibrate as calibrate_module
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.shape import SHAPE_NAMES
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.writing import write_synthetic
 
-QUICK = ("--hand-side", "right", "--frames", "5", "--seconds", "0.5")
+QUICK = ("--hand-side", "right", "--frames", "4", "--seconds", "0.2")
+FEW = "[acquisition]\nfitted = 16\nrefined = 2\nscattered = 4\n"
+"""Hypotheses of a search for the one hand in the image; ``hand run`` below takes the usual ones."""
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("calibrate") / "hand.mcap"
-    write_synthetic(SynthOptions(frames=20, seed=4, speed=2.0, **asdict(hand_of_seed(4))), path)
+    write_synthetic(SynthOptions(frames=10, seed=4, speed=4.0, **asdict(hand_of_seed(4))), path)
     return path
 
 
-@pytest.fixture(scope="module", autouse=True)
-def few_trials() -> Iterator[None]:
-    """What the right side and size are to be told by is little here; ``hand/test_calibration`` takes all."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibrate_module, "TRIAL_FRAMES", 2)
-        yield
-
-
 def calibrate(recording: Path, output: Path, *more: str) -> int:
-    return run(["hand", "calibrate", str(recording), "-o", str(output), *more])
+    few = recording.with_name("few.toml")
+    few.write_text(FEW)
+    return run(["hand", "calibrate", str(recording), "-o", str(output), "--config", str(few), *more])
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +60,7 @@ def test_a_table_and_a_configuration(
     for name, factor in zip(SHAPE_NAMES, hand.shape.factors, strict=True):
         value, sd = map(float, rows[name.replace("_", " ")])
         assert value == pytest.approx(factor, abs=6e-4) and 0.0 < sd < 0.5
-    assert shown[-1].startswith(f"{output}: 5 of ")
+    assert shown[-1].startswith(f"{output}: 4 of ")
     # the recording's own configuration comes first, the hand over it
     result = tmp_path / "r.mcap"
     arguments = ["hand", "run", str(recording), "-o", str(result), "--particles", "16", "--end", "2"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import io
 import sys
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,14 +19,14 @@ from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.results import load_arrays, read_result
 
 FRAMES = 10
 SWARM = {"particles": 32, "generations": 12}
 OPTIONS = ["--filter", "pso", "--particles", "32", "--set", "pso.generations=12"]
 RIGHT = ["--hand-side", "right"]
-FLUSHING = [*RIGHT, "--set", "output.flush_frames=2", "--end", "6"]
+FLUSHING = ["--set", "output.flush_frames=2", "--end", "6"]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def track(recording: Path, output: Path, *more: str) -> int:
-    return run(["hand", "run", str(recording), "-o", str(output), "--init", str(recording), *OPTIONS, *more])
+    told = [*RIGHT, "--init", str(recording)]
+    return run(["hand", "run", str(recording), "-o", str(output), *told, *OPTIONS, *more])
 
 
 @pytest.fixture(scope="module")
@@ -76,28 +78,27 @@ def test_every_command_reads_the_result(result: Path, tmp_path: Path, command: s
 def test_the_shipped_configuration_is_the_default_swarm(recording: Path, tmp_path: Path) -> None:
     """Both ways to ask for it give the same bytes."""
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    common = [str(recording), "--end", "1", *RIGHT]
+    common = [str(recording), "--end", "1", "--init", str(recording), *RIGHT]
     assert run(["hand", "run", *common, "-o", str(first), "--filter", "pso"]) == 0
     assert run(["hand", "run", *common, "-o", str(second), "--config", "hand-pso"]) == 0
     assert filecmp.cmp(first, second, shallow=False)
     assert load_arrays(first)["evaluations"].tolist() == [64 * 25 + 1]
 
 
-def test_an_interrupted_run_resumes_to_the_same_bytes(
-    recording: Path, result: Path, tmp_path: Path, device: RenderingDevice
-) -> None:
+def test_an_interrupted_run_resumes_to_the_same_bytes(recording: Path, result: Path, tmp_path: Path) -> None:
     output, seen = tmp_path / "r.mcap", list[int]()
     flushing = {"flush_frames": 2}
     tables = {"hand": {"side": "right"}, "filter": {"kind": "pso", "particles": 32}, "pso": SWARM}
-    config = HandConfig.model_validate(tables)  # the side as the run found it
+    config = HandConfig.model_validate(tables)
     assert HandConfig.model_validate_json(read_result(result).run["configuration"]) == config
     whole = tmp_path / "whole.mcap"
     assert track(recording, whole, *FLUSHING) == 0
     config = config.model_copy(update={"output": config.output.model_copy(update=flushing)})
     options = RunOptions(output, init=str(recording), end=6)
-    stopped = HandRun(open_recording(recording), config, options, device).track(
-        lambda estimate: seen.append(estimate.frame_index), lambda: len(seen) == 3
-    )
+    with closing(open_fastest_device()) as device:  # as the command does
+        stopped = HandRun(open_recording(recording), config, options, device).track(
+            lambda estimate: seen.append(estimate.frame_index), lambda: len(seen) == 3
+        )
     assert stopped.stopped and stopped.frames == 3
     assert track(recording, output, *FLUSHING, "--resume") == 0
     assert filecmp.cmp(output, whole, shallow=False)
@@ -120,6 +121,6 @@ def test_a_swarm_that_would_not_converge_is_one_line(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "r.mcap"
-    assert track(recording, output, *RIGHT, "--set", "pso.cognitive=1") == 1
+    assert track(recording, output, "--set", "pso.cognitive=1") == 1
     assert "would not converge" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -287,9 +287,10 @@ def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
 def test_a_focal_length_that_is_given_is_taken(made: Path, video: Path, tmp_path: Path) -> None:
     """A field of view of the made camera's 1000 px gives its distances, and so does a camera file."""
     fov = 2 * np.degrees(np.arctan(320 / 1000))
-    assert mono(video, tmp_path / "fov.mcap", "--passes", "1", "--fov", fov) == 0
+    assert mono(video, tmp_path / "fov.mcap", "--passes", "1", "--end", "3", "--fov", fov) == 0
     (tmp_path / "mine.toml").write_text("fx = 1000.0\nfy = 1000.0\ncx = 319.5\ncy = 239.5\n")
-    assert mono(video, tmp_path / "toml.mcap", "--passes", "1", "--camera", tmp_path / "mine.toml") == 0
+    mine = ("--camera", tmp_path / "mine.toml", "--end", "3")
+    assert mono(video, tmp_path / "toml.mcap", "--passes", "1", *mine) == 0
     results = [read_result(tmp_path / name) for name in ("fov.mcap", "toml.mcap")]
     assert [result.run["intrinsics"] for result in results] == ["guessed", "given"]
     assert [result.camera().fx for result in results] == pytest.approx([1000.0, 1000.0])
@@ -297,9 +298,14 @@ def test_a_focal_length_that_is_given_is_taken(made: Path, video: Path, tmp_path
 
 def test_the_same_options_give_the_same_bytes_and_others_do_not(made: Path, tracked: Path) -> None:
     again, other = made.with_name("again.mcap"), made.with_name("other.mcap")
-    assert mono(made, again, "--passes", "1") == mono(made, other, "--passes", "1", "--seed", "1") == 0
+    assert (
+        mono(made, again, "--passes", "1")
+        == mono(made, other, "--passes", "1", "--seed", "1", "--end", "6")
+        == 0
+    )
     assert filecmp.cmp(tracked, again, shallow=False)
-    assert not filecmp.cmp(tracked, other, shallow=False)
+    one, seeded = (load_arrays(path)["position"][:6] for path in (tracked, other))
+    assert not np.array_equal(one, seeded)
 
 
 def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: Path, tracked: Path) -> None:
@@ -312,8 +318,9 @@ def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: P
     assert np.any(mine["position"] != once["position"])
     assert read_result(twice).run["passes"] == "2"
     shutil.copy(tracked, made.with_name("model.mcap"))  # a result serves as a model, too
-    assert mono(made, made.with_name("r.mcap"), "--passes", "1", "--load-model", tracked) == 0
-    np.testing.assert_array_equal(load_arrays(made.with_name("r.mcap"))["position"], mine["position"])
+    few = ("--passes", "1", "--end", "4", "--load-model", tracked)
+    assert mono(made, made.with_name("r.mcap"), *few) == 0
+    np.testing.assert_array_equal(load_arrays(made.with_name("r.mcap"))["position"], mine["position"][:4])
 
 
 @pytest.mark.parametrize("when", ["start", "never"])
@@ -329,14 +336,15 @@ def test_a_person_need_not_be_adjusted(made: Path, tracked: Path, tmp_path: Path
 def test_a_second_face_that_is_not_there_is_one_line(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert mono(made, tmp_path / "r.mcap", "--face", "2") == 1
+    assert mono(made, tmp_path / "r.mcap", "--face", "2", "--end", "4") == 1
     (told,) = lines(capsys)
-    assert f"no face found, found {FRAMES} frames searched" in told and "1 face, not 2" in told
+    assert "no face found, found 4 frames searched" in told and "1 face, not 2" in told
     assert not list(tmp_path.iterdir())
 
 
 def test_the_smaller_of_two_faces_can_be_asked_for(images: list[np.ndarray], tmp_path: Path) -> None:
     """Beside the face stands the same one at 0.6 of its size."""
+    images = images[: FRAMES // 2]
     both = [np.hstack([image, np.zeros_like(image)]) for image in images]
     for image, whole in zip(images, both, strict=True):
         small = cv2.resize(image, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
@@ -376,7 +384,7 @@ def test_clicked_points_begin_a_run(made: Path, tracked: Path, tmp_path: Path) -
     assert table(tmp_path / "r.mcap")["rotation_deg"] < 3.0
 
 
-@pytest.mark.parametrize(("passes", "frames"), [(1, 3), (1, 7), (2, 14)])
+@pytest.mark.parametrize(("passes", "frames"), [(1, 3), (2, 7), (2, 14)])
 def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
     made: Path, tmp_path: Path, passes: int, frames: int
 ) -> None:

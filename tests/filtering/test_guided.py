@@ -87,8 +87,10 @@ def test_exact_fits_meet_kalman(make_world, steps: np.ndarray, moving: bool, mix
     np.testing.assert_allclose(sizes, PARTICLES, rtol=ROUNDING)
 
 
-@pytest.mark.parametrize("options", [{}, {"inflation": 1.5}, {"prior_share": 0.5, "inflation": 2.0}])
-@pytest.mark.parametrize("moving", [True, False])
+@pytest.mark.parametrize(
+    ("moving", "options"),
+    [(True, {}), (False, {"inflation": 1.5}), (True, {"prior_share": 0.5, "inflation": 2.0})],
+)
 def test_shares_and_inflation_change_no_posterior(make_world, moving: bool, options: dict) -> None:
     """The ratio to the prediction is 0.8 to 1.5, the same with 2000 and 8000 particles: it is no bias."""
     world = make_world(np.full(200, 1.0 / 30.0), dimension=3, moving=moving, mixing=MIXINGS["all"])

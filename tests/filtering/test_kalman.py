@@ -27,7 +27,7 @@ positive = arrays(np.float64, 3, elements=st.floats(1e-2, 1e3))
 time_steps = st.floats(5e-3, 0.5)
 # nothing, or so much that products of two are no subnormal numbers, which have fewer digits
 variances = st.one_of(st.just(0.0), st.floats(1e-100, 1e6))
-relaxed = settings(deadline=None, max_examples=100)
+relaxed = settings(deadline=None)
 
 
 def joint(pose_cov: np.ndarray, velocity_cov: np.ndarray) -> np.ndarray:

@@ -138,8 +138,7 @@ def test_three_components_meet_kalman(make_world) -> None:
     assert 0.35 < errors[1] / errors[0] < 0.7  # 1 / sqrt(4), to the 25 % that runs scatter by
 
 
-@pytest.mark.parametrize("threshold", [0.5, 1.0])
-@pytest.mark.parametrize("moving", [True, False])
+@pytest.mark.parametrize(("moving", "threshold"), [(True, 0.5), (False, 1.0)])
 def test_evidence_is_unbiased(make_world, moving: bool, threshold: float) -> None:
     """E[estimate of p(y_1..T)] = p(y_1..T) for any number of particles (Del Moral 2004, section 7.4.1)."""
     world = make_world(np.full(10, 1.0 / 30.0), dimension=2, moving=moving)

@@ -18,7 +18,7 @@ every_scheme = pytest.mark.parametrize("scheme", SCHEMES)
 weights_with_zeros = arrays(
     np.float64, st.integers(1, 30), elements=st.one_of(st.just(0.0), st.floats(1e-12, 1.0))
 ).filter(lambda w: w.sum() > 0.0)
-relaxed = settings(deadline=None, max_examples=60)
+relaxed = settings(deadline=None)
 
 
 class FixedUniforms:

@@ -196,7 +196,7 @@ def test_plain_filter_reports_no_velocity() -> None:
     np.testing.assert_array_equal(posterior.velocity_variance, np.zeros(3))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(
     velocities=arrays(np.float64, (6, 2), elements=st.floats(-50.0, 50.0)),
     variance=arrays(np.float64, 2, elements=st.floats(0.0, 50.0)),

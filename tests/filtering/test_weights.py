@@ -21,7 +21,7 @@ ROUNDING = 1e-12
 """A sum of up to 40 terms at exponents of up to 1e4: 40 eps, and 1e4 eps in a log-weight's last bit."""
 
 log_weights = arrays(np.float64, st.integers(1, 40), elements=st.floats(-1e4, 1e4))
-relaxed = settings(deadline=None, max_examples=100)
+relaxed = settings(deadline=None)
 
 
 @relaxed

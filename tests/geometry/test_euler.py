@@ -29,7 +29,7 @@ near_lock = st.sampled_from([1e-3, 1e-6, 1e-8, 1e-12, 0.0]).map(lambda d: np.pi 
 pitches = st.one_of(st.floats(-np.pi / 2, np.pi / 2), near_lock, near_lock.map(lambda pitch: -pitch))
 angles = st.tuples(full_turns, pitches, full_turns).map(np.array)
 
-relaxed = settings(deadline=None, max_examples=100)
+relaxed = settings(deadline=None)
 
 
 def scipy_quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:

@@ -30,7 +30,7 @@ axes = arrays(np.float64, 3, elements=components).filter(lambda a: float(np.lina
 rotation_vectors = st.builds(lambda a, angle: a / np.linalg.norm(a) * angle, axes, angles)
 vectors = arrays(np.float64, (5, 3), elements=st.floats(-100.0, 100.0))
 
-relaxed = settings(deadline=None, max_examples=60)
+relaxed = settings(deadline=None)
 
 
 def same_rotation(p: np.ndarray, q: np.ndarray, tolerance: float = ROUNDING) -> None:

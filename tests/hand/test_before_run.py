@@ -23,6 +23,8 @@ from posetrack_cli.synthesis.hand.writing import write_synthetic
 
 FRAMES = 24
 HALF_A_STEP = 0.077  # 1.16^(1/2) - 1
+FEW = HandConfig.model_validate({"acquisition": {"fitted": 16, "refined": 2, "scattered": 4}})
+"""Half the hypotheses of a search: there is one hand, before an empty wall."""
 
 
 @pytest.fixture(scope="module", params=["right", "left"])
@@ -43,12 +45,12 @@ def with_hand(**values: object) -> HandConfig:
 
 def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path]) -> None:
     side, path = seen
-    found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
+    found = find_hand(open_path(path), FEW, start=0, seed=0)
     assert found.config.hand.side == side
     assert found.line == f"a {side} hand"
     rest = found.config.hand.model_copy(update={"side": "auto"})
-    assert found.config.model_copy(update={"hand": rest}) == HandConfig()
-    again = find_hand(open_path(path), HandConfig(), start=0, seed=0)
+    assert found.config.model_copy(update={"hand": rest}) == FEW
+    again = find_hand(open_path(path), FEW, start=0, seed=0)
     assert again == found
 
 
@@ -111,10 +113,11 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
-def test_a_hand_of_another_size_is_found_with_it_and_one_that_is_told_is_not_asked_for(
-    tmp_path: Path,
-) -> None:
-    """A hand three quarters as large as expected: its size to half a step between those tried."""
+def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path) -> None:
+    """A hand three quarters as large as expected: its size to half a step between those tried.
+
+    That a size that is told is not asked for the tests of told costs show: there are none for other sizes.
+    """
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=3, frames=FRAMES, side="right", scale=0.78), path)
     found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
@@ -123,7 +126,6 @@ def test_a_hand_of_another_size_is_found_with_it_and_one_that_is_told_is_not_ask
     assert f"of scale {found.config.hand.scale:.2f}" in found.line
     of_side = find_hand(open_path(path), with_hand(side="right"), start=0, seed=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
-    assert find_hand(open_path(path), with_hand(scale=1.0), start=0, seed=0).config.hand.scale == 1.0
 
 
 def test_a_calibrated_hand_is_what_is_tracked(

@@ -48,8 +48,10 @@ from posetrack_cli.synthesis.hand.writing import write_synthetic
 from support.hand import KINECT
 
 TILE = 96
-SECONDS = 0.6
+SECONDS = 0.2
 """Of a recording that is a little longer."""
+FEW = {"fitted": 16, "refined": 2, "scattered": 4}
+"""Hypotheses of a search; ten hands are searched for, and the one hand in the image is easily found."""
 OTHER = HandShape(
     1.08, (1.0, 1.08, 0.95, 1.0, 1.05), (1.05, 0.95, 1.0, 1.05, 1.0), 1.05, 1.03, 0.95, 0.95, 1.1
 )
@@ -187,15 +189,16 @@ def test_frames_that_differ_are_chosen() -> None:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A left hand of other size and proportions, as a Kinect sees it, at twice the usual speed."""
+    """A left hand of other size and proportions, as a Kinect sees it, at four times the usual speed."""
     path = tmp_path_factory.mktemp("calibration") / "other.mcap"
-    write_synthetic(SynthOptions(frames=24, seed=6, side="left", speed=2.0, **asdict(hand_of_seed(6))), path)
+    write_synthetic(SynthOptions(frames=10, seed=6, side="left", speed=4.0, **asdict(hand_of_seed(6))), path)
     return path
 
 
 @pytest.fixture(scope="module")
 def calibration(recording: Path) -> Iterator[Calibration]:
-    yield calibrate(open_recording(recording), HandConfig(), CalibrationOptions(seconds=SECONDS, frames=5))
+    config = HandConfig.model_validate({"acquisition": FEW})
+    yield calibrate(open_recording(recording), config, CalibrationOptions(seconds=SECONDS, frames=4))
 
 
 def test_side_size_and_proportions_are_found_without_truth(recording: Path, calibration: Calibration) -> None:
@@ -208,7 +211,7 @@ def test_side_size_and_proportions_are_found_without_truth(recording: Path, cali
     assert off[0] < 0.6 * off[1]
     stamps = [frame.stamp_ns for frame in open_recording(recording).frames()]
     assert calibration.frames_seen == sum(stamp - stamps[0] <= SECONDS * 1e9 for stamp in stamps)
-    assert calibration.frames_used == 5
+    assert calibration.frames_used == 4
     assert calibration.sd.shape == (SHAPE_SIZE,) and (calibration.sd > 0).all()
 
 

@@ -126,8 +126,7 @@ def test_a_state_without_its_stamp_is_refused_and_nothing_is_deleted(
     assert filecmp.cmp(tmp_path / "r.mcap", tmp_path / "whole.mcap", shallow=False)
 
 
-@pytest.mark.parametrize("kind", ["rbpf", "pf"])
-@pytest.mark.parametrize("smoother", SMOOTHERS)
+@pytest.mark.parametrize(("kind", "smoother"), list(zip(("rbpf", "pf"), SMOOTHERS, strict=True)))
 def test_what_is_smoothed_has_to_be_what_was_remembered(
     run: Callable[..., HandRun],
     interrupted: Callable[..., dict[str, bytes]],

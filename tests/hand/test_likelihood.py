@@ -44,7 +44,7 @@ def union_by_pixels(depth: np.ndarray, image: np.ndarray, c_max: float, unread: 
     return total / weight if weight else c_max
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(depths, images, st.floats(1.0, 100.0), st.floats(0.0, 1.0))
 def test_costs_are_the_sums_over_pixels(
     depth: np.ndarray, image: np.ndarray, c_max: float, unread: float

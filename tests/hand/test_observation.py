@@ -27,7 +27,7 @@ windows = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(windows)
 def test_sampling_takes_single_pixels_and_zero_outside(window: Window) -> None:
     camera = Camera(64, 48, 90.0, 90.0, 31.5, 23.5)

@@ -69,8 +69,16 @@ def test_a_hand_stands_out_also_from_what_it_nearly_touches(device: RenderingDev
     assert observer.outline(depth, aside).shows_hand(is_known=True)
 
 
-@pytest.mark.parametrize("kind", ["rbpf", "pf", "pso", "paper"])
-@pytest.mark.parametrize("name", ["wall", "noisy wall", "step", "few readings"])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *(("rbpf", name) for name in ("wall", "noisy wall", "step", "few readings")),
+        ("pf", "step"),
+        ("pf", "few readings"),
+        ("pso", "noisy wall"),
+        ("paper", "wall"),
+    ],
+)
 def test_no_tracker_says_that_it_tracks_a_wall(device: RenderingDevice, kind: str, name: str) -> None:
     values: dict[str, Any] = {"filter": {"kind": "rbpf" if kind == "paper" else kind, "particles": 64}}
     values |= {"hand": {"side": "right"}, "pso": {"particles": 16, "generations": 4}}

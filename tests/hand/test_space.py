@@ -21,7 +21,7 @@ units = st.floats(-1.0, 1.0, allow_subnormal=False)
 tangents = arrays(np.float64, 21, elements=units).map(
     lambda d: d * np.array([300.0] * 3 + [1.8] * 3 + [3.0] * 15)
 )
-relaxed = settings(deadline=None, max_examples=80)
+relaxed = settings(deadline=None)
 
 
 @relaxed

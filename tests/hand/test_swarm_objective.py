@@ -42,7 +42,7 @@ def by_pixels(depth: np.ndarray, image: np.ndarray, own: PsoSettings, unread: fl
     return far / either + own.overlap_mm * (1.0 - dice), far / either
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 @given(
     depths, images, st.floats(1.0, 100.0), st.floats(1.0, 60.0), st.floats(0.0, 300.0), st.floats(0.0, 1.0)
 )

@@ -66,9 +66,10 @@ COMMANDS = {
 def make_seeds(pool: Pool) -> Seeds:
     """Make all seeds, and warm the harnesses up; takes some seconds."""
     hand, heads = pool.map(_recording, ("hand", "heads"))
+    pool.map(lambda harness, _: _warm_up(harness, heads), pool.harnesses)
     files: dict[str, Content] = {"hand.mcap": _reduced(hand)[0], "heads.mcap": heads}
     made = dict(zip(COMMANDS, pool.map(lambda h, kind: _tracked(h, kind, files), COMMANDS), strict=True))
-    seeds = Seeds(
+    return Seeds(
         depth=_reduced(hand)[1],
         grey=_grey(heads),
         hand=bytes(files["hand.mcap"]),
@@ -78,8 +79,6 @@ def make_seeds(pool: Pool) -> Seeds:
         models={kind: model for kind, (_, _, model) in made.items() if model},
         commands=COMMANDS,
     )
-    pool.map(lambda harness, _: _warm_up(harness, seeds), pool.harnesses)
-    return seeds
 
 
 def _recording(harness: Harness, kind: str) -> bytes:
@@ -102,11 +101,11 @@ def _tracked(
     return made["out.mcap"], parts, made.get("model.npz", b"")
 
 
-def _warm_up(harness: Harness, seeds: Seeds) -> None:
+def _warm_up(harness: Harness, heads: bytes) -> None:
     """Load the compiled code of heads once, for all children; what needs GL is theirs."""
     folder = harness.scratch / "warm"
     folder.mkdir(exist_ok=True)
-    (folder / "heads.mcap").write_bytes(seeds.heads)
+    (folder / "heads.mcap").write_bytes(heads)
     swap = {"heads.mcap": str(folder / "heads.mcap")}
     tail = ("--end", "2", "--overwrite")
     commands = [

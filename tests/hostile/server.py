@@ -9,6 +9,7 @@ what has gone wrong, and an audit hook tells what it opened to write, started, o
 from __future__ import annotations
 
 import faulthandler
+import gc
 import importlib
 import json
 import os
@@ -94,6 +95,7 @@ def _warm(commands: list[list[str]]) -> list[int]:
 def run_child(request: dict[str, Any]) -> dict[str, Any]:
     """Run a command line in a child and return what it was and did."""
     reading, writing = os.pipe()
+    gc.freeze()  # else each child would copy every page of what is imported, only to find nothing to collect
     began = time.monotonic()
     child = os.fork()
     if child == 0:

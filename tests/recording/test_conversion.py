@@ -172,7 +172,9 @@ def test_failure_leaves_nothing_behind_and_spares_the_old_file(tmp_path: Path, m
         convert_recording(source, tmp_path / "gone" / "out.mcap")
 
 
-def test_kinect_recording_keeps_its_size(tmp_path: Path, make: SimpleNamespace, measured_data: Path) -> None:
+def test_a_kinect_recording_keeps_its_size_and_all_its_frames(
+    tmp_path: Path, make: SimpleNamespace, measured_data: Path
+) -> None:
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
     folder = measured_data / "kinect2-hand"

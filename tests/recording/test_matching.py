@@ -85,7 +85,7 @@ def test_without_an_end_it_is_told_after_some_frames() -> None:
         list(match_images(["a", "b"], [endless(0), endless(50)], 5 * MS, LossLog()))
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(st.data(), st.integers(2, 3), st.integers(1, 12))
 def test_drop_outs_and_jitter_keep_every_image_at_its_instant(
     data: st.DataObject, cameras: int, count: int

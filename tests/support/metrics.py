@@ -13,7 +13,7 @@ from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.track import Track
 
 NOTHING = "nothing to compare"
-relaxed = settings(deadline=None, max_examples=60)
+relaxed = settings(deadline=None)
 
 
 def all_pairs(frames: int) -> Pairs:

@@ -233,8 +233,8 @@ def nearest_pixels(mask: BoolArray) -> FloatArray:
     """Return column and row (2, h, w) of a mask's nearest pixel; a pixel's own where the mask is empty."""
     height, width = mask.shape
     rows, columns = np.mgrid[:height, :width]
-    if not mask.any():
-        return np.stack([columns, rows]).astype(np.float64)
+    if not mask.any():  # laid out in memory as below, or kernels would be compiled for it anew
+        return np.stack([columns, rows], axis=-1).astype(np.float64).transpose(2, 0, 1)
     _, labels = cv2.distanceTransformWithLabels(
         (~mask).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )

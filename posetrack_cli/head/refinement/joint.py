@@ -88,7 +88,10 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
         for k in range(count):
             point_in_camera(face, state, k, arms[k])
             gather_evidence(scene, k, arms[k] + state.position, work, evidence)
-            hessians[k], gradients[k] = evidence.hessian, evidence.gradient
+            for i in range(3):  # number by number: a slice would compile a second of error messages
+                gradients[k, i] = evidence.gradient[i]
+                for j in range(3):
+                    hessians[k, i, j] = evidence.hessian[i, j]
             eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
         step[:] = np.linalg.solve(matrix, -vector)
         farthest = 0.0

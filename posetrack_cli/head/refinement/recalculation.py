@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, product, sample_grid
 from posetrack_cli.head.refinement.evidence import (
     Evidence,
@@ -88,8 +88,16 @@ def recalculate_points(
                     points[k, i] += rotation[j, i] * e[j]
             if squared < small * small:
                 break
-        correlations[:, k] = evidence.correlations
-        pixels[:, k] = evidence.pixels
+        write_place(evidence, k, correlations, pixels)
+
+
+@inlined
+def write_place(evidence: Evidence, k: int, correlations: FloatArray, pixels: FloatArray) -> None:
+    """Write where a point is seen, and how well; number by number, as slices compile for seconds."""
+    for c in range(len(correlations)):
+        correlations[c, k] = evidence.correlations[c]
+        for i in range(2):
+            pixels[c, k, i] = evidence.pixels[c, i]
 
 
 @kernel
@@ -136,8 +144,7 @@ def recalculate_as_printed(
                     points[k, i] += rotation[j, i] * step
         transform(rotation, points[k], position, X)
         gather_evidence(scene, k, X, work, evidence)
-        correlations[:, k] = evidence.correlations
-        pixels[:, k] = evidence.pixels
+        write_place(evidence, k, correlations, pixels)
 
 
 @kernel

@@ -24,7 +24,7 @@ def p_by_enumeration(differences: np.ndarray) -> float:
     return min(1.0, 2 * min((sums <= observed).mean(), (sums >= observed).mean()))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 @given(st.lists(WHOLE.filter(bool), min_size=1, max_size=9))
 def test_p_is_the_share_of_signs_at_least_as_extreme(values: list[float]) -> None:
     differences = np.array(values)

@@ -77,7 +77,7 @@ def test_recovers_the_person_from_noiseless_views(seed, lens):
 
 
 @given(seeds, st.floats(0.0, 4.0), st.booleans(), st.booleans(), st.integers(1, 4))
-@examples(max_examples=60)
+@examples(max_examples=40)
 def test_cost_never_rises(seed, away, wide, hold, iterations):
     rng = np.random.default_rng(seed)
     case = with_outliers(case_of(seed % 1000, away=away, count=int(rng.integers(1, 7))), rng)
@@ -94,7 +94,7 @@ def test_cost_never_rises(seed, away, wide, hold, iterations):
 
 
 @given(seeds, st.floats(0.0, 6.0), st.booleans(), st.booleans())
-@examples(max_examples=60)
+@examples(max_examples=40)
 def test_bounds_are_never_broken(seed, away, wide, hold):
     case = with_outliers(case_of(seed % 1000, away=away, count=4), np.random.default_rng(seed))
     settings, model = case.settings, case.model

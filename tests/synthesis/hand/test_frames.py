@@ -34,8 +34,7 @@ TIPS = np.arange(4, 21, 4)
 INNER = np.setdiff1d(np.arange(21), TIPS)
 
 
-@pytest.mark.parametrize("motion", ["A", "B", "C"])
-@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("motion", "side"), [("A", "right"), ("B", "left"), ("C", "right")])
 def test_true_joints_lie_in_the_rendered_hand(device: RenderingDevice, motion: str, side: str) -> None:
     for frame in frames(device, motion=motion, side=side, frames=60, seed=2)[::6]:
         pixels, _ = CAMERA.pixels_from_points(frame.joints)

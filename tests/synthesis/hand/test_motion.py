@@ -55,8 +55,7 @@ def test_walks_stay_in_box_and_cone(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["A", "B", "C"])
-@pytest.mark.parametrize("scale", [0.5, 1.0, 1.5])
-@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("scale", "side"), [(0.5, "right"), (1.0, "left"), (1.5, "right")])
 def test_the_whole_hand_stays_in_the_image(kind: str, scale: float, side: str) -> None:
     for seed in range(3):
         poses = motion(kind, seed, scale=scale, side=side, speed=2.0).poses

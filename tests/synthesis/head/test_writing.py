@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import filecmp
-from dataclasses import replace
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
-from posetrack_cli.synthesis.head.frames import COMPONENTS, make_plan, synthesise
+from posetrack_cli.synthesis.head.frames import COMPONENTS, SyntheticHeadFrame, make_plan, synthesise
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.sensor import make_cameras
 from posetrack_cli.synthesis.head.writing import write_synthetic
@@ -30,16 +32,41 @@ METRES = 1e-9
 """mm: metres of a message and back, a quaternion and back."""
 
 
-@pytest.mark.parametrize(("image_format", "cameras"), [("raw", 1), ("png", 2)])
-def test_a_file_reads_as_the_recording_that_was_made(tmp_path: Path, image_format: str, cameras: int) -> None:
-    options = replace(SMALL, cameras=cameras, distortion=cameras == 1)
-    write_synthetic(options, tmp_path / "a.mcap", image_format=image_format)
-    recording = open_recording(tmp_path / "a.mcap", "grey")
-    for read, made in zip(recording.cameras, make_cameras(options), strict=True):
+@dataclass(frozen=True)
+class Made:
+    """One recording as frames, as a file and as a folder; to make a person takes most of each."""
+
+    options: HeadSynthOptions
+    frames: Sequence[SyntheticHeadFrame]
+    file: Path
+    folder: Path
+
+
+def make(options: HeadSynthOptions, folder: Path, image_format: str = "png") -> Made:
+    write_synthetic(options, folder / "a.mcap", image_format=image_format)
+    write_synthetic(options, folder / "a", image_format="png")
+    return Made(options, list(synthesise(options)), folder / "a.mcap", folder / "a")
+
+
+@pytest.fixture(scope="module")
+def stereo(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    return make(SMALL, tmp_path_factory.mktemp("stereo"))
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def both(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, stereo: Made) -> Made:
+    """Of one camera, with distortion and raw images, and of two."""
+    if request.param == 2:
+        return stereo
+    return make(replace(SMALL, cameras=1, distortion=True), tmp_path_factory.mktemp("mono"), "raw")
+
+
+def test_a_file_reads_as_the_recording_that_was_made(both: Made) -> None:
+    recording = open_recording(both.file, "grey")
+    for read, made in zip(recording.cameras, make_cameras(both.options), strict=True):
         assert (read.matrix == made.matrix).all() and read.distortion == made.distortion
         np.testing.assert_allclose(read.camera_T_reference, made.camera_T_reference, atol=METRES)
-    expected = list(synthesise(options))
-    frames = list(recording.frames())
+    expected, frames = both.frames, list(recording.frames())
     assert not recording.losses
     for frame, made_frame in zip(frames, expected, strict=True):
         assert frame.stamp_ns == made_frame.stamp_ns
@@ -54,25 +81,20 @@ def test_a_file_reads_as_the_recording_that_was_made(tmp_path: Path, image_forma
         assert (estimate.position == made_frame.pose.position).all()
 
 
-@pytest.mark.parametrize("cameras", [1, 2])
-def test_a_folder_reads_as_the_recording_that_was_made(tmp_path: Path, cameras: int) -> None:
-    options = replace(SMALL, cameras=cameras)
-    write_synthetic(options, tmp_path / "a", image_format="png")
-    names = {path.name for path in (tmp_path / "a").iterdir()}
-    folders = {"left", "right"} if cameras == 2 else {"camera"}
+def test_a_folder_reads_as_the_recording_that_was_made(both: Made) -> None:
+    names = {path.name for path in both.folder.iterdir()}
+    folders = {"left", "right"} if both.options.cameras == 2 else {"camera"}
     assert names == {"camera.toml", "timestamps.csv", "truth.mcap", *folders}
-    recording = open_recording(tmp_path / "a", "grey")
-    assert recording.cameras == make_cameras(options)
-    for frame, made in zip(recording.frames(), synthesise(options), strict=True):
+    recording = open_recording(both.folder, "grey")
+    assert recording.cameras == make_cameras(both.options)
+    for frame, made in zip(recording.frames(), both.frames, strict=True):
         assert frame.stamp_ns == made.stamp_ns
         assert all(np.array_equal(a, b) for a, b in zip(frame.images, made.images, strict=True))
 
 
-def test_truth_and_record_of_folder_and_file_are_the_same(tmp_path: Path) -> None:
-    write_synthetic(SMALL, tmp_path / "a")
-    write_synthetic(SMALL, tmp_path / "a.mcap")
+def test_truth_and_record_of_folder_and_file_are_the_same(stereo: Made) -> None:
     contents = []
-    for path in (tmp_path / "a" / "truth.mcap", tmp_path / "a.mcap"):
+    for path in (stereo.folder / "truth.mcap", stereo.file):
         with path.open("rb") as stream:
             reader = make_reader(stream)
             record = next(m.metadata for m in reader.iter_metadata() if m.name == SYNTH_RECORD)
@@ -82,12 +104,12 @@ def test_truth_and_record_of_folder_and_file_are_the_same(tmp_path: Path) -> Non
     assert contents[0][0]["identity"] == "1" and contents[0][0]["turn_s"] == ""
 
 
-def test_the_same_options_give_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        write_synthetic(SMALL, tmp_path / f"{name}.mcap")
-    assert filecmp.cmp(tmp_path / "a.mcap", tmp_path / "b.mcap", shallow=False)
-    write_synthetic(replace(SMALL, seed=6), tmp_path / "b.mcap", overwrite=True)
-    assert not filecmp.cmp(tmp_path / "a.mcap", tmp_path / "b.mcap", shallow=False)
+def test_the_same_options_give_the_same_bytes(stereo: Made, tmp_path: Path) -> None:
+    again = tmp_path / "again.mcap"
+    write_synthetic(SMALL, again, image_format="png")
+    assert filecmp.cmp(stereo.file, again, shallow=False)
+    write_synthetic(replace(SMALL, seed=6), again, image_format="png", overwrite=True)
+    assert not filecmp.cmp(stereo.file, again, shallow=False)
 
 
 def test_truth_has_rates_of_the_pose_and_the_expressions_by_name(tmp_path: Path) -> None:
@@ -107,10 +129,11 @@ def test_truth_has_rates_of_the_pose_and_the_expressions_by_name(tmp_path: Path)
     assert max(abs(frame.strengths[:7]).max() for frame in frames) > 0.2
 
 
-def test_what_exists_is_kept_unless_it_may_be_replaced(tmp_path: Path) -> None:
+def test_what_exists_is_kept_unless_it_may_be_replaced(stereo: Made, tmp_path: Path) -> None:
     one = replace(SMALL, frames=1)
+    shutil.copy(stereo.file, tmp_path / "a.mcap")
+    shutil.copytree(stereo.folder, tmp_path / "a")
     for name in ("a.mcap", "a"):
-        write_synthetic(one, tmp_path / name)
         with pytest.raises(UsageError, match="exists already"):
             write_synthetic(one, tmp_path / name)
         write_synthetic(one, tmp_path / name, overwrite=True)
