@@ -166,8 +166,10 @@ def test_a_lens_is_taken_out_of_pixels(stage: Stage) -> None:
 # A tracker that is told
 
 
-def tracker(device: RenderingDevice, keypoints: KeypointFile | None) -> HandTracker:
-    config, finder = HandConfig(), acquisition(RIGHT)
+def tracker(
+    device: RenderingDevice, keypoints: KeypointFile | None, config: HandConfig | None = None
+) -> HandTracker:
+    config, finder = config or HandConfig(), acquisition(RIGHT, config)
     scorer = RenderedCosts(device, RIGHT, KINECT, config.observation, config.filter.particles)
     told = None if keypoints is None else ToldHands(keypoints, KINECT, RIGHT.anatomy)
     return HandTracker(config, RIGHT.anatomy, scorer, finder.observer, finder, told)
@@ -224,10 +226,12 @@ def test_a_track_that_is_on_something_else_leaves_for_the_hand_that_is_told(
     limb = np.hypot(columns - 130.0, 0.35 * (rows - 210.0)) < 24.0  # as large as a hand, and none
     depth = np.where(limb, 640.0, stage.depth(there)).astype(np.float32)
     depths, start = [depth] * (LEAVE_AFTER + 2), relaxed(-215.0, 60.0, 650.0)
-    pausing = TrackMonitor(usual_mm=7.0, wait=16, next_wait=16)
-    silent = tracked(tracker(device, None), depths, start, pausing)
+    doubting = HandConfig.model_validate({"status": {"sure_mm": 1.0}})  # no fit to the limb ends the pause
+    pausing = TrackMonitor(usual_mm=12.0, wait=16, next_wait=16)
+    silent = tracked(tracker(device, None, doubting), depths, start, pausing)
     assert min(error(pose_of(e), there) for e in silent) > 200.0
-    told = tracked(tracker(device, told_of([joints_of(there)] * len(depths))), depths, start, pausing)
+    file = told_of([joints_of(there)] * len(depths))
+    told = tracked(tracker(device, file, doubting), depths, start, pausing)
     errors = [error(pose_of(e), there) for e in told]
     assert min(errors[: LEAVE_AFTER - 1]) > 200.0 and max(errors[LEAVE_AFTER - 1 :]) < TRACKED_MM
     assert [e.status for e in told[LEAVE_AFTER - 1 :]] == [Status.REINITIALISED, *[Status.TRACKING] * 2]

@@ -85,7 +85,11 @@ def prepare() -> None:
 
 
 def _warm(commands: list[list[str]]) -> list[int]:
-    """Run commands in this process: its children have compiled code loaded. None may open a GL context."""
+    """Run commands in this process: its children have compiled code loaded. None may open a GL context.
+
+    What they import later is not compiled to files: that would be writing where no command may.
+    """
+    sys.dont_write_bytecode = True
     from posetrack_cli.cli.main import run
 
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):  # noqa: PTH123
