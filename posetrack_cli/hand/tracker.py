@@ -17,7 +17,7 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
-from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of
+from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
@@ -204,7 +204,10 @@ class HandTracker:
         believed = shown and monitor.is_believed and not (self._is_calibrated and confidence < PROBABLY)
         status = Status.TRACKING if believed else Status.LOST
         status = Status.REINITIALISED if again and status == Status.TRACKING else status
-        estimate = self._estimate(frame, posterior, cost, confidence, status)
+        variance = posterior.pose_variance
+        if self._is_calibrated:
+            variance = with_model_error(variance, monitor.usual_mm)
+        estimate = self._estimate(frame, posterior, variance, cost, confidence, status)
         arm = NO_ARM if seen.observation is None else seen.observation.arm
         evaluations = _evaluations(seen, drawn)
         return new_state, replace(estimate, evaluations=evaluations, numbers=forearm_numbers(arm))
@@ -398,7 +401,13 @@ class HandTracker:
         return *advanced, 0 if score is None else score.count
 
     def _estimate(
-        self, frame: Frame, posterior: Posterior, cost: float | None, confidence: float, status: Status
+        self,
+        frame: Frame,
+        posterior: Posterior,
+        pose_variance: FloatArray,
+        cost: float | None,
+        confidence: float,
+        status: Status,
     ) -> Estimate:
         return hand_estimate(
             self.anatomy,
@@ -408,7 +417,7 @@ class HandTracker:
             stamp_ns=frame.stamp_ns,
             status=status,
             confidence=confidence,
-            pose_variance=posterior.pose_variance,
+            pose_variance=pose_variance,
             twist_variance=posterior.velocity_variance,
             effective_sample_size=posterior.effective_sample_size,
             resampled=posterior.resampled,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of
+from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of, with_model_error
 
 
 def modes(count: int, per_position: float = 10.0, per_angle: float = 300.0) -> LikelihoodModes:
@@ -77,3 +77,13 @@ def test_one_frame_that_errs_does_not_lose_a_hand() -> None:
     assert of_frames(bad).probability < 0.5
     assert of_frames(*[good] * 10, bad).probability > 0.5
     assert of_frames(*[good] * 10, *[bad] * 10).probability < 0.5
+
+
+@given(st.floats(0.0, 40.0), st.floats(0.0, 40.0))
+def test_what_fits_leave_beyond_noise_widens_the_position_alone(first: float, second: float) -> None:
+    variance = np.linspace(0.1, 2.0, 21)
+    less, more = (with_model_error(variance, usual) for usual in sorted((first, second)))
+    assert (more[:3] >= less[:3]).all() and (less[:3] >= variance[:3]).all()
+    np.testing.assert_array_equal(more[3:], variance[3:])
+    np.testing.assert_array_equal(with_model_error(variance, 2.0), variance)
+    assert with_model_error(variance, 4.0)[0] == pytest.approx(0.1 + 1.2**2)
