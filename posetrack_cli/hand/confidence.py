@@ -37,9 +37,9 @@ _LEAST_COST_MM, _LEAST_INNOVATION_MM, _LEAST_INFORMATION = 1.0, 0.5, 1e-9
 def with_model_error(pose_variance: FloatArray, usual_mm: float) -> FloatArray:
     """Return the variance (21,) of a pose, mm^2 and rad^2, with what the hand's shape adds to its position.
 
-    A filter knows of the sensor's noise alone. What fits leave beyond that, as U is above 2 mm, is an error of
-    the model, which shifts the hand as a whole: sd 0.6 (U - 2 mm) along each axis. With that, 90 per cent of
-    the wrist's coordinates lay in their 90 per cent intervals for 14 people (600-605, 610-617, 120 frames
+    A filter knows of the sensor's noise alone. What fits leave beyond that, as U is above 2 mm, is an error
+    of the model, which shifts the hand as a whole: sd 0.6 (U - 2 mm) along each axis. With that, 90 per cent
+    of the wrist's coordinates lay in their 90 per cent intervals for 14 people (600-605, 610-617, 120 frames
     each) with their own mesh, 50 without; with the average hand, whose wrist is marked elsewhere, 56.
 
     Args:
