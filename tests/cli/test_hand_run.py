@@ -28,7 +28,6 @@ from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import part_path, state_path
-from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.mcap_calibration import calibration_message
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
@@ -70,7 +69,10 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same recording as a folder of images."""
     path = tmp_path_factory.mktemp("folder")
     write_folder(path, [(frame.stamp_ns, frame.depth.astype(np.uint16)) for frame in read_frames(recording)])
-    (path / "camera.toml").write_text(camera_file_text(open_recording(recording).cameras))
+    camera = open_recording(recording).cameras[0]
+    (path / "camera.toml").write_text(
+        f"fx = {camera.fx}\nfy = {camera.fy}\ncx = {camera.cx}\ncy = {camera.cy}\n"
+    )
     return path
 
 

@@ -106,7 +106,7 @@ def test_plain_particle_filter_meets_kalman(make_world, steps: np.ndarray) -> No
     assert abs(error) < 4.0 * sd
 
 
-@pytest.mark.parametrize(("scheme", "threshold"), zip(resampling_schemes(), cycle([0.3, 1.0])))
+@pytest.mark.parametrize(("scheme", "threshold"), list(zip(resampling_schemes(), cycle([0.3, 1.0]))))
 def test_every_scheme_and_threshold_meets_kalman(make_world, scheme: str, threshold: float) -> None:
     world = make_world(np.full(200, 1.0 / 30.0))
     observations = world.observations(4)
