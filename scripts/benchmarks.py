@@ -23,7 +23,8 @@ from benchmarking.machine import describe_machine
 from benchmarking.rendering import against_particles, scoring
 from benchmarking.results import evaluation
 from benchmarking.rows import Row
-from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.cli.options import DrawingDevice
+from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand.frames import synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
@@ -54,12 +55,16 @@ PARTS: Mapping[str, Part] = {
 @click.option(
     "--json", "json_path", type=click.Path(path_type=Path), default=Path("out/bench.json"), show_default=True
 )
-@click.option("--device", type=int, help="EGL device index.")
+@click.option(
+    "--device",
+    type=DrawingDevice(),
+    help="Index of an EGL device, or cpu.  [default: as posetrack hand run]",
+)
 @click.option("--quick", is_flag=True, help="See that everything works; its figures are not to be quoted.")
 @click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Only this; repeatable.")
-def main(json_path: Path, device: int | None, quick: bool, parts: Sequence[str]) -> None:
+def main(json_path: Path, device: int | str | None, quick: bool, parts: Sequence[str]) -> None:
     """Measure posetrack on this machine."""
-    drawing, lengths = open_device(device), QUICK if quick else FULL
+    drawing, lengths = open_fastest_device(device), QUICK if quick else FULL
     machine = describe_machine(drawing) | {"length": "quick" if quick else "full"}
     for key, value in machine.items():
         print(f"{key}: {value}")

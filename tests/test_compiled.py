@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,6 @@ from posetrack_cli.compiled import KERNEL_SOURCES, announced, kernel, source_dig
 
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 SOURCES = sorted(path for pattern in KERNEL_SOURCES for path in PACKAGE.glob(pattern))
-WHERE = "from posetrack_cli.compiled import kernel_folder; print(kernel_folder())"
 CALL = """
 import numpy as np
 from posetrack_cli.geometry.kernels import rotation_matrix
@@ -67,22 +67,39 @@ def answer(code: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
-def test_the_folder_is_the_users_choice_first(tmp_path: Path) -> None:
+@pytest.fixture
+def where(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str | None]:
+    """The folder that a process with these variables, and no other that says where caches are, takes."""
+
+    def found(**environment: str) -> str | None:
+        for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr(tempfile, "tempdir", None)  # Python asks the environment once
+        return compiled.kernel_folder.__wrapped__()
+
+    return found
+
+
+def test_the_folder_is_the_users_choice_first(tmp_path: Path, where: Callable[..., str | None]) -> None:
     numba, xdg, home = (str(tmp_path / name) for name in ("numba", "xdg", "home"))
     digest = source_digest(PACKAGE)
-    assert answer(WHERE, NUMBA_CACHE_DIR=numba, XDG_CACHE_HOME=xdg) == f"{numba}/posetrack/{digest}"
-    assert answer(WHERE, XDG_CACHE_HOME=xdg, HOME=home) == f"{xdg}/posetrack/{digest}"
-    assert answer(WHERE, HOME=home) == f"{home}/.cache/posetrack/{digest}"
+    assert where(NUMBA_CACHE_DIR=numba, XDG_CACHE_HOME=xdg) == f"{numba}/posetrack/{digest}"
+    assert where(XDG_CACHE_HOME=xdg, HOME=home) == f"{xdg}/posetrack/{digest}"
+    assert where(HOME=home) == f"{home}/.cache/posetrack/{digest}"
 
 
-def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(tmp_path: Path) -> None:
+def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(
+    tmp_path: Path, where: Callable[..., str | None]
+) -> None:
     blocked = tmp_path / "file"
     blocked.touch()
     temporary = tmp_path / "tmp"
     temporary.mkdir()
     own = temporary / f"posetrack-{os.getuid()}"
     environment = {"HOME": str(blocked), "TMPDIR": str(temporary)}
-    assert answer(WHERE, **environment) == str(own / source_digest(PACKAGE))
+    assert where(**environment) == str(own / source_digest(PACKAGE))
     assert own.stat().st_mode & 0o077 == 0
     right, path = answer(CALL, **environment).split()
     assert right == "True"
@@ -90,11 +107,13 @@ def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(tmp
     assert list(Path(path).glob("*rotation_matrix*.nbc"))  # what was compiled is there for the next process
 
 
-def test_a_folder_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
+def test_a_folder_that_others_may_write_is_not_trusted(
+    tmp_path: Path, where: Callable[..., str | None]
+) -> None:
     own = tmp_path / f"posetrack-{os.getuid()}"
     own.mkdir()
     own.chmod(0o777)
-    assert answer(WHERE, HOME="/dev/null", TMPDIR=str(tmp_path)) == "None"
+    assert where(HOME="/dev/null", TMPDIR=str(tmp_path)) is None
     assert answer(CALL, HOME="/dev/null", TMPDIR=str(tmp_path)) == "True None"  # compiled, and kept nowhere
     assert list(own.iterdir()) == []
 

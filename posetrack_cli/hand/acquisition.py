@@ -157,7 +157,7 @@ class Candidate:
 
 
 _ROUGH_STEP, _LEAST_TILE_PX = 2, 48
-"""A search looks at every second pixel of both directions, but of small observations at all."""
+"""A search looks at every second pixel in both directions, but at all of a small observation."""
 
 
 class Acquisition:

@@ -156,8 +156,8 @@ class HandTracker:
 
         The confidence is the probability that the estimate is right (``hand.confidence``), of other proposals
         and costs 1 - D / c_max of the estimate's own cost D; and 0 where the frame shows no outline of a hand
-        there, which is lost at once, as is what is most probably wrong. After frames of a high D a hand is
-        lost if it was never seen, or after several. **[ours]** No gap counts for longer than
+        there, which is lost at once, as is what is more probably wrong than right. After frames of a high D a
+        hand is lost if it was never seen, or after several. **[ours]** No gap counts for longer than
         ``gap_max_s``, whether frames are missing or have nothing to compare with: the velocity's random walk
         would else spread the hand over metres. Particles then stay where they are until something is seen.
 
@@ -270,19 +270,22 @@ class HandTracker:
     ) -> FrameObservation | None:
         """What is seen where keypoints tell of a better hand at another place; None where they do not.
 
-        Told so in several frames in a row, the hand is there (``TrackMonitor.leaves_for``).
+        Told so in several frames in a row, the hand is there (``TrackMonitor.leaves_for``). A frame that fits
+        and tells of nothing better ends the row: no search would.
         """
-        there = likeliest(candidates(finder, frame.depth, told))
-        if there is None or seen.fits is None:
+        if self._told is None or seen.fits is None:
             return None
         before, settings = seen.state.monitor, self.config.status
-        doubt = seen.fits.cost - before.fingers_mm + depth_doubt(seen.fits.modes.poses[0, 2])
-        if not before.is_doubtful(seen.fits.cost, settings):
-            doubt -= settings.better_mm
-        monitor = before.leaves_for(doubt, there.doubt, settings)
-        if monitor.elsewhere <= before.elsewhere:
+        is_doubtful = before.is_doubtful(seen.fits.cost, settings)
+        there = likeliest(candidates(finder, frame.depth, told))
+        monitor = replace(before, elsewhere=0)
+        if there is not None:
+            doubt = seen.fits.cost - before.fingers_mm + depth_doubt(seen.fits.modes.poses[0, 2])
+            doubt -= 0.0 if is_doubtful else settings.better_mm
+            monitor = before.leaves_for(doubt, there.doubt, settings)
+        if monitor.elsewhere <= before.elsewhere and is_doubtful:
             return None
-        if monitor.elsewhere >= settings.leave_after_frames:
+        if there is not None and monitor.elsewhere >= settings.leave_after_frames:
             return self._restarted(finder, there, monitor, frame, rng)
         return seen._replace(state=replace(seen.state, monitor=monitor))
 

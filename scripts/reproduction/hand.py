@@ -18,7 +18,7 @@ from posetrack_cli import __version__
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.cli.options import recording_options
 from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.rendering.port import RenderingDevice
 from reproduction import analysis, figures, report, study, timing
 from reproduction.unit import ENTRANTS, Unit, is_current, run_unit
@@ -64,7 +64,7 @@ def main(
     options about recordings are those of posetrack hand run and belong to --kinect.
     """
     output.mkdir(parents=True, exist_ok=True)
-    device = open_device()
+    device = open_fastest_device()
     failures: list[str] = []
     parts = (
         _head(str(device.info), seeds, frames),

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from posetrack_cli import __version__
-from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.devices import open_fastest_device
 from reproduction.accuracy.filters import Filters
 from reproduction.accuracy.measuring import Measured
 from reproduction.accuracy.options import Options, Part
@@ -55,7 +55,7 @@ def _command(task: Task, options: Options) -> list[str]:
 
 
 def _head(options: Options) -> Iterable[str]:
-    device = open_device()
+    device = open_fastest_device()
     renderer = str(device.info)
     device.close()
     first, last = options.first_seed, options.first_seed + options.seeds - 1

@@ -23,7 +23,7 @@ from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import read_result
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
@@ -93,7 +93,7 @@ def run_unit(unit: Unit, entrants: list[str], out: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / f"{unit.name}.mcap"
         write_synthetic(unit.options(), recording)
-        device = open_device()
+        device = open_fastest_device()
         for entrant in missing:
             track(recording, unit, entrant, unit.result(out, entrant), device)
 

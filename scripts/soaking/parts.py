@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarking.machine import describe_machine
 from benchmarking.rows import Row
-from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.devices import open_fastest_device
 from soaking.amounts import Amounts
 from soaking.cases import Case, Recordings
 from soaking.cold import soak_cold
@@ -26,7 +26,7 @@ References = Mapping[str, tuple[Case, Reference]]
 
 def describe(amounts: Amounts, seed: int) -> dict[str, str]:
     """What figures were measured on, and how."""
-    device = open_device()
+    device = open_fastest_device()
     try:
         return describe_machine(device) | {"amounts": str(amounts), "seed": str(seed)}
     finally:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from posetrack_cli.cli.export import FORMATS, export
+from posetrack_cli.cli.export import FORMATS
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
@@ -177,9 +177,3 @@ def test_a_reader_that_stops_early_is_no_stack_trace(path: Path) -> None:
 def write_long(path: Path) -> Path:
     """A result whose table does not fit into a pipe."""
     return write_result(path.with_name("long.mcap"), 600)
-
-
-def test_help_states_the_euler_order_and_what_happens_to_lost_frames() -> None:
-    text = " ".join((export.help or "").split())
-    assert "R = R_y(yaw) R_x(pitch) R_z(roll)" in text
-    assert "Lost frames are in" in text

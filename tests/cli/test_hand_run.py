@@ -69,6 +69,10 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same recording as a folder of images."""
     path = tmp_path_factory.mktemp("folder")
     write_folder(path, [(frame.stamp_ns, frame.depth.astype(np.uint16)) for frame in read_frames(recording)])
+    camera = open_recording(recording).cameras[0]
+    (path / "camera.toml").write_text(
+        f"fx = {camera.fx}\nfy = {camera.fy}\ncx = {camera.cx}\ncy = {camera.cy}\n"
+    )
     return path
 
 
@@ -117,10 +121,11 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     return lines[0]
 
 
-def same_estimates(first: Path, second: Path) -> None:
+def same_estimates(first: Path, second: Path, count: int | None = None) -> None:
+    """All of the first are those of the second, or those of its first frames."""
     a, b = load_arrays(first), load_arrays(second)
     for name in a:
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+        np.testing.assert_array_equal(a[name], b[name][:count], err_msg=name)
 
 
 def test_result_holds_every_frame_with_truth_and_run_record(recording: Path, result: Path) -> None:
@@ -179,32 +184,23 @@ def test_tracks_the_hand(recording: Path, told: list[str], tmp_path: Path) -> No
     assert isinstance(errors, Statistics) and errors.mean < 40.0
 
 
-def test_two_runs_give_the_same_bytes_and_another_seed_others(
+def test_another_seed_gives_other_estimates(
     track: Track, recording: Path, result: Path, tmp_path: Path
 ) -> None:
-    assert track(recording, tmp_path / "a.mcap") == 0
+    """That two runs of the same give the same bytes, those that were stopped and resumed show."""
     assert track(recording, tmp_path / "b.mcap", "--seed", "1", "--end", "4") == 0
-    assert filecmp.cmp(tmp_path / "a.mcap", result, shallow=False)
     other, one = (load_arrays(path)["position"] for path in (tmp_path / "b.mcap", result))
     assert not np.array_equal(other, one[:4])
 
 
-def test_folder_and_mcap_give_identical_estimates(
-    track: Track, folder: Path, recording: Path, result: Path, tmp_path: Path
+def test_a_recording_its_folder_and_what_that_is_converted_to_give_identical_estimates(
+    track: Track, folder: Path, result: Path, tmp_path: Path
 ) -> None:
-    camera = open_recording(recording).cameras[0]
-    (folder / "camera.toml").write_text(
-        f"fx = {camera.fx}\nfy = {camera.fy}\ncx = {camera.cx}\ncy = {camera.cy}\n"
-    )
-    assert track(folder, tmp_path / "folder.mcap") == 0
-    same_estimates(tmp_path / "folder.mcap", result)
-
-
-def test_converted_folder_gives_identical_estimates(track: Track, folder: Path, tmp_path: Path) -> None:
     assert run(["convert", str(folder), str(tmp_path / "in.mcap")]) == 0
     assert track(folder, tmp_path / "a.mcap", "--end", "6") == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", "--end", "6") == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    same_estimates(tmp_path / "a.mcap", result, 6)
 
 
 def test_annealing_finds_what_plain_sampling_misses(track: Track, recording: Path, tmp_path: Path) -> None:
@@ -584,10 +580,10 @@ def test_an_unfinished_result_can_be_started_from(
 
 
 def test_real_kinect_frames_from_folder_and_mcap(track: Track, tmp_path: Path, measured_data: Path) -> None:
-    """All 181 frames are compared in ``recording/test_conversion``; three of them are tracked here."""
+    """All 181 frames are compared in ``recording/test_conversion``; two of them are tracked here."""
     kinect = tmp_path / "kinect"
     kinect.mkdir()
-    for image in sorted((measured_data / "kinect2-hand").glob("*.png"))[::90]:
+    for image in sorted((measured_data / "kinect2-hand").glob("*.png"))[::100]:
         shutil.copy(image, kinect)
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
@@ -597,4 +593,4 @@ def test_real_kinect_frames_from_folder_and_mcap(track: Track, tmp_path: Path, m
     assert track(kinect, tmp_path / "a.mcap", *left, *reading) == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", *left) == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 3
+    assert len(load_arrays(tmp_path / "a.mcap")["stamp_ns"]) == 2

@@ -83,7 +83,7 @@ def test_a_planted_offset_comes_back_exactly(seed: int) -> None:
     np.testing.assert_allclose(in_object(aligned), in_object(truth), atol=ROUNDING)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=10)
 @given(seeds)
 def test_no_other_offset_is_better(seed: int) -> None:
     """scipy's minimiser, started at the found offset, finds nothing below it: to 1e-6 of the sum."""

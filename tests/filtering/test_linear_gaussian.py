@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 
@@ -35,8 +37,7 @@ def log_evidence_error(exact, posteriors: list[Posterior]) -> tuple[float, float
     return error, np.sqrt(sum(1.0 / p.effective_sample_size for p in posteriors))
 
 
-@pytest.mark.parametrize("discretisation", ["euler", "exact"])
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize(("discretisation", "seed"), [("euler", 2), ("exact", 3)])
 def test_marginal_filter_meets_kalman(make_world, steps: np.ndarray, discretisation: str, seed: int) -> None:
     world = make_world(steps, discretisation=discretisation)
     observations = world.observations(1)
@@ -105,8 +106,7 @@ def test_plain_particle_filter_meets_kalman(make_world, steps: np.ndarray) -> No
     assert abs(error) < 4.0 * sd
 
 
-@pytest.mark.parametrize("scheme", resampling_schemes())
-@pytest.mark.parametrize("threshold", [0.3, 1.0])
+@pytest.mark.parametrize(("scheme", "threshold"), list(zip(resampling_schemes(), cycle([0.3, 1.0]))))
 def test_every_scheme_and_threshold_meets_kalman(make_world, scheme: str, threshold: float) -> None:
     world = make_world(np.full(200, 1.0 / 30.0))
     observations = world.observations(4)

@@ -19,6 +19,7 @@ from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.hand.keypoints import file as keypoint_file
 from posetrack_cli.hand.keypoints.file import KeypointFile, KeypointUse, read_keypoints
 from posetrack_cli.hand.keypoints.layout import joint_of, point_column
+from posetrack_cli.hand.keypoints.sets import SetCollector
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 FRAMES = (0, 1, 4)
@@ -436,6 +437,11 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
         {"images": [], "annotations": [{"image_id": 3, "keypoints": [1] * 63}]},
         "image is not listed, found 3",
     ),
+    "COCO image that is a list": (
+        "k.json",
+        {"images": [], "annotations": [{"image_id": [3], "keypoints": [1] * 63}]},
+        r"image is not listed, found \[3\]",
+    ),
     "COCO points": (
         "k.json",
         {
@@ -470,6 +476,30 @@ def test_what_cannot_be_meant_is_one_line(tmp_path: Path, fault: str) -> None:
     with pytest.raises(UsageError, match=line) as error:
         read(path)
     assert "\n" not in str(error.value) and name in str(error.value)
+
+
+def test_a_frame_of_very_many_hands_is_numbered_without_looking_at_all_of_them_each_time() -> None:
+    """A file of one frame alone would else take hours, wherever its hands begin to be counted."""
+
+    class Counted(dict[Any, Any]):
+        looked = 0
+
+        def __contains__(self, key: object) -> bool:
+            self.looked += 1
+            return super().__contains__(key)
+
+    values, count = Counted(), 2000
+    collector = SetCollector(Path("k.csv"), False, values)
+    for expected in range(count):
+        hand = collector.new_hand(7)
+        assert hand == expected
+        collector.set_of(7, hand, "")
+    for start in range(count):
+        hand = collector.new_hand(7, start)
+        assert hand == count + start
+        collector.set_of(7, hand, "")
+    assert collector.new_hand(8) == 0 and collector.new_hand(8, 5) == 5
+    assert values.looked < 20 * count
 
 
 def test_a_unit_that_is_told_is_believed(tmp_path: Path) -> None:

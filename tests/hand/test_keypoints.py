@@ -237,6 +237,19 @@ def test_a_track_that_is_on_something_else_leaves_for_the_hand_that_is_told(
     assert [e.status for e in told[LEAVE_AFTER - 1 :]] == [Status.REINITIALISED, *[Status.TRACKING] * 2]
 
 
+def test_a_frame_that_fits_and_tells_of_nothing_better_ends_the_row(
+    device: RenderingDevice, stage: Stage
+) -> None:
+    """Else five frames that are told wrongly, far from each other, would end a good track."""
+    pose = relaxed()
+    frame = Frame(0, FRAME_NS, (stage.depth(pose),))
+    tracking = tracker(device, told_of([joints_of(pose)]))
+    state = tracking.start(pose, FRAME_NS, np.random.default_rng(0))
+    state = replace(state, monitor=TrackMonitor(usual_mm=2.0, elsewhere=LEAVE_AFTER - 1))
+    after, _ = tracking.step(state, frame, np.random.default_rng(1))
+    assert after.monitor.elsewhere == 0 and not after.cut
+
+
 def test_a_fit_from_what_is_told_is_a_mode_of_the_likelihood(device: RenderingDevice, stage: Stage) -> None:
     """Of a hand whose back was taken for its palm no fit near the prediction is right."""
     pose = turned_about_its_length(relaxed(), 0.4)

@@ -19,7 +19,7 @@ watches = st.builds(
     misses=st.integers(0, 10),
     usual_mm=st.one_of(st.just(0.0), costs),
     wait=st.integers(0, 200),
-    next_wait=st.integers(1, 16),
+    next_wait=st.integers(1, 32),
 )
 
 

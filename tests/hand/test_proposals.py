@@ -27,9 +27,3 @@ def test_every_registered_name_can_be_configured_and_chosen(key: str) -> None:
     chosen = next(each for each in hand_run.params if each.name == option)
     assert isinstance(chosen.type, click.Choice)
     assert set(chosen.type.choices) == registered
-
-
-def test_only_fits_and_annealing_look_at_frames() -> None:
-    assert {name for name, each in PROPOSALS.items() if each.looks_at_frames} == {"guided", "annealed"}
-    assert {name for name, each in PROPOSALS.items() if each.fits_frames} == {"guided"}
-    assert PROPOSALS["paper"].sampling == "paper"

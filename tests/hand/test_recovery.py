@@ -234,11 +234,11 @@ def test_both_filters_follow_a_bending_hand_to_millimetres(
     device: RenderingDevice, stage: Stage, kind: str
 ) -> None:
     config = HandConfig.model_validate({"filter": {"kind": kind}})
-    poses = moving(20, relaxed(), (4.0, -3.0, 2.0))
+    poses = moving(12, relaxed(), (4.0, -3.0, 2.0))
     for k, pose in enumerate(poses):
         pose[ANGLES][[3, 5, 6, 8]] += 0.9 * np.sin(0.15 * k)  # index and middle finger, 8 degrees a frame
     _, estimates = run(tracker(device, HAND, config), frames_of([stage.depth(pose) for pose in poses]))
-    assert statuses(estimates) == [("tracking", 20)]
+    assert statuses(estimates) == [("tracking", 12)]
     found = errors(stage, estimates, poses)
     assert np.mean(found) < 2.0
     assert max(found) < 2.0 * TRACKED_MM

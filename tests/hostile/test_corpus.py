@@ -16,9 +16,13 @@ from hostile.seeds import Seeds
 
 SLACK = 3.0
 """Seconds of CPU are longer while other tests share a core."""
-STATES = {"hand": 3, "stereo": 20, "mono": 20}
-MODELS = 30
-"""Of some hundred damaged ones, which ``scripts/fuzz`` begins with; hands take longer, as they need GL."""
+STATES = {"hand": 3, "stereo": 8, "mono": 8}
+MODELS = 12
+"""Of some hundred damaged ones, which ``scripts/fuzz`` begins with; hands take longer, as they need GL.
+
+What each check refuses, the tests of the readers say: ``test_damaged_states`` of hand and of head,
+``test_damaged_checkpoints``, ``test_learned_people``, ``test_learned_arrays``, ``test_model_file``.
+"""
 
 T = TypeVar("T")
 

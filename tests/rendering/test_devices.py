@@ -64,3 +64,23 @@ def test_what_is_chosen_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with_machine(monkeypatch, True, None)
     with pytest.raises(RenderingError, match="no headless context"):
         open_fastest_device(0)
+
+
+def test_the_processor_opens_opengl_once_for_textured_surfaces(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[FakeGl] = []
+
+    class Drawing(FakeGl):
+        def __init__(self) -> None:
+            super().__init__("llvmpipe")
+            opened.append(self)
+
+        def surface_renderer(self, *_: object) -> Drawing:
+            return self
+
+    monkeypatch.setattr("posetrack_cli.rendering.gl.device.GlDevice", Drawing)
+    device = CpuDevice()
+    assert opened == []
+    first, second = (device.surface_renderer((8, 8), [], 1) for _ in range(2))
+    assert first is second and len(opened) == 1
+    device.close()
+    assert opened[0].closed

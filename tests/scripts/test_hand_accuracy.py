@@ -73,21 +73,28 @@ def test_every_recording_and_entrant_is_a_command_that_is_understood(tmp_path: P
         hand_run.make_context("run", ["in.mcap", "-o", "out.mcap", *used])
 
 
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Task]:
+    """A task that was run, and where."""
+    folder, task = tmp_path_factory.mktemp("done"), Task("a", MADE, {"small": (*SMALL, "--init", RECORDING)})
+    task.run(folder)
+    return folder, task
+
+
 def test_a_task_is_done_once_and_again_when_anything_it_depends_on_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    done: tuple[Path, Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task = Task("a", MADE, {"small": (*SMALL, "--init", RECORDING)})
-    task.run(tmp_path)
-    result = task.result(tmp_path, "small")
+    folder, task = done
+    result = task.result(folder, "small")
     assert len(load_arrays(result)["stamp_ns"]) == 2 and read_result(result).run["seed"] == "0"
-    assert list(tmp_path.glob("*.mcap")) == [result]  # the recording is gone
+    assert list(folder.glob("*.mcap")) == [result]  # the recording is gone
     before = result.stat().st_mtime_ns
-    task.run(tmp_path)
-    assert result.stat().st_mtime_ns == before and task.is_current(tmp_path, "small")
-    assert not Task("a", MADE, {"small": (*SMALL, "--seed", "1")}).is_current(tmp_path, "small")
-    assert not Task("a", (*MADE[:-1], "--fps", "15", "-o"), task.entrants).is_current(tmp_path, "small")
+    task.run(folder)
+    assert result.stat().st_mtime_ns == before and task.is_current(folder, "small")
+    assert not Task("a", MADE, {"small": (*SMALL, "--seed", "1")}).is_current(folder, "small")
+    assert not Task("a", (*MADE[:-1], "--fps", "15", "-o"), task.entrants).is_current(folder, "small")
     monkeypatch.setattr(tasks, "code_digest", lambda: "of other code")
-    assert not task.is_current(tmp_path, "small")
+    assert not task.is_current(folder, "small")
 
 
 def test_an_entrant_that_fails_keeps_no_other_from_it(tmp_path: Path) -> None:
@@ -97,13 +104,12 @@ def test_an_entrant_that_fails_keeps_no_other_from_it(tmp_path: Path) -> None:
     assert task.result(tmp_path, "good").exists() and not task.result(tmp_path, "bad").exists()
 
 
-def test_figures_are_those_of_the_evaluation(tmp_path: Path) -> None:
-    task = Task("a", MADE, {"small": (*SMALL, "--init", RECORDING)})
-    task.run(tmp_path)
-    measured = Measured(tmp_path)
+def test_figures_are_those_of_the_evaluation(done: tuple[Path, Task]) -> None:
+    folder, task = done
+    measured = Measured(folder)
     figures = measured.figures(task, Row("small"))
     assert figures is not None
-    arrays, truth = (load_arrays(task.result(tmp_path, "small"), t) for t in (None, "/truth/hand/estimate"))
+    arrays, truth = (load_arrays(task.result(folder, "small"), t) for t in (None, "/truth/hand/estimate"))
     errors = np.linalg.norm(arrays["points"] - truth["points"], axis=2)
     assert figures["error_mm"] == pytest.approx(errors.mean())
     assert figures["astray"] == np.mean(errors.mean(axis=1) >= 20.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from posetrack_cli.results import load_arrays, read_result
 from reproduction import analysis, report, study
@@ -68,22 +67,20 @@ def test_a_row_of_the_report_says_what_was_measured() -> None:
     assert "| A | 1 | pf-union | rbpf-union | 8 | 13.5 ± 2.4 | 11.5 ± 2.4 | -2.0 [-2.0, -2.0] |" in row
 
 
-@pytest.mark.parametrize("entrant", ["pf-paper", "rbpf-union"])
-def test_a_unit_is_tracked_as_its_entrant_says_also_beside_one_that_fails(
-    entrant: str, tmp_path: Path
-) -> None:
-    unit, bad = Unit("A", 1.0, 3, 2), Unit("A", 1000.0, 3, 2)
-    failures = study.run_units([bad, unit], [entrant], tmp_path, jobs=1)
+def test_a_unit_is_tracked_as_its_entrants_say_also_beside_one_that_fails(tmp_path: Path) -> None:
+    unit, bad, entrants = Unit("A", 1.0, 3, 2), Unit("A", 1000.0, 3, 2), ("pf-paper", "rbpf-union")
+    failures = study.run_units([bad, unit], entrants, tmp_path, jobs=1)
     assert len(failures) == 1 and failures[0].startswith(f"{bad.name}: ")
-    path = unit.result(tmp_path, entrant)
-    configuration = read_result(path).run["configuration"]
-    kind, cost = entrant.split("-")
-    assert f'"kind": "{kind}"' in configuration and f'"cost": "{cost}"' in configuration
-    assert len(load_arrays(path)["stamp_ns"]) == 2
-    before = path.stat().st_mtime_ns
-    assert study.run_units([unit], [entrant], tmp_path, jobs=1) == []
-    assert path.stat().st_mtime_ns == before  # what is there is kept
-    assert is_current(path, entrant) and not is_current(path, "pf-printed")
+    paths = {entrant: unit.result(tmp_path, entrant) for entrant in entrants}
+    for entrant, path in paths.items():
+        configuration = read_result(path).run["configuration"]
+        kind, cost = entrant.split("-")
+        assert f'"kind": "{kind}"' in configuration and f'"cost": "{cost}"' in configuration
+        assert len(load_arrays(path)["stamp_ns"]) == 2
+        assert is_current(path, entrant) and not is_current(path, "pf-printed")
+    before = [path.stat().st_mtime_ns for path in paths.values()]
+    assert study.run_units([unit], entrants, tmp_path, jobs=1) == []
+    assert [path.stat().st_mtime_ns for path in paths.values()] == before  # what is there is kept
 
 
 def test_every_studied_entrant_is_known() -> None:

@@ -145,9 +145,7 @@ def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) ->
 
 def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], where: str) -> set[str]:
     """Add a frame's hands; return which fields told their sides."""
-    first = 0
-    while not collector.is_new(key, first):  # entries of one frame: a hand each
-        first += 1
+    first = collector.new_hand(key)  # entries of one frame: a hand each
     told: set[str] = set()
     hands, labels = _hands(frame, where), _labels(frame)
     for n, hand in enumerate(hands):
@@ -280,14 +278,12 @@ def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
         if not points:
             continue
         image = annotation.get("image_id")
-        if image not in frames:
+        if isinstance(image, (list, dict)) or image not in frames:
             raise UsageError("image is not listed", where=where, found=image, expected="an id in images")
         if not isinstance(points, list) or len(points) != 3 * POINTS:
             found = f"{len(points)} numbers" if isinstance(points, list) else type(points).__name__
             raise UsageError("has other points", where=where, found=found, expected=f"{POINTS} times x, y, v")
-        hand = 0
-        while not collector.is_new(frames[image], hand):
-            hand += 1
+        hand = collector.new_hand(frames[image])
         values = collector.set_of(frames[image], hand, where)
         for k, point in enumerate(order):
             x, y, v = (number_of(value, f"{where}, point {k}") for value in points[3 * k : 3 * k + 3])

@@ -65,6 +65,7 @@ class SetCollector:
     by_stamp: bool
     _values: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     _right: dict[tuple[int, int], float] = field(default_factory=dict)
+    _after: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def set_of(self, key: int, hand: int, where: object) -> FloatArray:
         """Return the values (21, 4) of a set, to be written to; a new one is NaN.
@@ -84,9 +85,17 @@ class SetCollector:
             self._values[key, hand] = np.full((POINTS, 4), np.nan)
         return self._values[key, hand]
 
-    def is_new(self, key: int, hand: int) -> bool:
-        """Whether nothing was said of a set."""
-        return (key, hand) not in self._values
+    def new_hand(self, key: int, hand: int = 0) -> int:
+        """Return the first hand of a frame, from a given one on, of which nothing was said.
+
+        What was passed is remembered: a frame of all the sets that a file may have takes no time without end.
+        """
+        passed = []
+        while (key, hand) in self._values:
+            passed.append((key, hand))
+            hand = self._after.get((key, hand), hand + 1)
+        self._after.update(dict.fromkeys(passed, hand))
+        return hand
 
     def put(self, values: FloatArray, point: int, said: tuple[float, ...], where: object) -> None:
         """Write x, y, z and score of a point, NaN where unknown.

@@ -155,8 +155,7 @@ class _Table:
             label = label or told
         score = score_of(row[self.score], f"{where}, score") if self.score >= 0 else math.nan
         if self.points:
-            while not collector.is_new(key, hand):  # a row each for the hands of a frame
-                hand += 1
+            hand = collector.new_hand(key, hand)  # a row each for the hands of a frame
             self._take_points(row, collector, (key, hand), score, where)
         else:
             values = collector.set_of(key, hand, where)

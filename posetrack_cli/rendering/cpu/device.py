@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing
 
 from posetrack_cli.rendering.cpu.tiled import CompiledDepthRenderer
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.port import MOST_TILES, RendererInfo, Surface, SurfaceRenderer
+from posetrack_cli.rendering.port import MOST_TILES, RendererInfo, RenderingDevice, Surface, SurfaceRenderer
 
 
 class CpuDevice:
@@ -18,6 +18,7 @@ class CpuDevice:
 
     def __init__(self) -> None:
         self._opened = ExitStack()
+        self._gl: RenderingDevice | None = None
 
     @property
     def info(self) -> RendererInfo:
@@ -38,9 +39,11 @@ class CpuDevice:
         """Return what draws lit surfaces in images of (width, height) pixels."""
         from posetrack_cli.rendering.gl.device import GlDevice
 
-        device = self._opened.enter_context(closing(GlDevice()))
-        return device.surface_renderer(size, surfaces, lights)
+        if self._gl is None:
+            self._gl = self._opened.enter_context(closing(GlDevice()))
+        return self._gl.surface_renderer(size, surfaces, lights)
 
     def close(self) -> None:
         """Release what was opened."""
+        self._gl = None
         self._opened.close()

@@ -24,7 +24,7 @@ def p_by_enumeration(differences: np.ndarray) -> float:
     return min(1.0, 2 * min((sums <= observed).mean(), (sums >= observed).mean()))
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=15)
 @given(st.lists(WHOLE.filter(bool), min_size=1, max_size=9))
 def test_p_is_the_share_of_signs_at_least_as_extreme(values: list[float]) -> None:
     differences = np.array(values)
@@ -40,7 +40,7 @@ def test_a_textbook_example() -> None:
     assert result.difference == pytest.approx(9 / 6)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(arrays(np.float64, (2, 8), elements=WHOLE))
 def test_the_two_exchanged_give_the_opposite(samples: np.ndarray) -> None:
     one, other = paired(samples[0], samples[1]), paired(samples[1], samples[0])

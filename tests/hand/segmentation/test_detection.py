@@ -166,7 +166,7 @@ def replace_setting(**changes: float) -> DetectionSettings:
     return SETTINGS.model_copy(update=changes)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.floats(0.0, 6.28), st.floats(-100.0, 100.0), st.floats(-60.0, 60.0), st.floats(500.0, 900.0))
 def test_a_mirrored_image_gives_mirrored_hands(angle: float, x: float, y: float, z: float) -> None:
     # an odd width and the step 2 keep the same columns in the mirror
@@ -215,7 +215,7 @@ def test_where_an_arm_goes_on_it_is_as_wide_as_it_is(camera: Camera, angle: floa
     assert abs(way.width_mm - 2.0 * ARM_MM) < 2.0 * apart
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.integers(-30, 30), st.integers(-20, 20))
 def test_a_moved_image_gives_moved_hands(right: int, down: int) -> None:
     """Steps of 2 pixels move every pixel that is looked at alike; a hand at one depth then moves too."""

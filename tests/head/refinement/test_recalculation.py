@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, sample_grid
+from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.refine import recalculate, refine_initial_depth
@@ -145,7 +145,6 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
     away = np.abs(settled - SHAPE)
     assert away[:, :2].max() < 0.3
     assert away[:, 2].max() < 1.0  # a sixth of a pixel; 6 mm before
-    assert PATCH == 16
 
 
 def test_settling_with_one_image_changes_nothing():

@@ -109,25 +109,22 @@ def test_one_camera_sees_what_the_left_of_two_sees(device: RenderingDevice) -> N
         assert not np.array_equal(two.images[0], two.images[1])
 
 
-def test_the_same_options_give_the_same_frames_and_other_people_move_alike(device: RenderingDevice) -> None:
-    one = brief(device)
-    again, other = (
-        list(synthesise(options, device=device)) for options in (BRIEF, replace(BRIEF, identity=2))
-    )
-    for a, b, c in zip(one, again, other, strict=True):
-        assert all(np.array_equal(x, y) for x, y in zip(a.images, b.images, strict=True))
-        np.testing.assert_array_equal(a.pose.position, c.pose.position)
-        np.testing.assert_array_equal(a.strengths, c.strengths)
-        assert np.abs(a.shape - c.shape).max() > 0.5
-        assert not np.array_equal(a.images[0], c.images[0])
+def test_other_people_move_alike(device: RenderingDevice) -> None:
+    """That the same options give the same images ``test_writing`` shows: they give the same bytes."""
+    other = synthesise(replace(BRIEF, identity=2), device=device)
+    for one, another in zip(brief(device), other, strict=True):
+        np.testing.assert_array_equal(one.pose.position, another.pose.position)
+        np.testing.assert_array_equal(one.strengths, another.strengths)
+        assert np.abs(one.shape - another.shape).max() > 0.5
+        assert not np.array_equal(one.images[0], another.images[0])
 
 
 def test_an_object_hides_one_half_of_the_face_only(device: RenderingDevice) -> None:
     """Once it has come; the other half is as it would be without."""
-    options = replace(BRIEF, frames=31, fps=10.0, motion="still", cameras=1, noise=0.0, light="steady")
+    options = replace(BRIEF, frames=13, fps=4.0, motion="still", cameras=1, noise=0.0, light="steady")
     plan = make_plan(replace(options, occlusion=True))
     assert plan.occluder is not None
-    index = round((plan.occluder.start_s + 0.5) * 10.0)
+    index = round((plan.occluder.start_s + 0.5) * options.fps)
     hidden = next(islice(render_plan(plan, device=device), index, None))
     plain = next(islice(synthesise(options, device=device), index, None))
     difference = np.abs(hidden.images[0].astype(float) - plain.images[0])
