@@ -39,9 +39,9 @@ KERNEL_SOURCES = (
     "head/adjustment/solver/*.py",
 )
 """Files that compiled code is made of, constants included."""
+_MOST_THREADS = 8
 # No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in
 # which order fastmath would add up, depends on what was compiled or loaded before: equal runs, unequal bits.
-_MOST_THREADS = 8
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 

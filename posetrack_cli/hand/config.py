@@ -114,6 +114,11 @@ class ObservationSettings(Settings):
     unread_weight: Fraction = 0.2
     mixture: MixtureSettings = MixtureSettings()
 
+    @property
+    def models_pixels(self) -> bool:
+        """Whether the likelihood has a model of how each pixel's reading comes about."""
+        return self.cost == "mixture"
+
 
 class SegmentationSettings(Settings):
     """Which readings are the hand's; only costs that know of regions ask. Lengths grow with the hand."""

@@ -102,6 +102,13 @@ def joint_positions(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
     return out
 
 
+def mean_joint_distances(anatomy: HandAnatomy, pose: FloatArray, others: FloatArray) -> FloatArray:
+    """How far the joints of other poses (N, 22) are from those of a pose (22,), on average, mm: (N,)."""
+    joints = joint_positions(anatomy, np.concatenate([pose[None], others]))
+    distances: FloatArray = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
+    return distances
+
+
 def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
     """Derivative of the joints by the tangent vector, (N, 22) -> (N, 21, 3, 21).
 

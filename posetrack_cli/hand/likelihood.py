@@ -156,7 +156,7 @@ class RenderedCosts:
         self._anatomy, self._camera, self._settings = hand.anatomy, camera, settings
         self._cost = COSTS[settings.cost]
         self._model = (
-            pixel_mixture(settings.mixture, settings.unread_weight) if settings.cost == "mixture" else None
+            pixel_mixture(settings.mixture, settings.unread_weight) if settings.models_pixels else None
         )
         self._many = device.depth_renderer(hand.lean_with_arm, tile, particles)
         self._one = device.depth_renderer(hand.lean_with_arm, tile, 1)

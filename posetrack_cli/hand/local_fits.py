@@ -22,6 +22,7 @@ from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
+from posetrack_cli.hand.confidence import PROBABLY
 from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
 from posetrack_cli.hand.fitting.gauss_newton import GIRTH_SD, SWING_SD, Fit
@@ -244,7 +245,7 @@ class HandFits:
         self._local, self._space = LocalFitter(config, hand, camera), HandSpace()
         self._settings, self._clamp_mm = config.smoothing, config.observation.clamp_mm
         self._most, self._size = config.fit.most_modes, config.observation.tile_px
-        self._is_calibrated = config.observation.cost == "mixture"
+        self._is_calibrated = config.observation.models_pixels
 
     def keep(
         self,
@@ -288,13 +289,13 @@ class HandFits:
         return scaled(at_rest, float(frame["trust"]))
 
     def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
-        """Return these and one more, fitted from a belief's mean with the belief as its prior."""
-        if not self._settings.refit_iterations or float(frame["trust"]) < 1.0:
+        """Return these and one more, fitted from a belief's mean with the belief as its prior.
+
+        Not where the filter's estimate stands in for fits, which has no gradient, nor where it is doubted.
+        """
+        if not self._settings.refit_iterations or float(frame["trust"]) < 1.0 or not known.gradients.any():
             return known
-        reading = self._reading(frame)
-        if not self._are_believed(self._fits_at(reading, known.poses)):
-            return known
-        found = self._refitted(reading, belief)
+        found = self._refitted(self._reading(frame), belief)
         return LikelihoodModes(
             np.concatenate([known.poses, found.poses]),
             np.concatenate([known.gradients, found.gradients]),
@@ -312,7 +313,7 @@ class HandFits:
         (p / (1 - p))^2 where it is less: of a hand that is most probably elsewhere next to nothing, and the
         frames before and after it bridge the gap.
         """
-        if not self._is_calibrated or confidence >= 0.5:
+        if not self._is_calibrated or confidence >= PROBABLY:
             return 1.0
         return (confidence / (1.0 - confidence)) ** 2
 

@@ -17,11 +17,11 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
-from posetrack_cli.hand.confidence import SIGNS, Evidence, signs_of, with_model_error
+from posetrack_cli.hand.confidence import PROBABLY, SIGNS, Evidence, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.kinematics import mean_joint_distances
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
 from posetrack_cli.hand.monitor import TrackMonitor
@@ -38,9 +38,6 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
-PROBABLY = 0.5
-"""The probability of being right below which nothing is said to be tracked. Of the frames it was fitted to
-1 in 700 is more than 40 mm off and above, and 1 in 80 right and below."""
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -127,7 +124,7 @@ class HandTracker:
         self._finder = finder if self._proposal.fits_frames else None
         plausible = finder is not None and self._proposal.looks_at_frames
         self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
-        self._is_calibrated = self._finder is not None and config.observation.cost == "mixture"
+        self._is_calibrated = self._finder is not None and config.observation.models_pixels
         self._space, self.dynamics = HandSpace(), dynamics(config)
         resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self._model = FilterModel(self.dynamics, self._space, resampling, self._proposal.sampling)
@@ -280,7 +277,7 @@ class HandTracker:
         there = likeliest(candidates(finder, frame.depth, told))
         monitor = replace(before, elsewhere=0)
         if there is not None:
-            doubt = seen.fits.cost - before.fingers_mm + depth_doubt(seen.fits.modes.poses[0, 2])
+            doubt = _doubt_here(seen.fits, before)
             doubt -= 0.0 if is_doubtful else settings.better_mm
             monitor = before.leaves_for(doubt, there.doubt, settings)
         if monitor.elsewhere <= before.elsewhere and is_doubtful:
@@ -305,8 +302,7 @@ class HandTracker:
             if there is None or self._is_near(there.pose, here):
                 found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
             else:
-                doubt = fits.cost - monitor.fingers_mm + depth_doubt(here[2])
-                monitor = monitor.leaves_for(doubt, there.doubt, settings)
+                monitor = monitor.leaves_for(_doubt_here(fits, monitor), there.doubt, settings)
                 if monitor.elsewhere >= settings.leave_after_frames:
                     return self._restarted(finder, there, monitor, frame, rng)
         seen = seen._replace(state=replace(state, monitor=monitor))
@@ -317,8 +313,7 @@ class HandTracker:
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
         """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
-        joints = joint_positions(self.anatomy, np.stack([pose, other]))
-        return float(np.linalg.norm(joints[0] - joints[1], axis=1).mean()) < NEAR_MM
+        return bool(mean_joint_distances(self.anatomy, pose, other[None])[0] < NEAR_MM)
 
     def _refined(
         self,
@@ -364,8 +359,8 @@ class HandTracker:
         before = seen.state.evidence
         if seen.fits is None or outline is None or usual_mm is None:
             return before
-        joints = joint_positions(self.anatomy, np.stack([self.predict(seen.state, seen.dt), pose]))
-        innovation = float(np.linalg.norm(joints[0] - joints[1], axis=1).mean())
+        expected = self.predict(seen.state, seen.dt)
+        innovation = float(mean_joint_distances(self.anatomy, expected, pose[None])[0])
         return before.after(signs_of(usual_mm, innovation, seen.fits.modes, outline.contrast))
 
     def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:
@@ -444,6 +439,11 @@ def _evaluations(seen: FrameObservation, drawn: int) -> int:
     if seen.observation is None:
         return 0
     return drawn + 1 + (0 if seen.fits is None else seen.fits.renders)
+
+
+def _doubt_here(fits: LocalFits, monitor: TrackMonitor) -> float:
+    """What speaks against the hand that is followed, mm of cost, as ``Candidate.doubt`` of another place."""
+    return fits.cost - monitor.fingers_mm + depth_doubt(float(fits.modes.poses[0, 2]))
 
 
 def _girth_after(seen: FrameObservation) -> float:

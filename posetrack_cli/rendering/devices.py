@@ -42,7 +42,7 @@ def open_fastest_device(choice: int | str | None = None) -> RenderingDevice:
     """Return the device that draws many small depth images fastest; the caller closes it.
 
     That is a GPU, if there is one. Where OpenGL is drawn by the processor, kernels compiled for depth alone
-    are some four times as fast, and need no OpenGL.
+    are some three times as fast, and need no OpenGL.
 
     Args:
         choice: index of an EGL device, or ``CPU``; None for the fastest.

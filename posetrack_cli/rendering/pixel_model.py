@@ -12,7 +12,7 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 
-_LOGISTIC_OF_NORMAL = 1.702
+LOGISTIC_OF_NORMAL = 1.702
 """1 / (1 + exp(-1.702 t)) is the normal distribution function to .01 (Camilli 1994)."""
 REACH_PX = 2
 """How far beside itself a target pixel looks for what is drawn."""
@@ -105,7 +105,7 @@ class PixelMixture:
 
     def misfit_of_other(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray) -> FloatArray:
         """rho of readings, > 0, mm, known to be of something else, ``off_mm`` beside the target."""
-        t = _LOGISTIC_OF_NORMAL * (depth - reading) / self.noise_sd(depth)
+        t = LOGISTIC_OF_NORMAL * (depth - reading) / self.noise_sd(depth)
         # the exponent is bounded: beyond, both shares are 0 or 1 in float32 too
         front = 1.0 / (1.0 + np.exp(np.clip(-t, -80.0, 80.0)))
         return -np.log(front + (1.0 - front) * self.beside(depth, off_mm))

@@ -118,9 +118,7 @@ def _result(evaluation: Evaluation) -> dict[str, Any]:
         "file": str(evaluation.path),
         "track": evaluation.which,
         "subject": evaluation.subject,
-        "coverage": {**asdict(evaluation.coverage), "share": evaluation.coverage.share},
-        "metrics": {base: _metric(base, value) for base, value in evaluation.metrics.items()},
-        "absent": dict(evaluation.absent),
+        **_figures(evaluation),
         "curve": None if evaluation.curve is None else _curve(evaluation.curve),
         "honesty": None if evaluation.judged is None else _honesty(evaluation.judged),
         "joint_offsets": _offsets(evaluation.joint_offsets),
@@ -136,10 +134,17 @@ def _pool(pool: Pool) -> dict[str, Any]:
         "results": list(pool.results),
         "track": pool.which,
         "subject": pool.subject,
-        "coverage": {**asdict(pool.coverage), "share": pool.coverage.share},
-        "metrics": {base: _metric(base, value) for base, value in pool.metrics.items()},
-        "absent": dict(pool.absent),
+        **_figures(pool),
         "honesty": None if pool.judged is None else _honesty(pool.judged),
+    }
+
+
+def _figures(measured: Evaluation | Pool) -> dict[str, Any]:
+    """What results alone and pooled have in common."""
+    return {
+        "coverage": {**asdict(measured.coverage), "share": measured.coverage.share},
+        "metrics": {base: _metric(base, value) for base, value in measured.metrics.items()},
+        "absent": dict(measured.absent),
     }
 
 

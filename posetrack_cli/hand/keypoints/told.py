@@ -26,7 +26,7 @@ from posetrack_cli.hand.fitting.skeleton import skeleton_of
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
 from posetrack_cli.hand.keypoints.sets import POINTS
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.kinematics import joint_positions, mean_joint_distances
 from posetrack_cli.hand.local_fits import NOT_TOLD, TOLD_PRECISION
 from posetrack_cli.recording.base import Frame
 
@@ -152,8 +152,7 @@ def split(
     """Return the poses (K, 22) of hands near a pose (22,), and the hands elsewhere."""
     if not hands:
         return NOT_TOLD, ()
-    joints = joint_positions(anatomy, np.array([pose, *(hand.pose for hand in hands)]))
-    apart = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
+    apart = mean_joint_distances(anatomy, pose, np.array([hand.pose for hand in hands]))
     near = [hand.pose for hand, mm in zip(hands, apart, strict=True) if mm < NEAR_MM]
     elsewhere = tuple(hand for hand, mm in zip(hands, apart, strict=True) if mm >= NEAR_MM)
     return np.array(near).reshape(-1, POSE_SIZE), elsewhere

@@ -11,11 +11,10 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.rendering.pixel_model import LOOKS_BESIDE, REACH_PX, PixelMixture
+from posetrack_cli.rendering.pixel_model import LOGISTIC_OF_NORMAL, LOOKS_BESIDE, REACH_PX, PixelMixture
 from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw
 from posetrack_cli.rendering.sums import Comparison
 
-_LOGISTIC_OF_NORMAL = 1.702
 _FAR = 80.0  # the exponent is bounded: beyond, both shares are 0 or 1
 ROW = 8
 """Sums of a tile, in the order of ``TileSums.from_rows``."""
@@ -87,7 +86,7 @@ def _misfit_of_other(d: float, y: float, off: float, model: Mixture) -> float:
     beside = (np.exp(-0.5 * t * t) + outlier) / (1.0 + outlier)
     if y == 0.0:
         return float(-model.unread_weight * np.log(beside))
-    behind = min(max(-_LOGISTIC_OF_NORMAL * (d + y) / sd, -_FAR), _FAR)
+    behind = min(max(-LOGISTIC_OF_NORMAL * (d + y) / sd, -_FAR), _FAR)
     front = 1.0 / (1.0 + np.exp(behind))
     return float(-np.log(front + (1.0 - front) * beside))
 
