@@ -40,7 +40,7 @@ CONFIGURED = {
     "side": "hand.side",
     "scale": "hand.scale",
     "mesh": "hand.mesh",
-    "calibrate": "init.calibrate",
+    "shape": "init.shape",
 }
 
 
@@ -84,7 +84,7 @@ hand.add_command(hand_synth)
     type=click.Choice(["auto", "right", "left"]),
     help="Which hand; auto tells from the first second.  [default: auto]",
 )
-@click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's.")
+@click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's, 181 mm long.")
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
 @click.option(
     "--init",
@@ -93,9 +93,10 @@ hand.add_command(hand_synth)
     "a pose.  [default: auto]",
 )
 @click.option(
-    "--calibrate/--no-calibrate",
-    default=None,
-    help="Estimate the hand's size and proportions from the first seconds before tracking.  [default: no]",
+    "--shape",
+    metavar="auto|average|FILE",
+    help="Size and shape of the hand: auto estimates them from the recording unless they are told, average "
+    "is the average hand, FILE is one of hand calibrate.  [default: auto]",
 )
 @click.option(
     "--keypoints",
@@ -187,8 +188,19 @@ def _say(line: str) -> None:
 def _configuration(options: dict[str, Any]) -> HandConfig:
     from posetrack_cli.hand.config import HandConfig
 
+    options = _with_shape(options)
     config = configuration_of(HandConfig, options, CONFIGURED)
     if config.filter.kind != "pso":
         return config
     swarms = {"swarm": options["particles"]}  # --particles says a swarm's, too
     return configuration_of(HandConfig, options | swarms, CONFIGURED | {"swarm": "pso.particles"})
+
+
+def _with_shape(options: dict[str, Any]) -> dict[str, Any]:
+    """The options with what ``--shape`` stands for: a key of the configuration, or a file of it."""
+    shape = options["shape"]
+    if shape is None and options["scale"] is not None:
+        shape = "average"  # of that size
+    if shape in (None, "auto", "average"):
+        return options | {"shape": {"auto": "auto", "average": "given"}.get(shape)}
+    return options | {"shape": None, "configs": (*options["configs"], shape)}

@@ -10,7 +10,7 @@ import click
 from posetrack_cli.cli.options import reading_options, recording_options
 from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.standard_output import print_line, print_note
-from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:
     from posetrack_cli.hand.calibration.calibrate import Calibration
@@ -27,13 +27,12 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="File to write.",
 )
-@click.option("--seconds", default=5.0, show_default=True, help="Length of the part used, from the start, s.")
 @click.option(
     "--frames",
     type=click.IntRange(min=4, max=200),
     default=16,
     show_default=True,
-    help="Frames that the shape is fitted to, chosen for different poses.",
+    help="Frames that the shape is fitted to: those that show the most of fingers.",
 )
 @click.option(
     "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: detected]"
@@ -44,10 +43,10 @@ if TYPE_CHECKING:
 @recording_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing HAND.toml.")
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
-    """Estimate side, size, finger lengths and widths and the palm's size of the hand in RECORDING.
+    """Estimate side, size and shape of the hand in RECORDING, which may be some separate depth images.
 
-    For a few seconds the hand should be seen open, from its palm and its back, and with its fingers bent.
-    The file is a configuration for hand run: posetrack hand run RECORDING --config HAND.toml.
+    Frames are chosen from all of it; the hand should be seen open, from its palm or its back, and with its
+    fingers bent. The file serves other recordings of the hand: hand run RECORDING --shape HAND.toml.
     """
     from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate, write_hand_file
     from posetrack_cli.losses import loss_line
@@ -56,9 +55,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
-    seconds = _seconds(options["seconds"])
     source = open_recording(recording, **reading_options(options))
-    chosen = CalibrationOptions(options["side"], seconds, options["frames"], options["seed"])
+    chosen = CalibrationOptions(options["side"], options["frames"], options["seed"])
     with compiling_said():
         found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)
@@ -79,17 +77,9 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
     return load_settings(HandConfig, files, {"hand.mesh": options["mesh"]})
 
 
-def _seconds(value: float) -> float:
-    if not 0.0 < value <= 3600.0:
-        raise UsageError("--seconds cannot be used", found=f"{value:g}", expected="more than 0, up to 3600")
-    return value
-
-
 def _show(calibration: Calibration) -> None:
-    """A table: every factor with its standard deviation."""
-    from posetrack_cli.hand.shape import SHAPE_NAMES
-
+    """A table: what the hand measures, with standard deviations."""
     print_line(f"{'side':<18}{calibration.side:>8}")
-    print_line(f"{'':<18}{'factor':>8}{'sd':>8}")
-    for name, factor, sd in zip(SHAPE_NAMES, calibration.shape.factors, calibration.sd, strict=True):
-        print_line(f"{name.replace('_', ' '):<18}{factor:>8.3f}{sd:>8.3f}")
+    print_line(f"{'mm':<18}{'':>8}{'sd':>8}")
+    for name, value in calibration.measured.values.items():
+        print_line(f"{name.replace('_', ' '):<18}{value:>8.1f}{calibration.measured.sd[name]:>8.1f}")

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.population import population
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 _FINGER_ANGLES = ("mcp_flexion", "mcp_abduction", "pip_flexion")
@@ -57,34 +58,10 @@ ANGLE_LIMITS: FloatArray = _D * np.array(
 )
 """(15, 2) lower and upper joint limits, rad (generous; hand.md, facts for the models)."""
 
-# Buryanov and Kotiuk 2010, mm: metacarpal, then the three moving segments out to the tip of the skin.
-_METACARPAL = np.array([np.nan, 68.1, 64.6, 58.0, 53.7])
-_SEGMENTS = np.array(
-    [
-        (46.2, 31.6, 21.7 + 5.7),  # thumb: metacarpal, proximal, distal with soft tip
-        (39.8, 22.4, 15.8 + 3.8),
-        (44.6, 26.3, 17.4 + 4.0),
-        (41.4, 25.7, 17.3 + 4.0),
-        (32.6, 18.1, 16.0 + 3.7),
-    ]
-)
-# The carpus is not in that table: where each metacarpal starts, mm, and how it fans out, deg.
-_CARPAL = np.array([(11.0, -19.0, 1.0), (2.0, -25.0, 2.0), (-7.0, -23.0, 1.0), (-14.0, -20.0, -2.0)])
-_METACARPAL_FAN = _D * np.array([10.0, 1.0, -9.0, -20.0])
 _FINGER_FAN = _D * np.array([5.0, 0.0, -5.0, -11.0])
-_THUMB_BASE = np.array([19.0, -18.0, -8.0])
+"""How the straight fingers fan out at zero angles, rad."""
 _THUMB_DIRECTION = np.array([0.72, -0.60, -0.35])
 _THUMB_BENDS_TOWARDS = np.array([-0.65, -0.15, -0.75])
-SEGMENT_RADII: FloatArray = np.array(
-    [
-        (12.5, 10.5, 9.8, 8.0),  # thumb: at CMC side, MCP, IP, near the tip
-        (10.0, 8.6, 7.6, 6.4),  # index: at MCP, PIP, DIP, near the tip
-        (10.0, 8.6, 7.6, 6.4),
-        (9.6, 8.3, 7.3, 6.2),
-        (8.2, 7.2, 6.5, 5.6),
-    ]
-)
-"""(5, 4) finger radii at the three joints and near the tip, mm."""
 MIRROR: FloatArray = np.array([-1.0, 1.0, 1.0])
 
 
@@ -101,6 +78,7 @@ class HandAnatomy:
         scale: all lengths relative to the average hand of the tables.
         palm: further factors on the palm's width (x), length (y) and thickness (z).
         wrist: further factor on the width of the skin around the wrist.
+        coefficients: of the population's modes; what the skin of the average hand is made with.
     """
 
     side: str
@@ -111,6 +89,7 @@ class HandAnatomy:
     scale: float
     palm: tuple[float, float, float] = (1.0, 1.0, 1.0)
     wrist: float = 1.0
+    coefficients: tuple[float, ...] = ()
 
     @property
     def is_left(self) -> bool:
@@ -149,8 +128,9 @@ def make_anatomy(
     palm: tuple[float, float, float] = (1.0, 1.0, 1.0),
     wrist: float = 1.0,
     thumb_place: float = 1.0,
+    coefficients: tuple[float, ...] = (),
 ) -> HandAnatomy:
-    """Return the average adult hand, scaled.
+    """Return the average adult hand, or another of the population, scaled.
 
     Args:
         side: ``right`` or ``left``.
@@ -161,29 +141,28 @@ def make_anatomy(
             x, y and z, and how wide and thick the skin between them and the wrist is.
         wrist: further factor on the width of the skin around the wrist.
         thumb_place: further factor on the distance of the thumb's base from the wrist along the palm.
+        coefficients: of the population's modes, in standard deviations; none is the average hand.
     """
-    positions, rotations = _right_bases()
-    positions = positions * np.asarray(palm)
+    hand, rotations = population().hand(coefficients), rest_rotations()
+    positions = hand.bases * np.asarray(palm)
     positions[0, 1] *= thumb_place
     if side == "left":
         positions = positions * MIRROR
         rotations = MIRROR[:, None] * rotations * MIRROR
-    segments = _SEGMENTS * np.asarray(finger_lengths)[:, None]
-    radii = SEGMENT_RADII * np.asarray(finger_widths)[:, None]
+    segments = hand.segments * np.asarray(finger_lengths)[:, None]
+    radii = hand.radii * np.asarray(finger_widths)[:, None]
     return HandAnatomy(
-        side, scale * positions, rotations, scale * segments, scale * radii, scale, palm, wrist
+        side, scale * positions, rotations, scale * segments, scale * radii, scale, palm, wrist, coefficients
     )
 
 
-def _right_bases() -> tuple[FloatArray, FloatArray]:
-    """Positions (5, 3) and rotations (5, 3, 3) of the joints 3 of a right hand of scale 1."""
-    along = np.stack([np.sin(_METACARPAL_FAN), -np.cos(_METACARPAL_FAN), np.zeros(4)], axis=1)
-    positions = np.vstack([_THUMB_BASE, _CARPAL + _METACARPAL[1:, None] * along])
+def rest_rotations() -> FloatArray:
+    """Return hand_R_finger (5, 3, 3) of a right hand at zero angles."""
     fingers = np.zeros((4, 3, 3))
     cos, sin = np.cos(_FINGER_FAN), np.sin(_FINGER_FAN)
     fingers[:, 0, 0], fingers[:, 0, 1], fingers[:, 1, 0], fingers[:, 1, 1] = cos, -sin, sin, cos
     fingers[:, 2, 2] = 1.0
-    return positions, np.concatenate([_thumb_rotation()[None], fingers])
+    return np.concatenate([_thumb_rotation()[None], fingers])
 
 
 def _thumb_rotation() -> FloatArray:

@@ -7,7 +7,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from posetrack_cli.configuration import Settings
-from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.hand.population import COEFFICIENTS
+from posetrack_cli.hand.shape import MOST_COEFFICIENT, HandShape
 
 # Wider than any hand, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -16,6 +17,7 @@ Size = Annotated[float, Field(ge=0.1, le=10.0)]
 # Beyond what hands differ by; within it the skin has no folds.
 Proportion = Annotated[float, Field(ge=0.7, le=1.4)]
 PerFinger = tuple[Proportion, Proportion, Proportion, Proportion, Proportion]
+Coefficient = Annotated[float, Field(ge=-MOST_COEFFICIENT, le=MOST_COEFFICIENT)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -34,6 +36,7 @@ class HandSettings(Settings):
     palm_thickness: Proportion = 1.0
     wrist_width: Proportion = 1.0
     thumb_place: Annotated[float, Field(ge=0.5, le=2.5)] = 1.0
+    coefficients: Annotated[tuple[Coefficient, ...], Field(max_length=COEFFICIENTS)] = ()
     mesh: str | None = None
 
     @property
@@ -41,7 +44,13 @@ class HandSettings(Settings):
         """Size and proportions."""
         palm = (self.palm_width, self.palm_length, self.palm_thickness)
         return HandShape(
-            self.scale, self.finger_lengths, self.finger_widths, *palm, self.wrist_width, self.thumb_place
+            self.scale,
+            self.finger_lengths,
+            self.finger_widths,
+            *palm,
+            self.wrist_width,
+            self.thumb_place,
+            self.coefficients,
         )
 
 
@@ -159,12 +168,12 @@ class InitSettings(Settings):
     """Where a run starts, and the prior of its first frame.
 
     ``auto`` finds the hand in the image; ``center`` is the paper's start (7.3): palm to the sensor, in the
-    middle of the image, ``depth_mm`` away or where the nearest surface is. ``calibrate``: the hand's shape is
-    estimated from the first seconds before a run begins.
+    middle of the image, ``depth_mm`` away or where the nearest surface is. With ``shape`` ``auto`` the hand's
+    size and shape are estimated from the recording before a run begins, unless ``[hand]`` tells them.
     """
 
     method: Literal["auto", "center"] = "auto"
-    calibrate: bool = False
+    shape: Literal["auto", "given"] = "auto"
     depth_mm: Positive | None = None
     spread: ComponentSettings = ComponentSettings(
         position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08

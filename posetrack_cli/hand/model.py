@@ -138,6 +138,7 @@ def average_hand(side: str = "right", shape: HandShape | None = None) -> HandMod
         shape.palm,
         shape.wrist_width,
         shape.thumb_place,
+        shape.coefficients,
     )
     smooth = hand_mesh(anatomy, "medium")
     return HandModel(anatomy, lean_mesh(anatomy, smooth), smooth, partial(hand_mesh, anatomy, "fine"))

@@ -155,7 +155,7 @@ class HandRun(Run):
         unused = () if self._use is None else self._use.remarks
         if not isinstance(state, HandState) or 2 * state.doubtful <= state.frames:
             return unused
-        told = "the hand's size and shape (--calibrate, --hand-mesh), its side (--hand-side)"
+        told = "the hand's size and shape (--shape, --hand-mesh), its side (--hand-side)"
         return (
             *unused,
             f"{state.doubtful} of {state.frames} frames are more probably wrong than right (confidence below"

@@ -1,13 +1,19 @@
-"""What people's hands differ by: sixteen factors on the lengths of a hand, and hands reshaped by them."""
+"""What hands differ by: coefficients of the population's modes, and factors on the lengths of a hand.
+
+The average hand becomes another of the population by its coefficients. Factors reshape any hand, one from a
+file too, of which nothing is known but its bones and its skin.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import BONE_COUNT, FINGERS, MIRROR, HandAnatomy
+from posetrack_cli.hand.population import COEFFICIENTS
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 SHAPE_NAMES: tuple[str, ...] = (
@@ -22,6 +28,9 @@ SHAPE_NAMES: tuple[str, ...] = (
 )
 SHAPE_SIZE = len(SHAPE_NAMES)
 _LENGTHS, _WIDTHS = slice(1, 6), slice(6, 11)
+MOST_DRAWN, MOST_COEFFICIENT = 2.0, 5.0
+"""Standard deviations from the average: of hands that are drawn, and of any that can be meant."""
+_DECIMALS = 4
 PerFinger = tuple[float, float, float, float, float]
 _ONES: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
 
@@ -35,7 +44,9 @@ Proportions are guessed; where the thumb begins and how the wrist narrows is wha
 
 @dataclass(frozen=True)
 class HandShape:
-    """Factors on the lengths of the average hand, or of a hand from a file; all 1 is that hand itself.
+    """Which hand of the population, and factors on its lengths, or on those of a hand from a file.
+
+    Coefficients 0 and factors 1 are the average hand, or that of the file, itself.
 
     Attributes:
         scale: on every length.
@@ -46,6 +57,8 @@ class HandShape:
         palm_thickness: further, on the palm from its back to its front.
         wrist_width: further, on the skin around the wrist across; no bone moves with it.
         thumb_place: further, on the distance of the thumb's base from the wrist along the palm.
+        coefficients: of the population's modes, in standard deviations, strongest first; those that are not
+            given are 0. Of a hand from a file there are none.
     """
 
     scale: float = 1.0
@@ -56,6 +69,7 @@ class HandShape:
     palm_thickness: float = 1.0
     wrist_width: float = 1.0
     thumb_place: float = 1.0
+    coefficients: tuple[float, ...] = ()
 
     @property
     def palm(self) -> tuple[float, float, float]:
@@ -84,10 +98,95 @@ class HandShape:
         return cls(values[0], lengths, widths, *values[11:])  # type: ignore[arg-type]
 
 
+class ShapeSpace(Protocol):
+    """Numbers theta that stand for a shape, of which a calibration finds the likeliest.
+
+    Attributes:
+        names: of the numbers.
+        sd: (S,) standard deviations among hands; theta 0 is the mean.
+        low, high: (S,) bounds.
+        steps: (S,) differences for derivatives: a change of a millimetre or so.
+    """
+
+    names: tuple[str, ...]
+    sd: FloatArray
+    low: FloatArray
+    high: FloatArray
+    steps: FloatArray
+
+    def shape(self, theta: FloatArray) -> HandShape:
+        """The shape that numbers (S,) stand for."""
+        ...
+
+    def theta(self, shape: HandShape) -> FloatArray:
+        """The numbers (S,) of a shape."""
+        ...
+
+
+class FactorSpace:
+    """Logarithms of the sixteen factors: how a hand from a file may differ from the one that is tracked."""
+
+    names = SHAPE_NAMES
+    sd = POPULATION_SD
+    low, high = np.log([[0.5, *[0.7] * (SHAPE_SIZE - 2), 0.5], [1.6, *[1.4] * (SHAPE_SIZE - 2), 2.5]])
+    steps = np.full(SHAPE_SIZE, 0.01)
+
+    def shape(self, theta: FloatArray) -> HandShape:
+        """The shape that numbers (16,) stand for."""
+        return HandShape.of_factors(np.exp(theta))
+
+    def theta(self, shape: HandShape) -> FloatArray:
+        """The numbers (16,) of a shape."""
+        return np.log(shape.factors)
+
+
+class PopulationSpace:
+    """The logarithm of the scale, and the population's coefficients: how people's hands differ."""
+
+    names = ("scale", *(f"coefficient_{k + 1}" for k in range(COEFFICIENTS)))
+    sd = np.array([0.12, *[1.0] * COEFFICIENTS])
+    high = np.array([np.log(1.6), *[4.0] * COEFFICIENTS])
+    low = np.array([np.log(0.5), *[-4.0] * COEFFICIENTS])
+    steps = np.array([0.01, *[0.25] * COEFFICIENTS])
+
+    def shape(self, theta: FloatArray) -> HandShape:
+        """The shape that numbers (25,) stand for."""
+        return HandShape(float(np.exp(theta[0])), coefficients=tuple(float(c) for c in theta[1:]))
+
+    def theta(self, shape: HandShape) -> FloatArray:
+        """The numbers (25,) of a shape; its factors but the scale are not among them."""
+        given = np.zeros(COEFFICIENTS)
+        given[: len(shape.coefficients)] = shape.coefficients
+        return np.concatenate([[np.log(shape.scale)], given])
+
+
+def shape_space(mesh: str | None) -> ShapeSpace:
+    """Return what is unknown of a hand: of a file's its factors, else which of the population it is."""
+    return PopulationSpace() if mesh is None else FactorSpace()
+
+
 def random_shape(rng: np.random.Generator) -> HandShape:
-    """A hand as different as may be met: scale .85 to 1.15, fingers' lengths, radii and palm within 10 %."""
-    spread = np.array([0.15, *[0.10] * (SHAPE_SIZE - 1)])
-    return HandShape.of_factors(1.0 + spread * rng.uniform(-1.0, 1.0, SHAPE_SIZE))
+    """A hand of the population, of a scale of .85 to 1.15."""
+    scale = 1.0 + 0.15 * rng.uniform(-1.0, 1.0)
+    drawn = np.clip(rng.normal(size=COEFFICIENTS), -MOST_DRAWN, MOST_DRAWN)
+    return HandShape(scale, coefficients=tuple(float(c) for c in drawn.round(_DECIMALS)))
+
+
+def shape_between(one: HandAnatomy, other: HandAnatomy) -> HandShape:
+    """The factors that take a right hand to another, of either side, that differs by factors alone."""
+    lengths, widths = (
+        tuple(float(factor) for factor in after[:, 0] / before[:, 0] * (one.scale / other.scale))
+        for before, after in ((one.segments, other.segments), (one.radii, other.radii))
+    )
+    reach = other.base_positions[0, 1] / one.base_positions[0, 1] * (one.scale / other.scale)
+    return HandShape(
+        other.scale / one.scale,
+        lengths,  # type: ignore[arg-type]
+        widths,  # type: ignore[arg-type]
+        *other.palm,
+        other.wrist,
+        float(reach / other.palm[1]),
+    )
 
 
 def reshaped_anatomy(anatomy: HandAnatomy, side: str, shape: HandShape) -> HandAnatomy:

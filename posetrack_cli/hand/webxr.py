@@ -65,15 +65,21 @@ def load_hand(path: Path) -> FileHand:
         return straightened(read_skin(gltf), path)
 
 
-def straightened(skin: GltfSkin, path: Path) -> FileHand:
-    """Return the hand of a skin at zero angles; see ``load_hand``."""
-    places = _joint_places(skin, path)
+def straightened(skin: GltfSkin, path: Path, average: HandAnatomy | None = None) -> FileHand:
+    """Return the hand of a skin at zero angles; see ``load_hand``.
+
+    Args:
+        skin: of a hand.
+        path: its file, for errors.
+        average: the hand whose palm it is laid on; ours by default.
+    """
+    places = joint_places(skin, path)
     joints, vertices = PER_METRE * skin.joint_positions[places], PER_METRE * skin.vertices
     _check_size(joints, path)
     triangles = skin.triangles
     if _side(joints, path) == "left":
         joints, vertices, triangles = joints * MIRROR, vertices * MIRROR, triangles[:, ::-1]
-    average = make_anatomy()
+    average = average or make_anatomy()
     turn, scale = _hand_axes(joints, average)
     joints, vertices = ((points - joints[0]) @ turn.T for points in (joints, vertices))
     mesh = welded(SkinnedMesh(vertices, _bone_weights(skin, places), triangles), _WELD_MM)
@@ -84,8 +90,8 @@ def straightened(skin: GltfSkin, path: Path) -> FileHand:
     return FileHand(replace(anatomy, radii=_radii(anatomy, mesh, path)), mesh)
 
 
-def _joint_places(skin: GltfSkin, path: Path) -> list[int]:
-    """Where our 21 joints are among the skin's.
+def joint_places(skin: GltfSkin, path: Path) -> list[int]:
+    """Return where our 21 joints are among the skin's.
 
     Raises:
         UsageError: one of the 25 is missing.

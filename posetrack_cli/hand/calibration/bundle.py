@@ -12,24 +12,20 @@ from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.calibration.residuals import FrameRows, vertex_moves
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandMaker, HandModel
-from posetrack_cli.hand.shape import POPULATION_SD, SHAPE_SIZE, HandShape
+from posetrack_cli.hand.shape import HandShape, ShapeSpace
 from posetrack_cli.hand.space import HandSpace, inside_limits
 
 Observe = Callable[[int, FloatArray, HandModel], Tile]
 """Gives the tile of a frame (its place among the chosen ones) for a pose and a hand."""
 
-SHAPE_STEP = 0.01
-"""Of a factor's logarithm, for derivatives: one per cent, a millimetre or so."""
-CORRELATED = 32.0
+CORRELATED = 64.0
 """Residuals per independent one: neighbouring pixels err alike, as noise, skin and segmentation do."""
 OVERCONFIDENCE = 3.0
 """How much less the images tell than the sum of their rows, in the covariance that is stated: what is wrong
 in one frame, as where the forearm is cut, is wrong in all. From the errors on synthetic random hands."""
 LEAST_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
-MOST_SHAPE_STEP, MOST_POSE_STEP = 0.06, np.repeat([15.0, 0.2, 0.3], [3, 3, 15])
-LIMITS = np.log([[0.5, *[0.7] * (SHAPE_SIZE - 2), 0.5], [1.6, *[1.4] * (SHAPE_SIZE - 2), 2.5]])
-"""(2, 16) of theta: what the configuration allows, and hands of small children."""
+MOST_SHAPE_STEP, MOST_POSE_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, 15])
 _RELAXED_SD = np.repeat([np.inf, np.inf, 0.6], [3, 3, 15])
 _SPACE = HandSpace()
 
@@ -41,7 +37,7 @@ class Bundle:
     Attributes:
         shape: of the hand.
         poses: (F, 22).
-        covariance: (16, 16) of the logarithms of the shape's factors.
+        covariance: (S, S) of the numbers of the space that stand for the shape.
         residual_mm: weighted root mean square of the residuals.
         iterations: steps taken.
     """
@@ -55,6 +51,7 @@ class Bundle:
 
 def adjusted(
     maker: HandMaker,
+    space: ShapeSpace,
     side: str,
     shape: HandShape,
     poses: FloatArray,
@@ -66,14 +63,16 @@ def adjusted(
 ) -> Bundle:
     """Minimise the residuals of all frames over shape and poses, by Gauss-Newton.
 
-    The unknowns are theta, the logarithms of the shape's factors, and one tangent vector a frame. The
-    prior of theta is N(0, diag POPULATION_SD^2). With H_f the normal matrix of frame f in blocks of shape s
-    and pose p, the poses are eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement),
-    and the covariance of theta is S^-1, the images' part of S by ``OVERCONFIDENCE`` less. Residuals are
-    weighted by their own mean square, one in ``CORRELATED`` counting as independent.
+    The unknowns are theta, the numbers of the space that stand for the shape, and one tangent vector a
+    frame. The prior of theta is N(0, diag sd^2) with the space's standard deviations. With H_f the normal
+    matrix of frame f in blocks of shape s and pose p, the poses are eliminated: S = sum_f (H_ss - H_sp
+    H_pp^-1 H_ps) + prior (Schur complement), and the covariance of theta is S^-1, the images' part of S by
+    ``OVERCONFIDENCE`` less. Residuals are weighted by their own mean square, one in ``CORRELATED`` counting
+    as independent.
 
     Args:
         maker: makes the hand.
+        space: what is unknown of it.
         side: ``right`` or ``left``.
         shape: start.
         poses: (F, 22) start.
@@ -83,12 +82,13 @@ def adjusted(
         terms: weights of the residuals.
     """
     terms = terms or Terms()
-    rows, theta, poses = FrameRows(terms, tile_px), np.log(shape.factors), poses.copy()
-    covariance, residual, taken = np.diag(POPULATION_SD**2), 0.0, 0
+    rows, theta, poses = FrameRows(terms, tile_px), space.theta(shape), poses.copy()
+    covariance, residual, taken = np.diag(space.sd**2), 0.0, 0
+    prior, most = np.diag(1.0 / space.sd**2), MOST_SHAPE_STEP * space.sd
     while taken < iterations:
         taken += 1
-        hand, varied = _hands(maker, side, theta)
-        moves = vertex_moves(poses, hand, varied, SHAPE_STEP)
+        hand, varied = _hands(maker, space, side, theta)
+        moves = vertex_moves(poses, hand, varied, space.steps)
         frames = [
             rows.rows(observe(f, pose, hand), pose, hand, move)
             for f, (pose, move) in enumerate(zip(poses, moves, strict=True))
@@ -98,23 +98,24 @@ def adjusted(
         equations = [
             _with_pose_prior(*frame.normal(share), pose) for frame, pose in zip(frames, poses, strict=True)
         ]
-        matrix, vector = _reduced(equations, theta)
+        matrix, vector = _reduced(equations, prior, theta)
         covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-        step = np.clip(covariance @ vector, -MOST_SHAPE_STEP, MOST_SHAPE_STEP)
+        step = np.clip(covariance @ vector, -most, most)
         turns = np.array([_pose_step(equation, step) for equation in equations])
         poses = inside_limits(_SPACE.retract(poses, np.clip(turns, -MOST_POSE_STEP, MOST_POSE_STEP)))
-        theta = np.clip(theta + step, *LIMITS)
+        theta = np.clip(theta + step, space.low, space.high)
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
             break
-    prior = np.diag(1.0 / POPULATION_SD**2)
     stated = np.linalg.inv((matrix - prior) / OVERCONFIDENCE + prior)
-    return Bundle(HandShape.of_factors(np.exp(theta)), poses, np.asarray(stated), residual, taken)
+    return Bundle(space.shape(theta), poses, np.asarray(stated), residual, taken)
 
 
-def _hands(maker: HandMaker, side: str, theta: FloatArray) -> tuple[HandModel, list[HandModel]]:
+def _hands(
+    maker: HandMaker, space: ShapeSpace, side: str, theta: FloatArray
+) -> tuple[HandModel, list[HandModel]]:
     """The hand, and the hand with each parameter a step larger."""
-    steps = np.vstack([np.zeros(SHAPE_SIZE), SHAPE_STEP * np.eye(SHAPE_SIZE)])
-    hand, *varied = (maker(side, HandShape.of_factors(np.exp(theta + step))) for step in steps)
+    steps = np.vstack([np.zeros(theta.size), np.diag(space.steps)])
+    hand, *varied = (maker(side, space.shape(theta + step)) for step in steps)
     return hand, varied
 
 
@@ -129,12 +130,12 @@ def _with_pose_prior(
 
 
 def _reduced(
-    equations: Sequence[tuple[FloatArray, FloatArray]], theta: FloatArray
+    equations: Sequence[tuple[FloatArray, FloatArray]], prior: FloatArray, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The normal equations of the shape alone, its prior included."""
     p, s = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
-    matrix = np.diag(1.0 / POPULATION_SD**2)
-    vector = -theta / POPULATION_SD**2
+    matrix = prior.copy()
+    vector = -prior @ theta
     for h, g in equations:
         carried = np.linalg.solve(h[p, p], np.column_stack([h[p, s], g[p]]))
         matrix += h[s, s] - h[s, p] @ carried[:, :-1]

@@ -1,7 +1,8 @@
-"""Calibration of a recording's hand: track it, choose frames, adjust its shape; twice.
+"""Calibration of a recording's hand: find it in frames that show its fingers, adjust its shape; again.
 
-No truth is used. The first time the hand is tracked with an average shape; the second time with that which
-was found, so that frames count that could not be tracked before.
+No truth is used. Frames are chosen from the whole recording by how much of fingers they show: a fist from the
+back fits many hands, and makes every one of them a wrong one. The first time the hand is found with the
+average shape, then with the one that was found.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -17,30 +17,36 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import write_output
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.acquisition import Acquisition
+from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
-from posetrack_cli.hand.calibration.sequence import SequenceFit, SequenceFitter
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.calibration.measures import Measured, measured
+from posetrack_cli.hand.calibration.trial import SIDES, tried
+from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.terms import Terms, Tile
-from posetrack_cli.hand.model import HandMaker, HandModel, hand_maker
+from posetrack_cli.hand.model import HandModel, hand_maker
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape
+from posetrack_cli.hand.shape import HandShape, shape_space
+from posetrack_cli.hand.space import inside_limits
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.raster import View
 
-SIDES = ("right", "left")
-TRIED_SCALES = (0.78, 0.88, 1.0, 1.13, 1.28)
-TRIAL_FRAMES = 24
+LOOKED_AT = 48
+"""Frames, evenly over the recording, of which those are chosen that show the most of fingers."""
+_UNKNOWN_COUNT = 900
+"""Frames of a recording that does not say how many it has: half a minute."""
 ROUNDS = 2
-NS_PER_S = 10**9
 _FEWEST_FRAMES = 4
+_DEAREST = 1.15
+"""Of the median cost: dearer frames are not found well."""
+_ITERATIONS = 8
 _ROTATION_WEIGHT = 2.0  # of a quaternion's distance beside angles, rad
 
 Report = Callable[[str], None]
-_DECIMALS = 4  # of the factors in a hand file
+_DECIMALS = 4  # of the numbers in a hand file
 
 
 @dataclass(frozen=True)
@@ -49,17 +55,17 @@ class CalibrationOptions:
 
     Attributes:
         side: ``right`` or ``left``; None to find out.
-        seconds: length of the part of the recording that is used, from its start.
         frames: how many frames the shape is adjusted to.
-        seed: of the scattered starts of fits.
+        seed: kept for those who state it; nothing here is random.
         start: the first frame that is used.
+        end: the frame to stop before; None is the recording's end.
     """
 
     side: str | None = None
-    seconds: float = 5.0
     frames: int = 16
     seed: int = 0
     start: int = 0
+    end: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,24 +75,40 @@ class Calibration:
     Attributes:
         side: ``right`` or ``left``.
         shape: of the hand.
-        sd: (16,) standard deviations of the factors.
-        frames_seen: frames that were tracked.
+        measured: its lengths, mm, with standard deviations.
+        frames_seen: frames that were looked at.
         frames_used: frames that the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.
+        costs_mm: median costs of the frames for the average hand of that size, and for the hand that was
+            adjusted to them first.
     """
 
     side: str
     shape: HandShape
-    sd: FloatArray
+    measured: Measured
     frames_seen: int
     frames_used: int
     residual_mm: float
+    costs_mm: tuple[float, float]
+
+    @property
+    def length_mm(self) -> float:
+        """From the wrist to the middle finger's tip."""
+        return self.measured.values["hand_length"]
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """The shape as keys of a configuration's ``[hand]`` table."""
+        named = {
+            name: getattr(self.shape, name) for name in HandSettings.model_fields if hasattr(self.shape, name)
+        }
+        return {name: _rounded(value) for name, value in named.items()}
 
 
 def calibrate(
     recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
 ) -> Calibration:
-    """Estimate side, size and proportions of the hand in a recording.
+    """Estimate side, size and shape of the hand in a recording.
 
     Args:
         recording: depth frames.
@@ -95,89 +117,117 @@ def calibrate(
         report: called with what is being done.
 
     Raises:
-        RecordingError: no frame, or no hand that can be tracked in at least four frames.
+        RecordingError: no frame, or no hand that can be found in at least four frames.
         UsageError: the configuration's mesh is no hand that can be used.
     """
-    frames = _first_seconds(recording, options.seconds, options.start)
-    maker, camera = hand_maker(config.hand.mesh), recording.cameras[0]
-    calibrator = _Calibrator(config, camera, maker, recording.path, options)
     report("which hand, and about how large")
-    side, shape = calibrator.best_start(frames)
+    sides = (options.side,) if options.side else SIDES
+    bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
+    trial = tried(recording, bare, options.start, sides)
+    known = {"side": trial.side, "scale": trial.scale}
+    return shape_of(
+        recording, bare.model_copy(update={"hand": bare.hand.model_copy(update=known)}), options, report
+    )
+
+
+def shape_of(
+    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
+) -> Calibration:
+    """Estimate the shape of a hand whose side and size are known roughly: those of the configuration.
+
+    Raises:
+        RecordingError: no frame, or no hand that can be found in at least four frames.
+    """
+    calibrator = _Calibrator(recording, config, options)
+    side, shape, found = config.hand.side, HandShape(config.hand.scale), None
+    medians = []
     for attempt in range(ROUNDS):
-        report(f"tracking the {side} hand, {attempt + 1} of {ROUNDS}")
-        fitted = calibrator.fit(frames, side, shape)
-        chosen = calibrator.chosen(fitted)
+        report(f"finding the {side} hand, {attempt + 1} of {ROUNDS}")
+        poses, costs = calibrator.find(shape)
+        chosen = calibrator.chosen(poses, costs)
+        medians.append(float(np.median(costs)))
         report(f"adjusting its shape to {len(chosen)} frames")
-        bundle = calibrator.adjust([frames[k] for k in chosen], fitted.poses[chosen], side, shape)
-        shape = bundle.shape
-    sd = shape.factors * np.sqrt(np.diag(bundle.covariance))
-    return Calibration(side, shape, sd, len(frames), len(chosen), bundle.residual_mm)
-
-
-def _first_seconds(recording: Recording, seconds: float, start: int = 0) -> list[Frame]:
-    frames = recording.frames(start=start, end=None, stride=1)
-    first = next(frames, None)
-    if first is None:
-        raise RecordingError("holds no frame", where=recording.path)
-    last = first.stamp_ns + int(seconds * NS_PER_S)
-    return [first, *takewhile(lambda frame: frame.stamp_ns <= last, frames)]
+        found = calibrator.adjust(chosen, poses[chosen], shape)
+        shape = found.shape
+    assert found is not None
+    numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
+    cost = medians[0], medians[-1]
+    return Calibration(side, shape, numbers, calibrator.seen, len(chosen), found.residual_mm, cost)
 
 
 class _Calibrator:
     """The parts of a calibration."""
 
-    def __init__(
-        self, config: HandConfig, camera: Camera, maker: HandMaker, path: Path, options: CalibrationOptions
-    ) -> None:
-        self._config, self._camera, self._maker, self._path = config, camera, maker, path
-        self._options = options
+    def __init__(self, recording: Recording, config: HandConfig, options: CalibrationOptions) -> None:
+        self._recording, self._config, self._options = recording, config, options
+        self._side, self._camera = config.hand.side, recording.cameras[0]
+        self.maker, self.space = hand_maker(config.hand.mesh), shape_space(config.hand.mesh)
+        self.seen = 0
+        self._frames = self._showing_fingers(HandShape(config.hand.scale))
 
-    def best_start(self, frames: Sequence[Frame]) -> tuple[str, HandShape]:
-        """The side and scale with which the first frames are tracked at the least mean cost."""
-        sides = (self._options.side,) if self._options.side else SIDES
-        tried = {}
-        for side in sides:
-            for scale in TRIED_SCALES:
-                fitted = self.fit(frames[:TRIAL_FRAMES], side, HandShape(scale=scale))
-                clamped = np.minimum(fitted.costs, self._config.observation.clamp_mm)
-                tried[side, scale] = float(clamped.mean())
-        side, scale = min(tried, key=lambda key: tried[key])
-        return side, HandShape(scale=scale)
+    def _showing_fingers(self, shape: HandShape) -> list[Frame]:
+        """The frames that show the most of fingers, in order.
 
-    def fit(self, frames: Sequence[Frame], side: str, shape: HandShape) -> SequenceFit:
-        """The poses of a hand in frames."""
-        fitter = SequenceFitter(self._config, self._maker(side, shape), self._camera)
-        return fitter.fit(frames, np.random.default_rng(self._options.seed))
+        Raises:
+            RecordingError: there is none.
+        """
+        options, count = self._options, self._recording.frame_count or _UNKNOWN_COUNT
+        end = count if options.end is None else min(count, options.end)
+        stride = max(1, (end - options.start) // LOOKED_AT)
+        finder = self._finder(shape)
+        kept: list[tuple[float, int, Frame]] = []
+        for frame in self._recording.frames(start=options.start, end=options.end, stride=stride):
+            self.seen += 1
+            area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
+            kept.append((-area, self.seen, frame))
+            kept = sorted(kept, key=lambda one: one[:2])[: options.frames]
+        if not self.seen:
+            raise RecordingError("holds no frame", where=self._recording.path)
+        return [frame for _, _, frame in sorted(kept, key=lambda one: one[1])]
 
-    def chosen(self, fitted: SequenceFit) -> IntArray:
-        """Frames that fit well and differ in pose.
+    def _finder(self, shape: HandShape) -> Acquisition:
+        return Acquisition(self._config, self.maker(self._side, shape), self._camera)
+
+    def find(self, shape: HandShape) -> tuple[FloatArray, FloatArray]:
+        """The poses (F, 22) of a hand in the frames, and costs (F,), mm; infinite where there is none."""
+        finder = self._finder(shape)
+        poses, costs = np.zeros((len(self._frames), POSE_SIZE)), np.full(len(self._frames), np.inf)
+        poses[:, 6] = 1.0
+        for k, frame in enumerate(self._frames):
+            found = finder.search(frame.depth)
+            if found is not None:
+                poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
+        return poses, costs
+
+    def chosen(self, poses: FloatArray, costs: FloatArray) -> IntArray:
+        """Frames in which the hand was found well.
 
         Raises:
             RecordingError: there are too few.
         """
-        found = fitted.costs[np.isfinite(fitted.costs)]
-        few = np.sort(found)[: max(_FEWEST_FRAMES, -(-found.size // 2))]  # a hand upside down fits worse
-        limit = float(few[-1]) if few.size else 0.0
-        good = np.flatnonzero(fitted.costs <= limit)
+        limit = _DEAREST * float(np.median(costs[np.isfinite(costs)])) if np.isfinite(costs).any() else 0.0
+        good = np.flatnonzero(costs <= limit)
         if good.size < _FEWEST_FRAMES:
             raise RecordingError(
                 "no hand that can be tracked",
-                where=self._path,
-                found=f"{good.size} of {len(fitted.costs)} frames",
+                where=self._recording.path,
+                found=f"{good.size} of {len(costs)} frames",
                 expected=f"{_FEWEST_FRAMES} or more",
-                hint="choose a recording, or with --seconds a part, that shows one hand well",
+                hint="choose a recording that shows one hand well, open and with its fingers bent",
             )
-        return good[spread(fitted.poses[good], self._options.frames)]
+        return good
 
-    def adjust(self, frames: Sequence[Frame], poses: FloatArray, side: str, shape: HandShape) -> Bundle:
+    def adjust(self, chosen: IntArray, poses: FloatArray, shape: HandShape) -> Bundle:
         """The shape and the poses that fit the frames best."""
         return adjusted(
-            self._maker,
-            side,
+            self.maker,
+            self.space,
+            self._side,
             shape,
             poses,
-            self._observing(frames),
+            self._observing([self._frames[k] for k in chosen]),
             self._config.observation.tile_px,
+            iterations=_ITERATIONS,
             terms=_terms(self._config),
         )
 
@@ -199,24 +249,8 @@ def _terms(config: HandConfig) -> Terms:
     )
 
 
-def spread(poses: FloatArray, count: int) -> IntArray:
-    """Indices of at most ``count`` poses (N, 22) far from each other in angles and orientation, in order.
-
-    Each is the farthest from those chosen before it (Gonzalez 1985); quaternions count by |q . q'|.
-    """
-    chosen = [0]
-    nearest = np.full(len(poses), np.inf)
-    while len(chosen) < min(count, len(poses)):
-        last = poses[chosen[-1]]
-        turned = 1.0 - np.abs(poses[:, 3:7] @ last[3:7])
-        angles = np.linalg.norm(poses[:, 7:] - last[7:], axis=1)
-        nearest = np.minimum(nearest, angles + _ROTATION_WEIGHT * turned)
-        chosen.append(int(nearest.argmax()))
-    return np.array(sorted(set(chosen)))
-
-
 def write_hand_file(path: Path, calibration: Calibration, mesh: str | None, source: str) -> None:
-    """Write a TOML file that ``--config`` reads beside others.
+    """Write a TOML file that ``--shape`` and ``--config`` read.
 
     Args:
         path: the file.
@@ -233,20 +267,20 @@ def write_hand_file(path: Path, calibration: Calibration, mesh: str | None, sour
 
 def hand_text(calibration: Calibration, mesh: str | None, source: str, folder: Path) -> str:
     """The file's text; a mesh is named relative to the file's folder where it lies in it, else in full."""
-    shape = calibration.shape
-    sd = dict(zip(SHAPE_NAMES, calibration.sd.tolist(), strict=True))
+    values, sd = calibration.measured.values, calibration.measured.sd
+    settings = calibration.settings
+    names = ("scale", "coefficients") if mesh is None else tuple(n for n in settings if n != "coefficients")
     lines = [
         f"# Calibrated from {json.dumps(source)}: {calibration.frames_used} frames,"
-        f" residual {calibration.residual_mm:.2f} mm. Standard deviations beside the numbers.",
+        f" residual {calibration.residual_mm:.2f} mm.",
         "[hand]",
         f'side = "{calibration.side}"',
-        f"scale = {_number(shape.scale)}  # {sd['scale']:.3f}",
-        f"finger_lengths = {_row(shape.finger_lengths)}  # {_deviations(sd, 'length')}",
-        f"finger_widths = {_row(shape.finger_widths)}  # {_deviations(sd, 'width')}",
-        *(f"{name} = {_number(getattr(shape, name))}  # {sd[name]:.3f}" for name in SHAPE_NAMES[11:]),
+        *(f"{name} = {_value(settings[name])}" for name in names),
     ]
     if mesh is not None:
         lines.append(f"mesh = {json.dumps(_reachable(Path(mesh), folder))}")
+    lines += ["", "# Measures, mm, and their standard deviations:"]
+    lines += [f"# {name.replace('_', ' ')} {value:.1f} +- {sd[name]:.1f}" for name, value in values.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -255,14 +289,13 @@ def _reachable(mesh: Path, folder: Path) -> str:
     return str(mesh.relative_to(folder) if mesh.is_relative_to(folder) else mesh)
 
 
-def _deviations(sd: dict[str, float], what: str) -> str:
-    fingers = [value for name, value in sd.items() if name.endswith(what) and not name.startswith("palm")]
-    return " ".join(f"{value:.3f}" for value in fingers)
+def _rounded(value: object) -> object:
+    if isinstance(value, tuple):
+        return tuple(round(one, _DECIMALS) for one in value)
+    return round(float(value), _DECIMALS)  # type: ignore[arg-type]
 
 
-def _row(values: tuple[float, ...]) -> str:
-    return f"[{', '.join(map(_number, values))}]"
-
-
-def _number(value: float) -> str:
+def _value(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(f'{one:.{_DECIMALS}f}' for one in value)}]"
     return f"{value:.{_DECIMALS}f}"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.skin import Skin, skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -75,7 +76,7 @@ class FrameRows:
         if drawing is None:
             return Rows(np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0))
         parts = [self._surface(tile, drawing, hand, moves), self._silhouette(tile, drawing, hand, moves)]
-        parts.append(self._unexplained(tile, drawing, hand, moves))
+        parts.append(self._unexplained(tile, drawing, pose, hand, moves))
         return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def _drawn(self, tile: Tile, pose: FloatArray, hand: HandModel) -> Drawing | None:
@@ -120,9 +121,13 @@ class FrameRows:
         return _along(hand, drawing, moves, faces, points, ways), residuals, weights
 
     def _unexplained(
-        self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
+        self, tile: Tile, drawing: Drawing, pose: FloatArray, hand: HandModel, moves: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Observed where nothing is drawn, or something far from it: the way of the nearest skin to it."""
+        """Observed where nothing is drawn, or something far from it: the way of the nearest skin to it.
+
+        What lies behind the wrist is forearm, wherever segmentation has cut it off: a hand that had to cover
+        it would grow.
+        """
         from scipy.spatial import cKDTree
 
         terms, z = self._terms, _depth(drawing)
@@ -132,6 +137,8 @@ class FrameRows:
         if not facing.size or not there.any():
             return np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0)
         points = _points(tile, there, tile.image)
+        behind = (points - pose[:3]) @ rotations.matrices_from_quaternions(pose[3:7])[:, 1]
+        points = points[behind < -WRIST_PART * _palm_length(hand)]
         residuals, nearest = cKDTree(drawing.vertices[facing]).query(points)
         vertices = facing[nearest]
         ways = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
@@ -141,31 +148,36 @@ class FrameRows:
 
 
 def vertex_moves(
-    poses: FloatArray, hand: HandModel, varied: Sequence[HandModel], step: float
+    poses: FloatArray, hand: HandModel, varied: Sequence[HandModel], steps: FloatArray
 ) -> Iterator[FloatArray]:
     """Yield for each of the poses (F, 22) how fast the posed vertices move: (V, 21 + S, 3).
 
     Args:
         poses: of the frames.
         hand: the hand in its present shape.
-        varied: the hand with each of S shape parameters larger by ``step``.
-        step: in the parameters' units; derivatives are by these.
+        varied: the hand with each of S shape parameters larger by a step.
+        steps: (S,) in the parameters' units; derivatives are by these.
     """
     others = [_posed(other, poses) for other in varied]
-    steps = np.vstack([np.zeros(TANGENT_SIZE), np.diag(POSE_STEPS)])
+    moves = np.vstack([np.zeros(TANGENT_SIZE), np.diag(POSE_STEPS)])
     for f, pose in enumerate(poses):
-        here, *there = _posed(hand, _SPACE.retract(np.tile(pose, (TANGENT_SIZE + 1, 1)), steps))
+        here, *there = _posed(hand, _SPACE.retract(np.tile(pose, (TANGENT_SIZE + 1, 1)), moves))
         by_pose = (np.array(there) - here) / POSE_STEPS[:, None, None]
-        by_shape = np.array([(other[f] - here) / step for other in others]).reshape(-1, *here.shape)
+        shape_moves = [(other[f] - here) / step for other, step in zip(others, steps, strict=True)]
+        by_shape = np.array(shape_moves).reshape(-1, *here.shape)
         yield np.moveaxis(np.concatenate([by_pose, by_shape]), 0, 1)
 
 
 def wrist_shares(hand: HandModel) -> FloatArray:
     """How much each vertex (V,) counts: little at the wrist, fully from ``WRIST_PART`` of the palm on."""
-    knuckles = float(hand.anatomy.base_positions[1:, 1].mean())
-    along = hand.smooth.vertices[:, 1] / knuckles
+    along = -hand.smooth.vertices[:, 1] / _palm_length(hand)
     palm = hand.smooth.weights[:, 0] > 0.5
     return np.where(palm, np.clip(along / WRIST_PART, LEAST_SHARE, 1.0), 1.0)
+
+
+def _palm_length(hand: HandModel) -> float:
+    """From the wrist to the knuckles, mm."""
+    return -float(hand.anatomy.base_positions[1:, 1].mean())
 
 
 def _posed(hand: HandModel, poses: FloatArray) -> FloatArray:

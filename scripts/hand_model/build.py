@@ -1,0 +1,73 @@
+"""The hands that are shipped: mean and modes of people's, each a GLB file with the joint names of WebXR.
+
+The people have the same triangles in the same order, as one rig's have that is reshaped.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+from tqdm import tqdm
+
+from hand_model.people import rows
+from hand_model.template import adult, cage_of
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED
+from posetrack_cli.outputs import whole_or_nothing
+
+BONE_WEIGHT = 4.0
+"""A millimetre of a bone counts as so many of one coordinate of the skin: modes are to explain both."""
+_BONES = 30  # numbers behind the cage's: bases and segments
+_RADII = 20
+_DIGITS = 6
+
+
+def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Mean (D,) and the strongest modes (count, D) of hands (N, D), in standard deviations, signs fixed."""
+    weights = np.ones(hands.shape[1])
+    weights[-_BONES - _RADII : -_RADII] = BONE_WEIGHT
+    mean = hands.mean(axis=0)
+    _, s, vt = np.linalg.svd((hands - mean) * weights, full_matrices=False)
+    modes = vt[:count] * (s[:count, None] / np.sqrt(len(hands) - 1.0)) / weights
+    strongest = np.take_along_axis(modes, np.abs(modes).argmax(axis=1)[:, None], axis=1)
+    return mean, modes * np.sign(strongest)
+
+
+@click.command()
+@click.argument("people", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "-o", "--output", default=SHIPPED, show_default="the one shipped", type=click.Path(path_type=Path)
+)
+def main(people: tuple[Path, ...], output: Path) -> None:
+    """Learn mean and modes from PEOPLE, GLB files or folders of them, and write them."""
+    files = sorted(path for one in people for path in (one.rglob("*.glb") if one.is_dir() else [one]))
+    hands = np.array(list(tqdm(rows(files), total=len(files), unit="hand")))
+    mean, modes = modes_of(hands, COEFFICIENTS)
+    cage = cage_of(adult())
+    with whole_or_nothing(output) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            mean=_rounded(mean),
+            modes=_rounded(modes),
+            weights=_rounded(cage.weights),
+            triangles=cage.triangles.astype(np.int16),
+        )
+    rest = hands - mean
+    unexplained = rest - rest @ np.linalg.pinv(modes) @ modes
+    skin = unexplained[:, : -_BONES - _RADII].reshape(len(hands), -1, 3)
+    bones = unexplained[:, -_BONES - _RADII : -_RADII]
+    click.echo(
+        f"{output}: {len(hands)} hands, {COEFFICIENTS} modes leave"
+        f" {np.sqrt((skin**2).sum(axis=2).mean()):.2f} mm of skin, {np.sqrt((bones**2).mean()):.2f} of bones"
+    )
+
+
+def _rounded(values: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Without the last bits, which differ from machine to machine."""
+    return np.round(values, _DIGITS).astype(np.float32)
+
+
+if __name__ == "__main__":
+    main()
