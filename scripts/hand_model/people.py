@@ -10,7 +10,7 @@ import numpy as np
 
 from hand_model.joints import anatomical_joints
 from hand_model.registration import Skin, Template
-from hand_model.template import adult, cage_of
+from hand_model.template import adult, cage_of, with_wrist
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
 from posetrack_cli.hand.population import HAND_LENGTH_MM
@@ -41,9 +41,9 @@ def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
         hand = _reshaped(_person(path, rng), rng)
         vertices = reference.posed(_stretches(mean.anatomy, hand.anatomy)[None])[0]
         cage = template.cage(template.laid(vertices, Skin(hand.skin)))
-        a = hand.anatomy
-        parts = (cage, a.base_positions, a.segments, a.radii)
-        yield np.concatenate([part.ravel() for part in parts]) * (HAND_LENGTH_MM / _length(a))
+        a, size = hand.anatomy, HAND_LENGTH_MM / _length(hand.anatomy)
+        parts = (with_wrist(size * cage), *(size * one for one in (a.base_positions, a.segments, a.radii)))
+        yield np.concatenate([part.ravel() for part in parts])
 
 
 def _person(path: Path, rng: np.random.Generator | None) -> FileHand:

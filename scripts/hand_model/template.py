@@ -46,7 +46,7 @@ _RADII = np.array(
 _ROWS = ((0.0, 18.0, 0.80), (0.20, 17.5, 0.86), (0.66, 15.0, 0.98))
 _THUMB_ROWS = (1, 2)  # the thumb's hole lies between these rings
 _WRIST_HALF_WIDTH = 31.0
-_WRIST_END = 8.0  # the mesh ends this far behind the wrist joint, mm
+_WRIST_END, _CAP = 8.0, 5.0  # the mesh ends this far behind the wrist joint, and is closed so far beyond, mm
 _COLUMNS = 18  # 8 dorsal, little finger's side, 8 palmar, index finger's side
 _LITTLE_SIDE, _INDEX_SIDE = 8, 17
 
@@ -119,6 +119,19 @@ def cage_of(anatomy: HandAnatomy) -> SkinnedMesh:
     return SkinnedMesh(np.array(built.vertices), np.array(built.weights), _triangles())
 
 
+def with_wrist(cage: FloatArray) -> FloatArray:
+    """Return a cage (C, 3) that was laid on a skin, in lengths of a hand, drawn out behind the wrist joint.
+
+    People's skins end at the wrist, some before it. A forearm begins inside the hand; where the wrist is bent,
+    nothing would be drawn between the two.
+    """
+    ends = cage.copy()
+    ends[:_COLUMNS, 1] = _WRIST_END
+    x, _, z = cage[:_COLUMNS].mean(axis=0)
+    ends[_COLUMNS * len(_ROWS)] = x, _WRIST_END + _CAP, z
+    return ends
+
+
 @functools.cache
 def _triangles() -> IntArray:
     """Diagonals of the cage's quadrangles that suit the adult's hand."""
@@ -129,7 +142,7 @@ def _built_cage(anatomy: HandAnatomy) -> _Builder:
     """The cage of a right hand of scale 1."""
     builder = _Builder()
     rows = [_palm_row(builder, anatomy, *row) for row in _ROWS]
-    wrist = builder.vertex(np.array([0.0, _WRIST_END + 5.0, 0.0]), {0: 1.0})
+    wrist = builder.vertex(np.array([0.0, _WRIST_END + _CAP, 0.0]), {0: 1.0})
     builder.fan(rows[0][::-1], wrist)
     _join_rows(builder, rows)
     bases = _finger_bases(builder, anatomy, rows[-1])

@@ -17,7 +17,9 @@ from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.local_fits import without_arm
+from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import IGNORED, NO_ARM, Observation, window_around
+from posetrack_cli.hand.shape import random_shape
 from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.mesh import is_closed
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
@@ -74,6 +76,32 @@ def test_a_tube_goes_on_where_the_hand_ends_and_faces_outwards(name: str) -> Non
         volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
         assert 0.5 < volume / (np.pi * 25.0 * 35.0 * np.ptp(tube[:, 1])) < 1.5
         assert is_closed(bare.triangles)
+
+
+@pytest.mark.parametrize("bend", [-0.8, -0.4, 0.0, 0.4, 0.8])
+@pytest.mark.parametrize("seed", [None, 1, 2])
+def test_a_bent_wrist_leaves_no_gap_before_it(bend: float, seed: int | None) -> None:
+    """Of the average hand, and of others of the population: their skin reaches into the tube."""
+    shape = None if seed is None else random_shape(np.random.default_rng(seed))
+    hand = average_hand("right", shape)
+    pose = bent()
+    pose[:3] = 0.0, 0.0, 600.0
+    arm = arm_towards(np.array([0.0, np.cos(bend), np.sin(bend)]))
+    out, fitter = empty_posed(), HandFitter(hand, KINECT, TILE_PX)
+    pose_bones(fitter.hand.skeleton, pose, out)
+    place_arm(arm, out)
+    window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())
+    drawing = empty_drawing(fitter.hand.skin.mesh, TILE_PX, TILE_PX)
+    assert draw(fitter.hand.skin.mesh, out.bones, View(*window.tile_projection(KINECT)), drawing)
+    # the limb's middle, from the palm past the wrist joint to where the forearm is
+    along = np.linspace(-40.0, 30.0, 100)[:, None]
+    middle = pose[:3] + np.where(along < 0.0, along * DOWN, along * arm[:3])
+    pixels = KINECT.pixels_from_points(middle)[0]
+    columns = np.rint((pixels[:, 0] - window.left) / window.step).astype(int)
+    rows = np.rint((pixels[:, 1] - window.top) / window.step).astype(int)
+    inside = rows < TILE_PX
+    assert inside.sum() > 50
+    assert (drawing.inverse[rows[inside], columns[inside]] > 0.0).all()
 
 
 @each_hand

@@ -19,7 +19,7 @@ RIGHT, LEFT = make_anatomy("right"), make_anatomy("left")
 FLOAT32_MM = 1e-3
 """Skinning transforms are float32: lengths of 1e3 mm times 1.2e-7, several terms."""
 TIP_MM = 8.0
-"""How far joint and skin end apart: where the tip joint lies is a convention, on which rigs differ by 4 mm."""
+"""How far joint and skin end apart: where the tip joint lies is a convention; rigs differ by 4 mm."""
 COUNTS = {"lean": 410, "medium": 1640, "fine": 6560}
 
 every_level = pytest.mark.parametrize("level", LEVELS)
@@ -106,6 +106,7 @@ def test_scale_and_finger_lengths_reach_the_skin() -> None:
 def test_a_hand_s_size(level: str) -> None:
     vertices = hand_mesh(RIGHT, level).vertices
     assert 170.0 < -vertices[:, 1].min() < 190.0  # wrist to the middle finger's end
+    assert 8.0 < vertices[:, 1].max() < 20.0  # behind the wrist, as a forearm begins inside the hand
     knuckles = vertices[(vertices[:, 1] < -75.0) & (vertices[:, 1] > -95.0) & (vertices[:, 0] < 55.0)]
     assert 70.0 < np.ptp(knuckles[:, 0]) < 95.0
     # an adult's hand displaces 300 to 400 ml with the whole wrist, and ours ends before it
@@ -238,7 +239,9 @@ def test_the_skin_stays_around_the_bones_whatever_the_pose(level: str) -> None:
     assert distance.max() < 35.0  # half a palm is as wide
     fingers = mesh.weights[:, 0] < 0.01
     before = bone_distances(mesh.vertices[None], joint_positions(RIGHT, REST[None])).min(axis=-1)[0]
-    pulled_mm = 6.0  # by bends, of what is bound to two bones: a finger's radius times 1 - cos(90 deg / 2), twice
+    pulled_mm = (
+        6.0  # by bends, of what is bound to two bones: a finger's radius times 1 - cos(90 deg / 2), twice
+    )
     assert (distance - before)[:, fingers].max() < pulled_mm
     # linear blending loses some volume at every bend, but nothing collapses or turns inside out
     rest = enclosed_volume(mesh.vertices, mesh.triangles)
