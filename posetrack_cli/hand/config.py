@@ -45,7 +45,8 @@ class HandSettings(Settings):
     def _without_coefficients(cls, mesh: str | None, info: ValidationInfo) -> str | None:
         """Modes are of the hand that is shipped; how a file's hand differs, factors tell."""
         if mesh is not None and info.data.get("coefficients"):
-            raise PydanticCustomError("coefficients", "no hand.coefficients beside it, which no file's hand has")
+            expected = "no hand.coefficients beside it, which no file's hand has"
+            raise PydanticCustomError("coefficients", expected)
         return mesh
 
     @property

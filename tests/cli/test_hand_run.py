@@ -78,8 +78,8 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def told(recording: Path) -> list[str]:
-    """The true side and first pose: to search a whole image for them takes longer than some frames."""
-    return [*RIGHT, "--init", str(recording)]
+    """The true side, shape and first pose: to search a whole image for them takes longer than some frames."""
+    return [*RIGHT, "--shape", "average", "--init", str(recording)]
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_a_run_that_is_told_nothing_finds_what_one_is_told(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The side, and in its first frame the hand, which the hand's true size does not change."""
-    given = {"nothing": [], "side and size": [*RIGHT, "--set", "hand.scale=1.0"]}
+    given = {"nothing": [], "side and shape": [*RIGHT, "--shape", "average"]}
     for name, options in given.items():
         output = str(tmp_path / f"{name}.mcap")
         assert run(["hand", "run", str(recording), "-o", output, *SMALL, "--end", "2", *options]) == 0

@@ -56,7 +56,7 @@ def test_15_angles_in_the_paper_s_order() -> None:
 
 @pytest.mark.parametrize("finger", FINGERS)
 def test_bones_are_as_long_as_people_s(finger: str) -> None:
-    """Buryanov and Kotiuk 2010: bones of adults vary by a tenth of their length, and these are of the mean."""
+    """Buryanov and Kotiuk 2010: bones of adults vary by a tenth of their length; these are of the mean."""
     metacarpal, proximal, middle, distal, tip = BONE_LENGTHS_MM[finger]
     # the thumb has one phalanx less, and its metacarpal moves
     published = [*((metacarpal, proximal) if finger == "thumb" else (proximal, middle)), distal + tip]

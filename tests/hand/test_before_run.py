@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.calibration import before_run
-from posetrack_cli.hand.calibration.before_run import MOST_ASKED, find_hand
+from posetrack_cli.hand.calibration import before_run, trial
+from posetrack_cli.hand.calibration.before_run import WELL_KNOWN_MM, find_hand
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions
+from posetrack_cli.hand.calibration.trial import MOST_ASKED, is_size_open
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.segmentation import Detection
-from posetrack_cli.hand.shape import SHAPE_SIZE, HandShape
+from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.writing import write_synthetic
+from support.calibrations import calibration_of
 
 FRAMES = 24
 HALF_A_STEP = 0.077  # 1.16^(1/2) - 1
@@ -40,10 +41,17 @@ def open_path(path: Path) -> Recording:
 
 
 def with_hand(**values: object) -> HandConfig:
-    return HandConfig.model_validate({"hand": values})
+    """A hand that is as the configuration says, whatever its shape."""
+    return HandConfig.model_validate({"hand": values, "init": {"shape": "given"}})
 
 
-def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path]) -> None:
+def never(*arguments: object) -> Calibration:
+    raise AssertionError("a shape is estimated")
+
+
+def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """And as the average hand explains what is seen, no other shape is looked for."""
+    monkeypatch.setattr(before_run, "shape_of", never)
     side, path = seen
     found = find_hand(open_path(path), FEW, start=0, seed=0)
     assert found.config.hand.side == side
@@ -69,6 +77,9 @@ def test_without_a_hand_a_right_one_is_expected_and_that_is_said(
     found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
     assert found.config.hand.side == "right"
     assert "no hand" in found.line and "--hand-side" in found.line
+    told = HandConfig.model_validate({"hand": {"side": "left"}})
+    found = find_hand(open_path(seen[1]), told, start=0, seed=0)
+    assert found.config == told and found.line == ""  # nothing is left open that could be told
 
 
 def test_after_the_last_frame_nothing_is_looked_at(seen: tuple[str, Path]) -> None:
@@ -88,7 +99,7 @@ def say_costs(
         return next(told[self.observer.anatomy.side]), places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)
-    monkeypatch.setattr(before_run, "ASKED_EVERY", 1)
+    monkeypatch.setattr(trial, "ASKED_EVERY", 1)
     return told
 
 
@@ -113,36 +124,110 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
-def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path) -> None:
+def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hand three quarters as large as expected: its size to half a step between those tried.
 
-    That a size that is told is not asked for the tests of told costs show: there are none for other sizes.
+    It stays that where no frames tell more. That a size that is told is not asked for the tests of told
+    costs show: there are none for other sizes.
     """
+
+    def too_few(*arguments: object) -> Calibration:
+        raise RecordingError("no hand that can be tracked")
+
+    monkeypatch.setattr(before_run, "shape_of", too_few)
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=3, frames=FRAMES, side="right", scale=0.78), path)
     found = find_hand(open_path(path), FEW, start=0, seed=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
-    assert f"of scale {found.config.hand.scale:.2f}" in found.line
-    told = FEW.model_copy(update={"hand": with_hand(side="right").hand})
-    of_side = find_hand(open_path(path), told, start=0, seed=0)
+    assert found.line == f"a right hand of scale {found.config.hand.scale:.2f}"
+    hand = FEW.hand.model_copy(update={"side": "right"})
+    of_side = find_hand(open_path(path), FEW.model_copy(update={"hand": hand}), start=0, seed=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
 
 
-def test_a_calibrated_hand_is_what_is_tracked(
+SHAPE = HandShape(1.04, coefficients=(1.5, -0.5))
+
+
+@pytest.fixture
+def strange(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No hand explains the frames, of either side and whatever size; the right one does less badly."""
+
+    def appraise(
+        self: Acquisition, depth: object, places: list[Detection], others: object
+    ) -> tuple[float, list[Detection]]:
+        away = abs(self.observer.anatomy.scale - 1.0)
+        return WELL_KNOWN_MM + 2.0 + 3.0 * (self.observer.anatomy.is_left) + 10.0 * away, places
+
+    monkeypatch.setattr(Acquisition, "appraise", appraise)
+    monkeypatch.setattr(trial, "ASKED_EVERY", 1)
+
+
+@pytest.mark.usefixtures("strange")
+@pytest.mark.parametrize("side", ["auto", "right"])
+def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, side: str
+) -> None:
+    asked: list[tuple[HandConfig, CalibrationOptions]] = []
+
+    def estimated(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
+        asked.append((config, options))
+        return calibration_of(SHAPE, costs_mm=(4.0, 2.5))
+
+    monkeypatch.setattr(before_run, "shape_of", estimated)
+    config = HandConfig.model_validate({"hand": {"side": side}})
+    told: list[str] = []
+    found = find_hand(open_path(seen[1]), config, start=3, seed=5, report=told.append)
+    assert found.config.hand.side == "right" and found.config.hand.shape == SHAPE
+    assert found.config.model_copy(update={"hand": config.hand}) == config
+    ((known, options),) = asked
+    assert known.hand.side == "right" and known.hand.scale == 1.0
+    assert options == CalibrationOptions("right", seed=5, start=3)
+    assert found.line == "a right hand, 188 mm long"
+    assert told == ["estimating the hand's shape"]
+
+
+@pytest.mark.usefixtures("strange")
+def test_a_shape_that_explains_no_more_is_not_taken(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shape = HandShape.of_factors(1.0 + 0.01 * np.arange(SHAPE_SIZE))
-    asked: list[CalibrationOptions] = []
+    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: calibration_of(SHAPE, costs_mm=(4.0, 4.0)))
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    assert found.config.hand.shape == HandShape() and found.line == "a right hand"
 
-    def calibrated(recording: Recording, config: HandConfig, options: CalibrationOptions, report: object):  # type: ignore[no-untyped-def]
-        asked.append(options)
-        return Calibration("left", shape, np.zeros(SHAPE_SIZE), 20, 9, 1.234)
 
-    monkeypatch.setattr(before_run, "calibrate", calibrated)
-    config = HandConfig.model_validate({"init": {"calibrate": True}, "hand": {"mesh": "file.glb"}})
-    found = find_hand(open_path(seen[1]), config, start=3, seed=5)
-    assert found.config.hand.side == "left" and found.config.hand.shape == shape
-    assert found.config.hand.mesh == "file.glb"  # the factors are of that hand
-    assert asked == [replace(CalibrationOptions(), side=None, seed=5, start=3)]
-    assert "left" in found.line and "9 frames" in found.line and "1.23 mm" in found.line
+@pytest.mark.usefixtures("strange")
+def test_what_is_doubtful_of_a_shape_is_in_the_line(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    giant = calibration_of(HandShape(1.4), costs_mm=(4.0, 3.0))
+    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: giant)
+    line = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0).line
+    assert line.startswith("a right hand, 253 mm long, which no hand is") and "\n" not in line
+
+
+@pytest.mark.usefixtures("strange")
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"init": {"shape": "given"}},
+        {"hand": {"scale": 1.1}},
+        {"hand": {"coefficients": [0.5]}},
+        {"hand": {"thumb_place": 1.2}},
+        {"filter": {"proposal": "marginal"}},
+        {"filter": {"kind": "pso"}},
+    ],
+    ids=str,
+)
+def test_a_shape_that_is_told_or_misleads_no_fit_is_not_estimated(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, told: dict[str, object]
+) -> None:
+    monkeypatch.setattr(before_run, "shape_of", never)
+    config = HandConfig.model_validate(told)
+    assert not is_size_open(config) and is_size_open(HandConfig())
+    found = find_hand(open_path(seen[1]), config, start=0, seed=0)
+    assert found.config.hand.shape == config.hand.shape
+
+
+def test_a_hand_from_a_file_has_the_file_s_shape() -> None:
+    assert not is_size_open(HandConfig.model_validate({"hand": {"mesh": "hand.glb"}}))

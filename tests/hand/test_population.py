@@ -67,7 +67,7 @@ def test_modes_are_told_apart_and_the_strongest_come_first() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_hands_of_scale_1_are_of_one_length(seed: int) -> None:
-    """Each that was learned from is 181 mm long; between them the length of a sum of vectors is not linear."""
+    """Each that was learned from is 181 mm long; between them the length is no linear function."""
     hand = PEOPLE.hand(drawn(seed))
     length = np.linalg.norm(hand.bases[2]) + hand.segments[2].sum()
     assert length == pytest.approx(HAND_LENGTH_MM, abs=1.0)
@@ -84,12 +84,12 @@ def test_a_drawn_hand_is_one(seed: int) -> None:
         mesh = hand_mesh(anatomy, level)
         volumes.append(enclosed_volume(mesh.vertices, mesh.triangles) / 1000.0)
     # ml, of hands of one length: thin to thick
-    assert 100.0 < min(volumes) and max(volumes) < 420.0
+    assert min(volumes) > 100.0 and max(volumes) < 420.0
 
 
 @pytest.mark.parametrize("k", range(0, COEFFICIENTS, 5))
 def test_a_mode_changes_the_skin_smoothly(k: int) -> None:
-    """Neighbours move alike: edges change by less than what the ends move, and never by half of themselves."""
+    """Neighbours move alike: edges change by less than what their ends move, and by little of themselves."""
     a, b = PEOPLE.triangles.T[:2]
     hands = [PEOPLE.hand(unit(k, size)).cage for size in (0.0, 1.0)]
     moved = np.linalg.norm(hands[1] - hands[0], axis=1)

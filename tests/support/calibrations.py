@@ -1,0 +1,19 @@
+"""Calibrations as they may come out, without one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.hand.calibration.calibrate import Calibration
+from posetrack_cli.hand.calibration.measures import measured
+from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.shape import HandShape, PopulationSpace
+
+
+def calibration_of(
+    shape: HandShape, side: str = "right", costs_mm: tuple[float, float] = (4.0, 2.0), known: float = 0.2
+) -> Calibration:
+    """What a calibration that found a shape says; ``known`` is the share of the prior's deviations left."""
+    space = PopulationSpace()
+    numbers = measured(average_hand, space, side, shape, np.diag((known * space.sd) ** 2))
+    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm)
