@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from posetrack_cli.configuration import Settings
 from posetrack_cli.hand.population import COEFFICIENTS
@@ -38,6 +39,14 @@ class HandSettings(Settings):
     thumb_place: Annotated[float, Field(ge=0.5, le=2.5)] = 1.0
     coefficients: Annotated[tuple[Coefficient, ...], Field(max_length=COEFFICIENTS)] = ()
     mesh: str | None = None
+
+    @field_validator("mesh")
+    @classmethod
+    def _without_coefficients(cls, mesh: str | None, info: ValidationInfo) -> str | None:
+        """Modes are of the hand that is shipped; how a file's hand differs, factors tell."""
+        if mesh is not None and info.data.get("coefficients"):
+            raise PydanticCustomError("coefficients", "no hand.coefficients beside it, which no file's hand has")
+        return mesh
 
     @property
     def shape(self) -> HandShape:

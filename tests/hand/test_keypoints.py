@@ -10,7 +10,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.calibration.before_run import CLEAR_LOG_ODDS
+from posetrack_cli.hand.calibration.trial import CLEAR_LOG_ODDS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import FEWEST, places_in_image, places_in_space, skin_depths

@@ -55,5 +55,5 @@ def test_bent_hands_are_open_and_closed() -> None:
     fine, bends = hand_mesh(anatomy, "medium"), bent_hands(anatomy)
     np.testing.assert_allclose(bends[0], skinning_transforms(anatomy, random_poses(1) * 0 + np.eye(22)[6])[0])
     spans = np.ptp(fine.posed(bends), axis=1)[:, 1]
-    assert spans[0] > 180.0  # from wrist to fingertips
+    assert spans[0] > 165.0  # from wrist to fingertips
     assert spans[2] < 130.0  # a fist

@@ -1,4 +1,4 @@
-"""Shapes of hands: sixteen factors, what they do to bones and skin, and where they come from."""
+"""Shapes of hands: coefficients and sixteen factors, what they do to bones and skin, where they come from."""
 
 from __future__ import annotations
 
@@ -9,12 +9,27 @@ from hypothesis import strategies as st
 
 from posetrack_cli.configuration import validated
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand.anatomy import FINGERS, MIRROR, SEGMENT_RADII, make_anatomy
+from posetrack_cli.hand.anatomy import FINGERS, MIRROR, make_anatomy
 from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.model import average_hand, hand_model
-from posetrack_cli.hand.shape import POPULATION_SD, SHAPE_NAMES, SHAPE_SIZE, HandShape, random_shape
+from posetrack_cli.hand.population import COEFFICIENTS
+from posetrack_cli.hand.shape import (
+    MOST_COEFFICIENT,
+    MOST_DRAWN,
+    POPULATION_SD,
+    SHAPE_NAMES,
+    SHAPE_SIZE,
+    FactorSpace,
+    HandShape,
+    PopulationSpace,
+    ShapeSpace,
+    random_shape,
+    reshaped_anatomy,
+    shape_between,
+    shape_space,
+)
 from posetrack_cli.rendering.mesh import is_closed
 from support.hand import REST, enclosed_volume
 
@@ -71,7 +86,7 @@ def test_joints_and_radii_follow_the_factors(shape: HandShape) -> None:
         chain = joints[1 + 4 * finger : 5 + 4 * finger]
         wanted = shape.scale * shape.finger_lengths[finger] * AVERAGE.segments[finger]
         np.testing.assert_allclose(np.linalg.norm(np.diff(chain, axis=0), axis=1), wanted, atol=1e-9)
-        radii = shape.scale * shape.finger_widths[finger] * SEGMENT_RADII[finger]
+        radii = shape.scale * shape.finger_widths[finger] * AVERAGE.radii[finger]
         np.testing.assert_allclose(anatomy.radii[finger], radii, atol=1e-9)
         place = [1.0, shape.thumb_place if finger == 0 else 1.0, 1.0]
         base = shape.scale * AVERAGE.base_positions[finger] * shape.palm * place
@@ -124,16 +139,55 @@ def test_factors_and_shape_are_each_other() -> None:
     assert len(POPULATION_SD) == SHAPE_SIZE
 
 
-def test_random_hands_differ_as_much_as_promised() -> None:
-    factors = np.array([random_shape(np.random.default_rng(seed)).factors for seed in range(400)])
-    spread = np.array([0.15, *[0.10] * (SHAPE_SIZE - 1)])
-    assert (np.abs(factors - 1.0) <= spread).all()
+def test_random_hands_differ_as_people_do() -> None:
+    shapes = [random_shape(np.random.default_rng(seed)) for seed in range(400)]
+    assert all(shape.factors[1:] == pytest.approx(1.0) for shape in shapes)
+    scales = np.array([shape.scale for shape in shapes])
     # uniform: that none of 400 lies in the outermost 5 per cent of the range has a chance of .95^400, 1e-9
-    assert (factors.max(axis=0) > 1.0 + 0.9 * spread).all() and (
-        factors.min(axis=0) < 1.0 - 0.9 * spread
-    ).all()
-    same = [random_shape(np.random.default_rng(5)) for _ in range(2)]
-    assert same[0] == same[1]
+    assert 0.85 <= scales.min() < 0.865 and 1.135 < scales.max() <= 1.15
+    drawn = np.array([shape.coefficients for shape in shapes])
+    assert drawn.shape[1] == COEFFICIENTS and np.abs(drawn).max() == MOST_DRAWN
+    # normal, cut at 2: of variance 1 - 2 * (what lies beyond) about .92; sd of it sqrt(2 / 400) each
+    assert (np.abs(drawn.mean(axis=0)) < 5.0 / np.sqrt(400)).all()
+    assert (np.abs(drawn.var(axis=0) - 0.92) < 5.0 * np.sqrt(2.0 / 400)).all()
+    assert random_shape(np.random.default_rng(5)) == shapes[5]
+
+
+@pytest.mark.parametrize("space", [PopulationSpace(), FactorSpace()], ids=["population", "factors"])
+def test_a_shape_s_numbers_are_the_shape_s(space: ShapeSpace) -> None:
+    size = len(space.names)
+    assert {len(values) for values in (space.sd, space.low, space.high, space.steps)} == {size}
+    np.testing.assert_allclose(space.theta(HandShape()), 0.0)
+    assert space.shape(np.zeros(size)).factors == pytest.approx(1.0)
+    rng = np.random.default_rng(3)
+    for theta in (space.low, space.high, *(space.sd * rng.standard_normal((5, size))).clip(space.low)):
+        np.testing.assert_allclose(space.theta(space.shape(theta)), theta, atol=1e-12)
+    assert (space.low < -2.0 * space.sd).all() and (space.high > 2.0 * space.sd).all()
+
+
+@pytest.mark.parametrize("space", [PopulationSpace(), FactorSpace()], ids=["population", "factors"])
+def test_a_configuration_takes_every_shape_of_a_space(space: ShapeSpace) -> None:
+    """So what a calibration finds can be written, and read again."""
+    for theta in (space.low, space.high):
+        shape = space.shape(theta)
+        stated = {name: getattr(shape, name) for name in HandSettings.model_fields if hasattr(shape, name)}
+        assert HandSettings.model_validate(stated).shape == shape
+
+
+def test_what_is_unknown_of_a_hand() -> None:
+    assert shape_space(None).names[0] == "scale" and len(shape_space(None).names) == 1 + COEFFICIENTS
+    assert shape_space("hand.glb").names == SHAPE_NAMES
+    short = HandShape(1.1, coefficients=(0.5, -1.0))
+    padded = shape_space(None).shape(shape_space(None).theta(short))
+    assert padded.coefficients == (0.5, -1.0, *[0.0] * (COEFFICIENTS - 2))
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@settings(deadline=None, max_examples=25)
+@given(shape=shapes())
+def test_the_shape_between_two_hands_takes_one_to_the_other(side: str, shape: HandShape) -> None:
+    other = reshaped_anatomy(AVERAGE, side, shape)
+    np.testing.assert_allclose(shape_between(AVERAGE, other).factors, shape.factors, rtol=1e-12)
 
 
 def test_the_configuration_s_hand() -> None:
@@ -146,8 +200,51 @@ def test_the_configuration_s_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [{"palm_width": 0.5}, {"finger_widths": [1.0] * 4}, {"wrist_width": 2.0}, {"thumb_place": 3.0}]
+    "values",
+    [
+        {"palm_width": 0.5},
+        {"finger_widths": [1.0] * 4},
+        {"wrist_width": 2.0},
+        {"thumb_place": 3.0},
+        {"coefficients": [0.0, 1.01 * MOST_COEFFICIENT]},
+        {"coefficients": [-1.01 * MOST_COEFFICIENT]},
+        {"coefficients": [0.0] * (COEFFICIENTS + 1)},
+        {"coefficients": 1.0},
+    ],
 )
 def test_shapes_that_fold_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(UsageError, match=next(iter(values))):
         validated(HandSettings, values, "hand.toml")
+
+
+def test_a_hand_from_a_file_has_no_coefficients() -> None:
+    """The modes are of the hand that is shipped: refused, as nothing would be done with them."""
+    with pytest.raises(UsageError, match=r"^hand.toml: 'mesh' cannot be used, found 'a.glb'.*coefficients"):
+        validated(HandSettings, {"mesh": "a.glb", "coefficients": [0.5]}, "hand.toml")
+    assert validated(HandSettings, {"mesh": "a.glb", "coefficients": []}, "hand.toml").mesh == "a.glb"
+
+
+def test_a_file_of_factors_is_read_as_ever() -> None:
+    """What former calibrations wrote, sixteen factors, is a shape still: of the average hand's bones."""
+    former = {
+        "side": "left",
+        "scale": 0.95,
+        "finger_lengths": [1.0, 1.1, 1.0, 0.9, 1.0],
+        "finger_widths": [1.0] * 5,
+        "palm_width": 1.05,
+        "palm_length": 1.0,
+        "palm_thickness": 1.0,
+        "wrist_width": 0.9,
+        "thumb_place": 1.2,
+    }
+    hand = hand_model(validated(HandSettings, former, "hand.toml")).anatomy
+    lengths = 0.95 * np.array(former["finger_lengths"])[:, None]
+    np.testing.assert_allclose(hand.segments, lengths * AVERAGE.segments)
+    assert hand.is_left and hand.wrist == 0.9
+
+
+def test_coefficients_of_the_configuration_reach_the_hand() -> None:
+    made = hand_model(HandSettings(coefficients=(0.5, -1.5), scale=1.1))
+    expected = average_hand("right", HandShape(1.1, coefficients=(0.5, -1.5)))
+    np.testing.assert_array_equal(made.smooth.vertices, expected.smooth.vertices)
+    assert np.abs(made.anatomy.segments - 1.1 * AVERAGE.segments).max() > 1.0

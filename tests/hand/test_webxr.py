@@ -27,6 +27,8 @@ from support.hand import enclosed_volume, posed_from, random_poses
 
 FLOAT32_MM = 1e-3
 """Positions in a file are float32 metres: 0.3 m times 6e-8, and skinning transforms are float32 at 0.1 m."""
+RING_MM = 2.0
+"""To either side of a joint: as far apart as the vertices of the finest skin are."""
 LENGTHS, WIDTHS = (1.05, 0.95, 1.0, 1.1, 0.9), (1.1, 0.9, 1.0, 1.0, 1.2)
 SHAPED = make_anatomy("right", 1.1, LENGTHS, WIDTHS)
 AXES = posed_from(np.array([30.0, -40.0, 120.0]), np.array([1.1, -0.7, 2.0]), np.zeros(15))
@@ -97,8 +99,16 @@ def test_a_bent_hand_s_skin_is_straightened(tmp_path: Path) -> None:
 
 def test_radii_are_those_of_the_skin(tmp_path: Path) -> None:
     found = load_hand(write_hand(tmp_path / "right.glb", SHAPED, AXES)).anatomy
-    inner = np.s_[1:, 1:3]  # PIP and DIP: rings of the mesh are just there
-    np.testing.assert_allclose(found.radii[inner], SHAPED.radii[inner], rtol=0.1)
+    mesh = hand_mesh(SHAPED, "fine")
+    for finger in range(1, 5):
+        local = (mesh.vertices - SHAPED.base_positions[finger]) @ SHAPED.base_rotations[finger]
+        mine = mesh.weights[:, 1 + 3 * finger : 4 + 3 * finger].sum(axis=1) > 0.9
+        for place, along in enumerate(np.cumsum(SHAPED.segments[finger])[:2], start=1):  # PIP and DIP
+            ring = mine & (np.abs(local[:, 1] + along) < RING_MM)
+            radius = np.hypot(local[ring, 0], local[ring, 2])
+            # the median of a dozen vertices of those of the whole ring, whose centre the joint need not be
+            assert radius.min() < found.radii[finger, place] < radius.max()
+            assert found.radii[finger, place] == pytest.approx(radius.mean(), rel=0.2)
 
 
 def test_a_left_hand_is_known_by_its_shape_and_mirrored(tmp_path: Path) -> None:

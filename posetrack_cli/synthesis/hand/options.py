@@ -8,7 +8,8 @@ import numpy as np
 
 from posetrack_cli.hand.anatomy import FINGERS
 from posetrack_cli.hand.model import HandModel, hand_maker
-from posetrack_cli.hand.shape import SHAPE_NAMES, HandShape, PerFinger, random_shape
+from posetrack_cli.hand.population import COEFFICIENTS
+from posetrack_cli.hand.shape import MOST_COEFFICIENT, SHAPE_NAMES, HandShape, PerFinger, random_shape
 from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("A", "B", "C")
@@ -72,7 +73,8 @@ class SynthOptions:
         scale: factor on the hand's lengths, 0.5 to 1.5.
         finger_lengths, finger_widths, palm_width, palm_length, palm_thickness, wrist_width,
             thumb_place: see ``HandShape``; each factor 0.7 to 1.4.
-        mesh: GLB file of the hand; None is the average one.
+        coefficients: see ``HandShape``; none beside a mesh.
+        mesh: GLB file of the hand; None is one of the population.
         fps: nominal frame rate, Hz.
         switches: what is added to the bare hand.
 
@@ -93,6 +95,7 @@ class SynthOptions:
     palm_thickness: float = 1.0
     wrist_width: float = 1.0
     thumb_place: float = 1.0
+    coefficients: tuple[float, ...] = ()
     mesh: str | None = None
     fps: float = 30.0
     switches: Switches = field(default_factory=Switches.all_on)
@@ -114,6 +117,15 @@ class SynthOptions:
             option = "finger_" + name.split("_")[1] + "s" if of_finger else name
             good = bool(low <= value <= high)
             check_option(option.replace("_", "-"), f"{value:g}", good, f"{low:g} to {high:g}")
+        self._check_coefficients()
+
+    def _check_coefficients(self) -> None:
+        count, most = len(self.coefficients), MOST_COEFFICIENT
+        check_option("coefficients", count, count <= COEFFICIENTS, f"{COEFFICIENTS} or less")
+        for value in self.coefficients:
+            check_option("coefficients", f"{value:g}", abs(value) <= most, f"{-most:g} to {most:g}")
+        alone = self.mesh is None or not self.coefficients
+        check_option("hand-mesh", self.mesh, alone, "no hand beside it that is drawn from the population")
 
     @property
     def shape(self) -> HandShape:
