@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import filecmp
 import hashlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -83,4 +84,5 @@ def _posetrack(lines: Sequence[str], folder: Path) -> str:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and not at once: what is temporary goes
     main()
