@@ -60,6 +60,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     import numba.core.config
 
     compiled: Any = numba.njit(**_OPTIONS, **options)(function)
+    compiled.get_call_template = functools.partial(_for_any_value, compiled.get_call_template)
     config: Any = numba.core.config  # its settings are set at run time, unknown to type checkers
     folder, others = kernel_folder(), config.CACHE_DIR
     if folder is not None:
@@ -70,6 +71,15 @@ def _compiled(function: Function, **options: Any) -> Function:
             config.CACHE_DIR = others
     dispatcher: Function = compiled
     return dispatcher
+
+
+def _for_any_value(template: Callable[..., Any], args: Any, kws: Any) -> Any:
+    """Take what calls a kernel by its type alone: else each constant handed on would be compiled for anew."""
+    import numba.core.types
+
+    types: Any = numba.core.types  # without types of their own
+    plain = {name: types.unliteral(a) for name, a in kws.items()}
+    return template([types.unliteral(a) for a in args], plain)
 
 
 @functools.cache

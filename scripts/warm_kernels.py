@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import filecmp
 import hashlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -19,7 +20,8 @@ from pathlib import Path
 from posetrack_cli.compiled import kernel_folder
 
 _ALL = """
-import sys
+import gc, sys
+gc.disable()  # a compiler's objects stay; an eighth of its time went into looking for those that do not
 from posetrack_cli.cli.main import run
 sys.exit(next((code for code in map(run, map(str.split, sys.argv[1:])) if code), 0))
 """
@@ -83,4 +85,5 @@ def _posetrack(lines: Sequence[str], folder: Path) -> str:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and not at once: what is temporary goes
     main()

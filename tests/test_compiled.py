@@ -187,6 +187,14 @@ def test_a_kernel_is_kept(folder: Path) -> None:
     assert [compilations() for _ in range(3)] == [1, 0, 0]
 
 
+def test_a_constant_is_compiled_for_as_any_other_number(folder: Path) -> None:
+    """Of counts and flags that callers state, too; numba would take each for a type."""
+    power = kernel(lambda number, exponent, inverse: number ** (-exponent if inverse else exponent))
+    called = kernel(lambda number: power(number, 2, False) + power(number, 3, inverse=True))
+    assert called(2.0) == 4.0 + 0.125
+    assert len(power.signatures) == 1  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", [b"", b"\x80", b"garbage\n"], ids=["empty", "cut", "garbage"])
 def test_a_damaged_cache_is_made_anew(folder: Path, suffix: str, damage: bytes) -> None:

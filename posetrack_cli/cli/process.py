@@ -10,6 +10,7 @@ Ctrl-C ends a command after the frame at hand, and waits for no compiler.
 from __future__ import annotations
 
 import faulthandler
+import gc
 import logging
 import os
 import signal
@@ -26,6 +27,9 @@ from posetrack_cli.errors import EXIT_INTERRUPTED
 _DEBUG = "POSETRACK_DEBUG"
 _STANDARD = (0, 1, 2)
 _ERROR = 2
+_NEW_OBJECTS = 20_000
+"""After so many Python looks for what may go, not after 700: most are made as a run starts and as kernels
+compile, and they stay. A tenth of a short run went into looking."""
 
 
 def is_debugging() -> bool:
@@ -35,6 +39,7 @@ def is_debugging() -> bool:
 
 def prepare_process() -> None:
     """Make standard streams safe to use, and silence what is not ours to say unless it was asked for."""
+    gc.set_threshold(_NEW_OBJECTS)
     _fill_closed_descriptors()
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 as long as the process

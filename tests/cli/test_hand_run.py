@@ -529,10 +529,12 @@ def test_no_particles(recording: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "filter.particles" in one_line(capsys)
 
 
-def test_without_opengl_hands_are_drawn_by_the_processor(recording: Path, tmp_path: Path) -> None:
+def test_without_opengl_hands_are_drawn_by_the_processor(
+    recording: Path, told: list[str], tmp_path: Path
+) -> None:
     environment = os.environ | {"__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none.json")}
     out = tmp_path / "r.mcap"
-    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(out), *RIGHT, "--end", "2"]
+    arguments = [*COMMAND, "hand", "run", str(recording), "-o", str(out), *told, *SMALL, "--end", "2"]
     done = subprocess.run([*arguments, "--device", "0"], env=environment, capture_output=True, text=True)
     assert done.returncode == 1
     assert "libegl1" in done.stderr and len(done.stderr.splitlines()) == 1

@@ -25,8 +25,8 @@ def measures_of(anatomy: HandAnatomy) -> FloatArray:
     """Return the measures (13,) of a hand, mm, in the order of ``MEASURES``.
 
     ``hand_length`` is from the wrist to the tip of the straight middle finger, ``palm_length`` to its
-    knuckle; ``palm_width`` from the index to the little finger's knuckle; lengths of fingers are from knuckle (of the
-    thumb, from its second joint) to tip, radii means over a finger.
+    knuckle; ``palm_width`` from the index to the little finger's knuckle; lengths of fingers are from knuckle
+    (of the thumb, from its second joint) to tip, radii means over a finger.
     """
     bases, segments = anatomy.base_positions, anatomy.segments
     palm = float(np.linalg.norm(bases[2]))

@@ -6,6 +6,8 @@ were observed in every frame.
     joint limits          e = excess, rad
     abduction of a bent finger    e = abduction times the bend's share (taut collateral ligaments)
     relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
+    closing finger        e = what joint 2 is bent less than joint 3, each from relaxed: what bends the
+                          knuckle alone are small muscles; a finger that its knuckle hides is closed
     collision             e = overlap of two fingers' spheres, mm
 """
 
@@ -37,7 +39,7 @@ class Plausibility(NamedTuple):
         low, high: (15,) joint limits, rad.
         relaxed: (15,) rad.
         radii: (5, 5) of the fingers' spheres, mm.
-        limit, taut, rest: weights, 1 / rad^2.
+        limit, taut, rest, closing: weights, 1 / rad^2.
         overlap: weight of a collision, 1 / mm^2.
         allowed_mm: how far skins may sink into each other.
     """
@@ -49,6 +51,7 @@ class Plausibility(NamedTuple):
     limit: float = 400.0
     taut: float = 5.0
     rest: float = 0.5
+    closing: float = 8.0
     overlap: float = 0.2
     allowed_mm: float = 3.0
 
@@ -69,6 +72,31 @@ def _add_angle(equations: NormalEquations, k: int, residual: float, weight: floa
     equations.matrix[6 + k, 6 + k] += weight
     equations.vector[6 + k] += weight * residual
     return 0.5 * weight * residual * residual
+
+
+@kernel
+def _add_difference(equations: NormalEquations, a: int, b: int, residual: float, weight: float) -> float:
+    """Pull angle b by a residual and angle a against it, and return the potential."""
+    i, j, H, g = 6 + a, 6 + b, equations.matrix, equations.vector
+    H[i, i] += weight
+    H[j, j] += weight
+    H[i, j] -= weight
+    H[j, i] -= weight
+    g[j] += weight * residual
+    g[i] -= weight * residual
+    return 0.5 * weight * residual * residual
+
+
+@kernel
+def _add_closing(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
+    """Pull fingers whose knuckles are bent to close."""
+    value = 0.0
+    for f in range(1, 5):
+        a, b = 3 * f, 3 * f + 2
+        residual = (angles[a] - about.relaxed[a]) - (angles[b] - about.relaxed[b])
+        if residual > 0.0:
+            value += _add_difference(equations, a, b, residual, about.closing)
+    return value
 
 
 @kernel
@@ -163,7 +191,7 @@ def add_anatomy(
         spheres: (5, SPHERES, 3), is written to.
         equations: to add to.
     """
-    value = _add_limits(about, pose[7:], equations)
+    value = _add_limits(about, pose[7:], equations) + _add_closing(about, pose[7:], equations)
     place_spheres(posed, spheres)
     for f in range(5):
         for h in range(f + 1, 5 if f == 0 else min(f + 2, 5)):  # the thumb meets all, a finger its neighbour
