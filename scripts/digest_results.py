@@ -90,7 +90,7 @@ def hand_runs() -> Iterator[Step]:
         "annealed": "{hand-B} --proposal annealed --particles 128 --end 20",
         "marginal": "{hand-A} --proposal marginal",
         "multinomial": "{hand-A} --resampling multinomial --cost paper --particles 64",
-        "calibrate": "{hand-long} --calibrate --end 40",
+        "own-shape": "{hand-long} --end 40",
         "folder": "depth --fps 30 --hand-side right --scale 1.02 --stride 2 --seed 7",
         "mirror": "{hand-bare} --mirror --init center --end 15",
         "started": "{hand-C} --init {rbpf} --start 5 --end 20",
@@ -100,8 +100,8 @@ def hand_runs() -> Iterator[Step]:
     for name in ("rbpf", "smooth"):
         line = f"hand run {runs[name]} -o {name}-resumed.mcap"
         yield _step(f"{name}-resumed", f"{line} {' '.join(FLUSH)}", f"{name}-resumed.mcap", interrupted=True)
-    yield _step("hand-toml", "hand calibrate {hand-long} --seconds 3 -o hand.toml", "hand.toml")
-    yield _step("shaped", "hand run {hand-long} --config hand.toml --end 20 -o shaped.mcap", "shaped.mcap")
+    yield _step("hand-toml", "hand calibrate {hand-long} -o hand.toml", "hand.toml")
+    yield _step("shaped", "hand run {hand-long} --shape hand.toml --end 20 -o shaped.mcap", "shaped.mcap")
 
 
 def head_runs() -> Iterator[Step]:

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
+from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.shape import SHAPE_NAMES
+from posetrack_cli.hand.model import hand_model
+from posetrack_cli.hand.population import COEFFICIENTS
+from posetrack_cli.results import load_arrays
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.writing import write_synthetic
 
-QUICK = ("--hand-side", "right", "--frames", "4", "--seconds", "0.2")
+QUICK = ("--hand-side", "right", "--frames", "8")
 FEW = "[acquisition]\nfitted = 16\nrefined = 2\nscattered = 4\n"
 """Hypotheses of a search for the one hand in the image; ``hand run`` below takes the usual ones."""
 
@@ -24,7 +29,7 @@ FEW = "[acquisition]\nfitted = 16\nrefined = 2\nscattered = 4\n"
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("calibrate") / "hand.mcap"
-    write_synthetic(SynthOptions(frames=10, seed=4, speed=4.0, **asdict(hand_of_seed(4))), path)
+    write_synthetic(SynthOptions(frames=12, seed=4, speed=4.0, **asdict(hand_of_seed(4))), path)
     return path
 
 
@@ -53,18 +58,24 @@ def test_a_table_and_a_configuration(
     recording: Path, calibrated: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
     output, shown = calibrated
-    assert shown[0].split() == ["side", "right"]
+    assert shown[0].split() == ["side", "right"] and shown[1].split() == ["mm", "sd"]
     rows = {" ".join(line.split()[:-2]): line.split()[-2:] for line in shown[2:-1]}
-    assert list(rows) == [name.replace("_", " ") for name in SHAPE_NAMES]
+    assert list(rows) == [name.replace("_", " ") for name in MEASURES]
     hand = load_settings(HandConfig, [output], {}).hand
-    for name, factor in zip(SHAPE_NAMES, hand.shape.factors, strict=True):
-        value, sd = map(float, rows[name.replace("_", " ")])
-        assert value == pytest.approx(factor, abs=6e-4) and 0.0 < sd < 0.5
-    assert shown[-1].startswith(f"{output}: 4 of ")
-    # the recording's own configuration comes first, the hand over it
+    assert len(hand.coefficients) == COEFFICIENTS and hand.finger_lengths == (1.0,) * 5
+    for printed, measure in zip(rows.values(), measures_of(hand_model(hand).anatomy), strict=True):
+        value, sd = map(float, printed)
+        assert value == pytest.approx(measure, abs=0.06) and 0.0 < sd < 15.0  # numbers of one decimal
+    used, seen = map(int, re.findall(r"(\d+) of (\d+) frames", shown[-1])[0])
+    assert shown[-1].startswith(f"{output}: ") and 4 <= used <= 8 and seen == 12
+    # what is written is what a run takes, alone or over a configuration
     result = tmp_path / "r.mcap"
     arguments = ["hand", "run", str(recording), "-o", str(result), "--particles", "16", "--end", "2"]
-    assert run([*arguments, "--config", "hand", "--config", str(output)]) in (0, 3)
+    assert run([*arguments, "--config", "hand", "--shape", str(output)]) in (0, 3)
+    arguments[4] = str(tmp_path / "c.mcap")
+    assert run([*arguments, "--config", str(output)]) in (0, 3)
+    points = [load_arrays(path)["points"] for path in (result, tmp_path / "c.mcap")]
+    np.testing.assert_array_equal(*points)
 
 
 def test_an_existing_file_is_kept_or_replaced_by_the_same_hand(
@@ -89,12 +100,12 @@ def test_the_recording_is_never_replaced(recording: Path, capsys: pytest.Capture
     assert recording.read_bytes() == before
 
 
-@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e9"])
-def test_no_time_at_all(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str
+@pytest.mark.parametrize("frames", ["3", "-1", "nan", "201"])
+def test_too_few_frames_or_too_many(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], frames: str
 ) -> None:
-    assert calibrate(recording, tmp_path / "hand.toml", "--seconds", seconds) == 2
-    assert "--seconds cannot be used" in one_line(capsys)
+    assert calibrate(recording, tmp_path / "hand.toml", "--frames", frames) == 2
+    assert "--frames" in one_line(capsys)
     assert not list(tmp_path.iterdir())
 
 
@@ -109,8 +120,9 @@ def test_missing_recording_folder_and_mesh(
     assert "none.glb: cannot be read" in one_line(capsys)
 
 
-def test_a_recording_too_short_to_say_anything(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert calibrate(recording, tmp_path / "hand.toml", "--hand-side", "right", "--seconds", "0.05") == 1
+def test_a_recording_too_short_to_say_anything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short, output = tmp_path / "short.mcap", tmp_path / "hand.toml"
+    write_synthetic(SynthOptions(frames=3, seed=4), short)
+    assert calibrate(short, output, "--hand-side", "right") == 1
     assert "no hand that can be tracked" in one_line(capsys)
+    assert not output.exists()

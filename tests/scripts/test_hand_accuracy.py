@@ -15,7 +15,7 @@ from reproduction import made
 from reproduction.accuracy import filters, other_hands, own_model, real, tasks
 from reproduction.accuracy.measuring import Figures, Measured, Row
 from reproduction.accuracy.options import Options
-from reproduction.accuracy.tasks import CALIBRATED, RECORDING, Task
+from reproduction.accuracy.tasks import RECORDING, Task
 from reproduction.hand_accuracy import PARTS
 from reproduction.running import FIRST_SEED, Targets, table
 
@@ -68,8 +68,7 @@ def test_every_recording_and_entrant_is_a_command_that_is_understood(tmp_path: P
     for task in every_task(tmp_path):
         hand_synth.make_context("synth", [*task.recording[2:], "out.mcap"])
     for arguments in {arguments for task in every_task(tmp_path) for arguments in task.entrants.values()}:
-        given = {RECORDING: "in.mcap", CALIBRATED: "hand.toml"}
-        used = [given.get(argument, argument) for argument in arguments]
+        used = ["in.mcap" if argument == RECORDING else argument for argument in arguments]
         hand_run.make_context("run", ["in.mcap", "-o", "out.mcap", *used])
 
 
@@ -170,17 +169,17 @@ def test_filters_are_compared_by_pairs(tmp_path: Path) -> None:
     assert "| C, 2 | by the local fits | 8 |" in text and "-0.50 [-0.50, -0.50] | 0.0078 | 8 |" in text
 
 
-def test_other_hands_are_judged_after_calibration(tmp_path: Path) -> None:
+def test_other_hands_are_judged_with_the_shape_that_is_found(tmp_path: Path) -> None:
     chosen, targets = options(tmp_path, hand_seeds=2), Targets()
     figures: dict[tuple[str, str], Figures] = {}
     for place, (name, shape) in enumerate(other_hands.hands(chosen).items()):
         for task in other_hands.tasks_of(chosen, name, shape):
             figures[task.name, "average"] = {"error_mm": 20.0, "lost": 0.0, "bias_mm": 9.0}
-            figures[task.name, "calibrated"] = {"error_mm": 1.0 + place, "lost": 0.0, "bias_mm": 3.0}
+            figures[task.name, "found"] = {"error_mm": 1.0 + place, "lost": 0.0, "bias_mm": 3.0}
     text = "\n".join(other_hands.OtherHands().lines(chosen, MadeUp(figures), targets))
     hands = len(other_hands.HANDS)
     mean = f"{np.mean([1.0 + place for place in range(hands)]):.2f}"
-    assert judged(targets)["other hands, calibrated: mean joint error, mm"] == (mean, "reached")
+    assert judged(targets)["other hands, shape found: mean joint error, mm"] == (mean, "reached")
     assert "| scale-0.85 | 20.00 ± 0.00 | 0.0 % | 9.00 | 1.00 ± 0.00 | 0.0 % | 3.00 |" in text
 
 

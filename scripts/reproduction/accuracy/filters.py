@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import paired
 from reproduction.accuracy.measuring import Measured, Row, mean_and_sd
-from reproduction.accuracy.options import NO_MESH, Options, seeds, synthetic
+from reproduction.accuracy.options import AVERAGE, NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import RECORDING, Task
 from reproduction.running import Targets, table
 
@@ -68,6 +68,7 @@ def tasks_of(options: Options, motion: str, speed: float) -> list[Task]:
             kind,
             *_proposal(proposal),
             *FROM_TRUTH,
+            *AVERAGE,
             *NO_MESH,
         )
         for kind in ("pf", "rbpf")

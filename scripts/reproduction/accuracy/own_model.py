@@ -11,7 +11,7 @@ from posetrack_cli.evaluation.comparing.paired import paired
 from posetrack_cli.results.tracks import SMOOTHED
 from reproduction.accuracy import pictures
 from reproduction.accuracy.measuring import Measured, Row, mean_and_sd, mean_of, number
-from reproduction.accuracy.options import NO_MESH, Options, seeds, synthetic
+from reproduction.accuracy.options import AVERAGE, NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import Task
 from reproduction.running import Targets, table
 
@@ -21,10 +21,10 @@ HAND, SMOOTH = Row("hand", title="`hand` (default)"), Row("hand", SMOOTHED, "`ha
 FAST, PAPER, PSO = (Row(name, title=f"`{name}`") for name in ("hand-fast", "hand-paper", "hand-pso"))
 ROWS = (HAND, SMOOTH, FAST, PSO, PAPER)
 ENTRANTS = {
-    "hand": ("--config", "hand", "--smooth", *NO_MESH),
-    "hand-fast": ("--config", "hand-fast", *NO_MESH),
-    "hand-pso": ("--config", "hand-pso", *NO_MESH),
-    "hand-paper": ("--config", "hand-paper", *NO_MESH),
+    "hand": ("--config", "hand", "--smooth", *AVERAGE, *NO_MESH),
+    "hand-fast": ("--config", "hand-fast", *AVERAGE, *NO_MESH),
+    "hand-pso": ("--config", "hand-pso", *AVERAGE, *NO_MESH),
+    "hand-paper": ("--config", "hand-paper", *AVERAGE, *NO_MESH),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from reproduction.accuracy.measuring import Measured, Row
-from reproduction.accuracy.options import NO_MESH, Options, synthetic
+from reproduction.accuracy.options import AVERAGE, NO_MESH, Options, synthetic
 from reproduction.accuracy.tasks import Task
 from reproduction.running import Targets, table
 
@@ -21,7 +21,7 @@ class Speed:
     def tasks(self, options: Options) -> list[Task]:
         """One recording; the study runs it alone, before all others."""
         made = synthetic(options, "C", 1.0, options.first_seed)
-        entrants = {name: ("--config", name, "--timings", *NO_MESH) for name in CONFIGURATIONS}
+        entrants = {name: ("--config", name, "--timings", *AVERAGE, *NO_MESH) for name in CONFIGURATIONS}
         return [Task(f"speed-{options.first_seed}-{options.frames}", made, entrants)]
 
     def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:

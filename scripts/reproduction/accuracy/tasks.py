@@ -17,8 +17,8 @@ from pathlib import Path
 from reproduction.made import code_digest, command
 from reproduction.task import EntrantsTask
 
-RECORDING, CALIBRATED = "{recording}", "{calibrated}"
-"""In an entrant's arguments: the recording's path, and that of the hand calibrated on it."""
+RECORDING = "{recording}"
+"""In an entrant's arguments: the recording's path."""
 
 
 @dataclass(frozen=True)
@@ -54,20 +54,8 @@ class Task(EntrantsTask):
 
 def _track(arguments: tuple[str, ...], recording: Path, result: Path) -> None:
     """Track by one entrant."""
-    given = {RECORDING: str(recording), CALIBRATED: str(result.with_suffix(".toml"))}
-    used = [given.get(argument, argument) for argument in arguments]
-    if CALIBRATED in arguments:
-        side = _side(arguments)
-        command("hand", "calibrate", str(recording), "-o", given[CALIBRATED], *side, "--overwrite")
+    used = [str(recording) if argument == RECORDING else argument for argument in arguments]
     command("hand", "run", str(recording), "-o", str(result), *used, "--overwrite")
-
-
-def _side(arguments: tuple[str, ...]) -> tuple[str, ...]:
-    """The hand's side, where a run is told it."""
-    if "--hand-side" not in arguments:
-        return ()
-    at = arguments.index("--hand-side")
-    return arguments[at : at + 2]
 
 
 if __name__ == "__main__":

@@ -1,0 +1,179 @@
+"""``posetrack hand run --shape``: estimated by default, told as average or by a file, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from posetrack_cli.cli.main import run
+from posetrack_cli.hand import run as hand_run_module
+from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.calibration import before_run
+from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, write_hand_file
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.results import load_arrays, read_result
+from posetrack_cli.synthesis.hand.options import SynthOptions
+from posetrack_cli.synthesis.hand.writing import write_synthetic
+from support.calibrations import calibration_of
+from support.glb import write_hand
+from support.hand import REST
+
+SHAPE = HandShape(0.8, coefficients=(1.5, -1.0))
+FRAMES, REST_HAND = 4, make_anatomy()
+FEW = ("--particles", "16", "--end", "2", "--set", "acquisition.fitted=16", "--set", "acquisition.refined=2")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A child's hand: none that the average hand explains."""
+    path = tmp_path_factory.mktemp("shape") / "hand.mcap"
+    write_synthetic(SynthOptions(frames=FRAMES, seed=3, scale=SHAPE.scale), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def hand_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("files") / "hand.toml"
+    write_hand_file(path, calibration_of(SHAPE), None, "hand.mcap")
+    return path
+
+
+@pytest.fixture
+def estimated(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationOptions]:
+    """How shapes were asked for, which are found at once."""
+    asked: list[CalibrationOptions] = []
+
+    def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
+        asked.append(options)
+        return calibration_of(SHAPE)
+
+    monkeypatch.setattr(before_run, "shape_of", shape_of)
+    return asked
+
+
+@pytest.fixture
+def used(monkeypatch: pytest.MonkeyPatch) -> list[HandConfig]:
+    """The configurations of runs, which are not done."""
+    configs: list[HandConfig] = []
+
+    class Stopped(hand_run_module.HandRun):
+        def __init__(self, recording: Recording, config: HandConfig, *others: object) -> None:
+            configs.append(config)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(hand_run_module, "HandRun", Stopped)
+    return configs
+
+
+def track(recording: Path, tmp_path: Path, *options: str) -> int:
+    output = tmp_path / "r.mcap"
+    return run(["hand", "run", str(recording), "-o", str(output), "--hand-side", "right", *FEW, *options])
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    return line
+
+
+@pytest.mark.parametrize("options", [(), ("--shape", "auto")], ids=["default", "auto"])
+def test_a_shape_is_estimated_unless_it_is_told(
+    recording: Path,
+    tmp_path: Path,
+    estimated: list[CalibrationOptions],
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+) -> None:
+    assert track(recording, tmp_path, "--start", "1", "--seed", "7", *options) in (0, 3)
+    assert estimated == [CalibrationOptions("right", seed=7, start=1)]
+    said = capsys.readouterr().err.splitlines()
+    assert "estimating the hand's shape ..." in said
+    assert any(line.startswith(f"{recording}: a right hand, 145 mm long") for line in said)
+    result = read_result(tmp_path / "r.mcap")  # what was found is in the run's record
+    assert "1.5" in result.run["hand.coefficients"] or "1.5" in str(result.run)
+
+
+@pytest.mark.parametrize(
+    ("options", "shape"),
+    [
+        (("--shape", "average"), HandShape()),
+        (("--scale", "0.9"), HandShape(0.9)),
+        (("--shape", "average", "--scale", "0.9"), HandShape(0.9)),
+        (("--shape", "auto", "--scale", "0.9"), HandShape(0.9)),
+        (("--set", "init.shape=given"), HandShape()),
+        (("--set", "hand.coefficients=[0.5]"), HandShape(coefficients=(0.5,))),
+    ],
+    ids=str,
+)
+def test_a_shape_that_is_told_is_tracked(
+    recording: Path,
+    tmp_path: Path,
+    estimated: list[CalibrationOptions],
+    used: list[HandConfig],
+    options: tuple[str, ...],
+    shape: HandShape,
+) -> None:
+    track(recording, tmp_path, *options)
+    assert [config.hand.shape for config in used] == [shape] and not estimated
+
+
+def test_a_file_is_a_shape(
+    recording: Path,
+    hand_file: Path,
+    tmp_path: Path,
+    estimated: list[CalibrationOptions],
+    used: list[HandConfig],
+) -> None:
+    """Over what configurations say of the hand, and under what further options say."""
+    other = tmp_path / "other.toml"
+    other.write_text("[hand]\nscale = 1.2\n[filter]\nparticles = 17\n")
+    track(recording, tmp_path, "--config", str(other), "--shape", str(hand_file))
+    track(recording, tmp_path, "--shape", str(hand_file), "--scale", "0.7")
+    assert [config.hand.scale for config in used] == [0.8, 0.7] and not estimated
+    assert all(config.hand.coefficients == pytest.approx(SHAPE.coefficients) for config in used)
+
+
+def test_another_shape_gives_other_joints(recording: Path, hand_file: Path, tmp_path: Path) -> None:
+    spans = []
+    for name, shape in (("average", "average"), ("file", str(hand_file))):
+        (tmp_path / name).mkdir()
+        start = ("--init", str(recording))
+        assert track(recording, tmp_path / name, "--shape", shape, *start) in (0, 3)
+        points = load_arrays(tmp_path / name / "r.mcap")["points"][0]
+        spans.append(np.linalg.norm(points[9] - points[5]))
+    assert spans[1] < 0.95 * spans[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--shape", "none.toml"), "none.toml: no such configuration"),
+        (("--shape", "FOLDER"), "configuration cannot be read"),
+        (("--shape", "FILE", "--hand-mesh", "MESH"), "no hand.coefficients beside it"),
+        (("--hand-mesh", "MESH", "--set", "hand.coefficients=[1.0]"), "no hand.coefficients beside it"),
+        (
+            ("--set", "hand.coefficients=[9.0]"),
+            "'hand.coefficients.0' cannot be used, found 9.0, expected 5 or",
+        ),
+        (("--set", "init.shape=small"), "'init.shape' cannot be used"),
+        (("--set", "init.calibrate=true"), "unknown configuration key 'init.calibrate'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_what_cannot_be_meant_is_refused_in_a_line(
+    recording: Path,
+    hand_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    said: str,
+) -> None:
+    mesh = write_hand(tmp_path / "right.glb", REST_HAND, REST) if "MESH" in options else None
+    places = {"FILE": str(hand_file), "FOLDER": str(tmp_path), "MESH": str(mesh)}
+    before = set(tmp_path.iterdir())
+    assert track(recording, tmp_path, *(places.get(option, option) for option in options)) == 2
+    assert said in one_line(capsys)
+    assert set(tmp_path.iterdir()) == before

@@ -1,0 +1,266 @@
+"""The hands that are shipped are built as they should be: modes, joints, a template laid on a skin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hand_model import build
+from hand_model.build import BONE_WEIGHT, modes_of
+from hand_model.joints import ANATOMY_SHARE, _thumb, anatomical_joints
+from hand_model.people import rows
+from hand_model.registration import Skin, Template, vertex_normals
+from hand_model.template import SEGMENTS, adult, cage_of, with_wrist
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
+from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.population import HAND_LENGTH_MM, population
+from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
+from posetrack_cli.npz import read_npz
+from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed, smoothing
+from support.glb import write_hand
+from support.hand import REST, enclosed_volume
+
+SIZE = 671  # numbers of a hand
+BONES = slice(-50, -20)
+
+
+# Modes
+
+
+def drawn_hands(count: int) -> tuple[FloatArray, FloatArray]:
+    """Hands (N, 671) of a mean of zeros, and three ways (3, 671) to differ, each of one standard deviation."""
+    rng = np.random.default_rng(2)
+    ways = rng.standard_normal((3, SIZE))
+    counted = np.ones(SIZE)
+    counted[BONES] = BONE_WEIGHT
+    ways = np.linalg.qr((ways * counted).T)[0].T / counted * np.array([[90.0], [50.0], [20.0]])
+    return rng.standard_normal((count, 3)) @ ways + 0.01 * rng.standard_normal((count, SIZE)), ways
+
+
+def test_modes_are_those_that_hands_were_drawn_with() -> None:
+    hands, ways = drawn_hands(1500)
+    mean, modes = modes_of(hands + 5.0, 4)
+    few = 5.0 / np.sqrt(len(hands))  # of a standard deviation: five standard errors
+    np.testing.assert_allclose(mean, 5.0, atol=few * np.abs(ways).max())
+    for way, mode in zip(ways, modes, strict=False):
+        alike = way @ mode / np.linalg.norm(way) / np.linalg.norm(mode)
+        assert abs(alike) > 0.99
+        assert np.linalg.norm(mode) == pytest.approx(np.linalg.norm(way), rel=few)
+        assert mode[np.abs(mode).argmax()] > 0.0  # the sign is fixed
+    assert np.linalg.norm(modes[3]) < 0.1  # nothing is left but the noise
+
+
+def test_coefficients_of_hands_are_of_variance_1_and_independent() -> None:
+    hands, _ = drawn_hands(500)
+    mean, modes = modes_of(hands, 3)
+    coefficients = (hands - mean) @ np.linalg.pinv(modes)
+    np.testing.assert_allclose(np.cov(coefficients.T), np.eye(3), atol=0.02)
+    # a bone counts more: a mode of bones alone is as strong as one of so many coordinates of the skin
+    rng = np.random.default_rng(0)
+    skin, bone = np.zeros(SIZE), np.zeros(SIZE)
+    skin[0], bone[-30] = 3.0, 1.0
+    differing = rng.standard_normal((500, 1)) * skin + rng.standard_normal((500, 1)) * bone
+    strongest = modes_of(differing, 2)[1][0]
+    assert np.abs(strongest).argmax() == SIZE - 30
+
+
+# Joints
+
+
+def rig(anatomy: HandAnatomy, inside_mm: float = 4.0) -> FloatArray:
+    """Joints (21, 3) of a hand at rest as a rig has them, whose tips lie inside the skin."""
+    joints = joint_positions(anatomy, REST[None])[0]
+    for tip in range(4, 21, 4):
+        way = joints[tip] - joints[tip - 1]
+        joints[tip] -= inside_mm * way / np.linalg.norm(way)
+    return joints
+
+
+def test_joints_of_anatomy_are_left_where_they_are() -> None:
+    """The template's hand has them: knuckles far back, fingers divided as published."""
+    joints = rig(adult())
+    placed = anatomical_joints(joints, None)
+    tips = np.arange(4, 21, 4)
+    np.testing.assert_allclose(placed[tips], joint_positions(adult(), REST[None])[0][tips], atol=1e-9)
+    others = np.setdiff1d(np.arange(21), tips)
+    # the thumb's base is meant for a palm of 90 mm, to which others are scaled
+    assert np.linalg.norm(placed - joints, axis=1)[others].max() < 2.0
+
+
+def test_a_knuckle_at_the_web_is_moved_back_and_the_rest_divided() -> None:
+    joints = rig(adult())
+    shifted = joints.copy()
+    for finger in range(1, 5):
+        knuckle, pip = joints[1 + 4 * finger], joints[2 + 4 * finger]
+        shifted[1 + 4 * finger] = knuckle + 0.35 * (pip - knuckle)  # as rigs have it, at the web
+    placed = anatomical_joints(shifted, None)
+    for finger in range(1, 5):
+        chain = placed[1 + 4 * finger : 5 + 4 * finger]
+        first, second, third = np.linalg.norm(np.diff(chain, axis=0), axis=1)
+        whole = first + second + third
+        np.testing.assert_allclose(
+            np.array([first, second, third]) / whole, SEGMENTS[finger] / SEGMENTS[finger].sum(), atol=1e-9
+        )
+        back = np.linalg.norm(placed[1 + 4 * finger] - joints[1 + 4 * finger])
+        assert back < 0.35 * np.linalg.norm(joints[2 + 4 * finger] - joints[1 + 4 * finger])
+
+
+def test_nothing_of_anatomy_leaves_the_rig_s_joints(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hand_model.joints.ANATOMY_SHARE", (0.0, 0.5))
+    joints = rig(reshaped_anatomy(adult(), "right", HandShape(1.1, (1.0, 1.2, 0.9, 1.1, 1.0))))
+    placed = anatomical_joints(joints, None)
+    tips = np.arange(4, 21, 4)
+    others = np.setdiff1d(np.arange(21), tips)
+    np.testing.assert_allclose(placed[others], joints[others], atol=1e-9)
+    assert ANATOMY_SHARE[0] == 1.0  # what is shipped lies where anatomy says, on average
+
+
+def test_where_joints_are_placed_turns_with_the_hand() -> None:
+    joints = rig(reshaped_anatomy(adult(), "right", HandShape(0.9, (1.0, 1.2, 0.9, 1.1, 1.0))))
+    turn, offset = rotations.exponential(np.array([0.4, -1.0, 0.7])), np.array([30.0, -20.0, 500.0])
+    moved = anatomical_joints(rotations.rotate(turn, joints) + offset, None)
+    np.testing.assert_allclose(moved, rotations.rotate(turn, anatomical_joints(joints, None)) + offset)
+
+
+def test_drawn_joints_scatter_about_those_of_anatomy_and_tips_do_not() -> None:
+    joints = rig(adult())
+    drawn = np.array([anatomical_joints(joints, np.random.default_rng(seed)) for seed in range(300)])
+    mean, sd = drawn.mean(axis=0), np.linalg.norm(drawn.std(axis=0), axis=1)
+    tips = np.arange(4, 21, 4)
+    assert (sd[tips] < 1e-9).all()
+    others = np.setdiff1d(np.arange(21), tips)
+    assert (sd[others] > 1.0).all() and (sd[others] < 7.0).all()
+    # the mean of 300 to four standard errors, along each axis
+    assert np.linalg.norm(mean - anatomical_joints(joints, None), axis=1).max() < 4.0 * sd.max() / np.sqrt(
+        300
+    )
+    np.testing.assert_array_equal(drawn[7], anatomical_joints(joints, np.random.default_rng(7)))
+
+
+def test_the_thumb_s_base_grows_with_the_palm() -> None:
+    bases = []
+    for scale in (1.0, 1.3):
+        joints = rig(reshaped_anatomy(adult(), "right", HandShape(scale)))
+        axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+        bases.append(_thumb(joints[1:5], joints, axes)[0])
+    np.testing.assert_allclose(bases[1], 1.3 * bases[0])
+
+
+# The template
+
+
+def template() -> tuple[Template, SkinnedMesh]:
+    """The template, and its surface on the tables' hand."""
+    cage = cage_of(adult())
+    surface = smoothing(cage.triangles, 1)
+    skin = SkinnedMesh(surface.through @ cage.vertices, surface.blend @ cage.weights, surface.triangles)
+    return Template(surface.triangles, surface.through), skin
+
+
+def off_skin(points: FloatArray, skin: SkinnedMesh) -> FloatArray:
+    """Distances (N,) of points from a skin, mm."""
+    corners = skin.vertices[skin.triangles]
+    triangle, shares = closest_points(points, corners)
+    return np.linalg.norm(np.einsum("nc,ncx->nx", shares, corners[triangle]) - points, axis=1)
+
+
+def test_the_template_is_a_hand() -> None:
+    cage, (_, skin) = cage_of(adult()), template()
+    assert is_closed(cage.triangles) and len(cage.triangles) == 410
+    np.testing.assert_array_equal(cage.triangles, population().triangles)
+    np.testing.assert_allclose(cage.weights, population().weights, atol=1e-6)
+    assert 230e3 < enclosed_volume(skin.vertices, skin.triangles) < 400e3
+    for factor in (0.8, 1.25):  # of any hand the triangles are the same
+        other = reshaped_anatomy(adult(), "right", HandShape(1.0, (factor,) * 5, (1.0 / factor,) * 5))
+        np.testing.assert_array_equal(cage_of(other).triangles, cage.triangles)
+
+
+def test_a_cage_comes_back_from_its_surface() -> None:
+    laid, skin = template()
+    cage = cage_of(adult()).vertices
+    ridge_mm = 0.1  # of what keeps the least squares solvable, at 100 mm
+    np.testing.assert_allclose(laid.cage(skin.vertices), cage, atol=ridge_mm)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_template_is_laid_on_a_hand_like_it(seed: int) -> None:
+    """Its own skin in another shape, of other triangles: a finer surface."""
+    laid, skin = template()
+    factors = np.exp(np.random.default_rng(seed).normal(0.0, 0.06, 16))
+    other = reshaped_skin(skin, adult(), "right", HandShape.of_factors(factors))
+    fine = smoothing(skin.triangles, 1)
+    wanted = SkinnedMesh(fine.through @ other.vertices, fine.blend @ other.weights, fine.triangles)
+    found = laid.laid(skin.vertices, Skin(wanted))
+    before, after = off_skin(skin.vertices, wanted), off_skin(found, wanted)
+    assert before.max() > 3.0
+    assert after.mean() < 0.2 * before.mean() and np.percentile(after, 95) < 0.5
+    # and nothing of the skin is left out, tips included
+    missed = off_skin(wanted.vertices, replace(skin, vertices=found))
+    assert missed.mean() < 0.4 and missed.max() < 3.0
+    volumes = [enclosed_volume(v, skin.triangles) for v in (found, other.vertices)]
+    assert volumes[0] == pytest.approx(volumes[1], rel=0.02)  # smoothing does not shrink it
+
+
+def test_a_skin_is_looked_for_on_the_side_it_faces() -> None:
+    """A point inside a plate, nearer to its back: the front is what faces as it does."""
+    plate = np.array([[x, y, z] for z in (0.0, 5.0) for x, y in ((0, 0), (20, 0), (0, 20), (20, 20))], float)
+    triangles = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6)])
+    mesh = SkinnedMesh(plate, np.ones((8, 1)), triangles)
+    point, up = np.array([[8.0, 8.0, 2.0]]), np.array([[0.0, 0.0, 1.0]])
+    assert Skin(mesh).closest(point, up)[0, 2] == 5.0
+    assert Skin(mesh).closest(point, -up)[0, 2] == 0.0
+
+
+def test_normals_of_a_surface_point_out() -> None:
+    _, skin = template()
+    grown = skin.vertices + vertex_normals(skin.vertices, skin.triangles)
+    assert enclosed_volume(grown, skin.triangles) > 1.05 * enclosed_volume(skin.vertices, skin.triangles)
+    np.testing.assert_allclose(np.linalg.norm(grown - skin.vertices, axis=1), 1.0)
+
+
+def test_a_cage_that_ends_at_the_wrist_is_drawn_out() -> None:
+    cage = cage_of(adult()).vertices
+    short = cage.copy()
+    short[:, 1] = np.minimum(short[:, 1], -4.0)
+    np.testing.assert_allclose(with_wrist(short)[:, 1], cage[:, 1])
+    rest = cage[:, 1] < -4.0
+    np.testing.assert_array_equal(with_wrist(short)[rest], cage[rest])
+
+
+# All of it
+
+
+def test_a_population_is_built_of_files_and_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of people that are one hand in five sizes nothing is left but what is drawn of joints and factors."""
+    for k, scale in enumerate((0.9, 0.95, 1.0, 1.05, 1.1)):
+        write_hand(tmp_path / f"{k}-right.glb", make_anatomy("right", scale), REST)
+    made = tmp_path / "population.npz"
+    monkeypatch.setattr(build, "COEFFICIENTS", 3)
+    printed = CliRunner().invoke(build.main, [str(tmp_path), "-o", str(made)], catch_exceptions=False)
+    assert printed.exit_code == 0 and f"{made}: 5 hands, 3 modes leave" in printed.output
+    with made.open("rb") as stream:
+        arrays = read_npz(stream)
+    assert arrays["mean"].shape == (SIZE,) and arrays["modes"].shape == (3, SIZE)
+    hands = np.array(list(rows(sorted(tmp_path.glob("*.glb")))))
+    np.testing.assert_allclose(arrays["mean"], hands.mean(axis=0), atol=1e-5)  # drawn alike again
+    ends = np.cumsum([3 * len(population().weights), 15, 15])
+    for hand in hands:
+        _, bases, segments, _ = np.split(hand, ends)
+        length = np.linalg.norm(bases.reshape(5, 3)[2]) + segments.reshape(5, 3)[2].sum()
+        assert length == pytest.approx(HAND_LENGTH_MM)
+    cage = arrays["mean"][: ends[0]].reshape(-1, 3)
+    assert is_closed(arrays["triangles"]) and cage[:, 1].max() == pytest.approx(13.0)
+    # the skin that was put in, in lengths of a hand
+    surface = smoothing(cage_of(adult()).triangles, 1)
+    volume = enclosed_volume(surface.through @ cage, surface.triangles)
+    given = hand_mesh(make_anatomy(), "medium")
+    assert volume == pytest.approx(enclosed_volume(given.vertices, given.triangles), rel=0.1)
