@@ -51,7 +51,7 @@ class Plausibility(NamedTuple):
     limit: float = 400.0
     taut: float = 5.0
     rest: float = 0.5
-    closing: float = 8.0
+    closing: float = 4.0
     overlap: float = 0.2
     allowed_mm: float = 3.0
 
