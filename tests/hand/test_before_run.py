@@ -125,7 +125,7 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
 
 
 def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hand three quarters as large as expected: its size to half a step between those tried.
+    """A hand of four fifths of the size expected: its size to half a step between those tried.
 
     It stays that where no frames tell more. That a size that is told is not asked for the tests of told
     costs show: there are none for other sizes.
@@ -136,13 +136,13 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(before_run, "shape_of", too_few)
     path = tmp_path / "small.mcap"
-    write_synthetic(SynthOptions(seed=3, frames=FRAMES, side="right", scale=0.78), path)
-    found = find_hand(open_path(path), FEW, start=0, seed=0)
+    write_synthetic(SynthOptions(seed=2, frames=FRAMES, side="right", scale=0.78), path)
+    found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
     assert found.line == f"a right hand of scale {found.config.hand.scale:.2f}"
-    hand = FEW.hand.model_copy(update={"side": "right"})
-    of_side = find_hand(open_path(path), FEW.model_copy(update={"hand": hand}), start=0, seed=0)
+    told = HandConfig.model_validate({"hand": {"side": "right"}})
+    of_side = find_hand(open_path(path), told, start=0, seed=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
 
 
@@ -188,10 +188,19 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
 
 
 @pytest.mark.usefixtures("strange")
-def test_a_shape_that_explains_no_more_is_not_taken(
-    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "other",
+    [
+        calibration_of(SHAPE, costs_mm=(4.0, 4.0)),
+        calibration_of(HandShape(1.3), costs_mm=(4.0, 2.0)),
+        calibration_of(HandShape(0.75), costs_mm=(4.0, 2.0)),
+    ],
+    ids=["explains no more", "of a larger hand", "of a smaller hand"],
+)
+def test_a_shape_that_explains_no_more_or_something_else_is_not_taken(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, other: Calibration
 ) -> None:
-    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: calibration_of(SHAPE, costs_mm=(4.0, 4.0)))
+    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: other)
     found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
     assert found.config.hand.shape == HandShape() and found.line == "a right hand"
 
@@ -200,10 +209,11 @@ def test_a_shape_that_explains_no_more_is_not_taken(
 def test_what_is_doubtful_of_a_shape_is_in_the_line(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    giant = calibration_of(HandShape(1.4), costs_mm=(4.0, 3.0))
-    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: giant)
+    odd = calibration_of(HandShape(1.1, coefficients=(0.0, 3.5)), costs_mm=(4.0, 3.0))
+    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: odd)
     line = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0).line
-    assert line.startswith("a right hand, 253 mm long, which no hand is") and "\n" not in line
+    assert line.startswith("a right hand, 199 mm long, of proportions that hardly any hand has")
+    assert "\n" not in line
 
 
 @pytest.mark.usefixtures("strange")

@@ -25,7 +25,8 @@ COUNT, SIZE = 512, 32
 SUMS_RELATIVE = 1e-4
 """Float32 sums of a thousand terms below c_max, and depth 50 / (50 / z) with two roundings: 1e-5."""
 COVERAGE_SHARE = 1e-3
-DEPTH_MM = 0.1
+DEPTH_MM, OTHER_SHARE = 0.1, 1e-5
+"""Pixels on the edge between two triangles may show the other one, where skin lies behind skin by little."""
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,8 @@ def test_each_of_512_tiles_is_the_hand_drawn_alone(device: RenderingDevice, hand
     assert together.shape == (COUNT, SIZE, SIZE)
     different = (together > 0) != (alone > 0)
     assert different.mean() <= COVERAGE_SHARE
-    np.testing.assert_allclose(together[~different], alone[~different], atol=DEPTH_MM)
+    apart = np.abs(together - alone)[~different] > DEPTH_MM
+    assert apart.mean() < OTHER_SHARE
     assert (together > 0).sum(axis=(1, 2)).min() > 100  # there is something to compare in every tile
 
 

@@ -26,7 +26,7 @@ from support.hand import KINECT, REST, bent, random_poses
 
 SPACE = HandSpace()
 ABOUT = plausibility_of(RIGHT.anatomy)
-ONLY_COLLISIONS = ABOUT._replace(limit=0.0, taut=0.0, rest=0.0)
+ONLY_COLLISIONS = ABOUT._replace(limit=0.0, taut=0.0, rest=0.0, closing=0.0)
 # The joints of index and middle cross when the fingers are spread towards each other.
 CROSSED = bent(
     index_mcp_abduction=-0.33, middle_mcp_abduction=0.29, thumb_cmc_flexion=0.9, index_mcp_flexion=1.0
@@ -74,7 +74,7 @@ def test_inside_the_limits_a_hand_is_pulled_to_the_relaxed_one_alone() -> None:
 @pytest.mark.parametrize("k", range(15))
 @pytest.mark.parametrize("side", [0, 1])
 def test_beyond_a_limit_the_pull_is_back_by_the_excess(k: int, side: int) -> None:
-    about = ABOUT._replace(taut=0.0, rest=0.0, overlap=0.0)
+    about = ABOUT._replace(taut=0.0, rest=0.0, closing=0.0, overlap=0.0)
     pose, excess = relaxed(), (-1.0, 1.0)[side] * 0.1
     pose[7 + k] = ANGLE_LIMITS[k, side] + excess
     value, equations = potential(pose, about)
@@ -86,7 +86,7 @@ def test_beyond_a_limit_the_pull_is_back_by_the_excess(k: int, side: int) -> Non
 
 
 def test_a_bent_finger_is_not_spread() -> None:
-    about = ABOUT._replace(rest=0.0, overlap=0.0)
+    about = ABOUT._replace(rest=0.0, closing=0.0, overlap=0.0)
     for bend, share in (
         (FREE_BEND, 0.0),
         (0.5 * (FREE_BEND + STIFF_BEND), 0.5),
@@ -95,6 +95,22 @@ def test_a_bent_finger_is_not_spread() -> None:
     ):
         pose = bent(ring_mcp_flexion=bend, ring_mcp_abduction=0.2)
         assert potential(pose, about)[0] == pytest.approx(0.5 * 5.0 * share * 0.04)
+
+
+def test_a_finger_that_is_bent_at_its_knuckle_is_closed_and_one_that_is_hooked_left_alone() -> None:
+    about = ABOUT._replace(taut=0.0, rest=0.0, overlap=0.0)
+    knuckle, middle = (ANGLE_NAMES.index(f"ring_{joint}_flexion") for joint in ("mcp", "pip"))
+    pose = relaxed()
+    pose[7 + knuckle] += 0.6
+    pose[7 + middle] += 0.2
+    value, equations = potential(pose, about)
+    assert value == pytest.approx(0.5 * ABOUT.closing * 0.4**2)
+    pull = np.zeros(21)
+    pull[[6 + knuckle, 6 + middle]] = [-0.4 * ABOUT.closing, 0.4 * ABOUT.closing]
+    np.testing.assert_allclose(equations.vector, pull, atol=1e-9)
+    pose[7 + middle] += 0.5  # bent more than its knuckle, as a hook is
+    value, equations = potential(pose, about)
+    assert value == 0.0 and not equations.vector.any() and not equations.matrix.any()
 
 
 @pytest.mark.parametrize("name", list(HANDS))
