@@ -31,7 +31,8 @@ from hostile.values import json_text, nested, utf8
 
 Builder = Callable[[Seeds], Case]
 CORPUS: dict[str, Builder] = {}
-OUTPUTS = (*OUT, "out.html", "out.npz", "v")
+OUTPUTS = (*OUT, "out.html", "out.npz", "out.toml", "v")
+CALIBRATE = ("hand", "calibrate", "r.mcap", "-o", "out.toml")
 RUN = ("hand", "run", "r.mcap", "-o", "out.mcap", *HAND)
 MONO = ("head", "mono", "r.mcap", "-o", "out.mcap", *HEAD, "--passes", "1")
 READING = {
@@ -390,9 +391,30 @@ for _name, _text in DEEP_TOML.items():
         lambda seeds, text=_text: {"r.mcap": seeds.heads, "c.toml": text},
     )
     add(
-        f"pose of {_name}",
-        (*RUN[:5], "--init", "c.toml", "--end", "1", "--hand-side", "right"),
+        f"shape of {_name}",
+        (*RUN[:5], "--shape", "c.toml"),
         lambda seeds, text=_text: {"r.mcap": seeds.hand, "c.toml": text},
+    )
+    add(
+        f"pose of {_name}",
+        (*RUN[:5], *HAND[:6], "--init", "c.toml", "--end", "1"),
+        lambda seeds, text=_text: {"r.mcap": seeds.hand, "c.toml": text},
+    )
+
+
+for _called, _numbers in {
+    "a million": "[" + "0.0," * 1_000_000 + "]",
+    "many lists": "[" * 90 + "]" * 90,
+    "inf": "[inf]",
+    "nan": "[0.0, nan]",
+    "1e308": "[1e308, -1e308]",
+    "words": '["a", "b"]',
+    "a table": "{ a = 1 }",
+}.items():
+    add(
+        f"coefficients of {_called}",
+        (*RUN[:5], "--shape", "c.toml"),
+        lambda seeds, n=_numbers: {"r.mcap": seeds.hand, "c.toml": f"[hand]\ncoefficients = {n}\n".encode()},
     )
 
 
@@ -411,7 +433,7 @@ for _value in (1e30, 1e38, 1e-38, -1.0, float("inf"), float("nan")):
     add_recording(
         f"32FC1 depth of {_value:g}",
         float_depth(_value),
-        {k: READING[k] for k in ("info", "convert", "hand run")},
+        {k: READING[k] for k in ("info", "convert", "hand run")} | {"hand calibrate": CALIBRATE},
     )
 
 
@@ -540,6 +562,7 @@ for _called, _special in {"pipe": Pipe(), "device": Link("/dev/zero"), "folder l
         "--truth": ("convert", "rec", "out.mcap", "--truth", "x"),
         "--config": ("hand", "run", "rec", "-o", "out.mcap", "--config", "x"),
         "--init": ("hand", "run", "rec", "-o", "out.mcap", "--init", "x"),
+        "--shape": ("hand", "run", "rec", "-o", "out.mcap", "--shape", "x"),
         "--hand-mesh": ("hand", "run", "rec", "-o", "out.mcap", "--hand-mesh", "x"),
         "--face-model": ("head", "mono", "rec", "-o", "out.mcap", "--face-model", "x"),
         "--load-model": ("head", "mono", "rec", "-o", "out.mcap", "--load-model", "x"),

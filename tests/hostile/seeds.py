@@ -21,7 +21,16 @@ STEP = 8
 """Every so many pixels of a synthetic hand's images are kept: 64 x 53."""
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 33_333_333
-QUICK_HAND = ("--particles", "8", "--hand-side", "right", "--set", "output.flush_frames=1")
+QUICK_HAND = (
+    "--particles",
+    "8",
+    "--hand-side",
+    "right",
+    "--shape",
+    "average",
+    "--set",
+    "output.flush_frames=1",
+)
 QUICK_HEAD = ("--particles", "20", "--set", "output.flush_frames=1")
 FACE_MODEL = Path(__file__).parents[2] / "posetrack_cli/head/multilinear/default.npz"
 

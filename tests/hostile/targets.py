@@ -29,7 +29,7 @@ from hostile.values import (
 
 Strategy = st.SearchStrategy[Case]
 OUT = ("out.mcap",)
-HAND = ("--particles", "4", "--hand-side", "right", "--init", "center", "--end", "2")
+HAND = ("--particles", "4", "--hand-side", "right", "--shape", "average", "--init", "center", "--end", "2")
 OUT_OF_HAND = ("-o", "out.mcap", *HAND)
 HEAD = ("--particles", "10", "--end", "2")
 
@@ -378,7 +378,7 @@ def configurations(seeds: Seeds) -> Strategy:
     )
     stereo = ("head", "stereo", "heads.mcap", *tail, *HEAD, "--config", "c.toml")
     hand = ("hand", "run", "hand.mcap", *tail, *HAND, "--config", "c.toml")
-    begin = ("hand", "run", "hand.mcap", *tail, *HAND[:4], "--end", "1", "--init", "c.toml")
+    begin = ("hand", "run", "hand.mcap", *tail, *HAND[:6], "--end", "1", "--init", "c.toml")
     files = {"hand.mcap": seeds.hand, "heads.mcap": seeds.heads}
     choices = (
         (texts_of["head-mono"], mono),
