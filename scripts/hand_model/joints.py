@@ -20,8 +20,6 @@ THUMB_BASE_SD, WRIST_SD = (3.0, 2.0, 3.0), (3.0, 2.0, 2.0)
 """mm: along the palm, out of its plane, across it."""
 _KNUCKLE = 1.6
 """First phalanx in terms of the second where a rig bends at the webs."""
-_TIP_MM = 4.0
-"""As far inside the skin the people's tips lie."""
 _PALM_MM = 90.0
 """From the wrist to the middle knuckle of the hand that ``THUMB_BASE`` is of."""
 
@@ -29,8 +27,10 @@ _PALM_MM = 90.0
 def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> FloatArray:
     """Return a hand's 21 joints (21, 3) as they may lie in its skin, mm; without a generator, as on average.
 
+    Tips stay: rigs have them where the skin ends, to a millimetre or two.
+
     Args:
-        joints: of a rig, in our order, mm, any axes; tips lie ``_TIP_MM`` inside the skin.
+        joints: of a rig, in our order, mm, any axes.
         rng: draws the joints.
     """
     up, out, side = _palm_axes(joints)
@@ -41,11 +41,9 @@ def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> Fl
     if rng:
         result[0] += rng.normal(0.0, WRIST_SD) @ axes
     for finger in range(5):
-        rig = joints[1 + 4 * finger : 5 + 4 * finger]
-        tip = rig[3] + _TIP_MM * _unit(rig[3] - rig[2])
-        chain = np.vstack([rig[:3], tip])
+        chain = joints[1 + 4 * finger : 5 + 4 * finger]
         ours = _thumb(chain, joints, axes) if finger == 0 else _finger(chain, finger)
-        placed = rig[:3] + share * (ours - rig[:3])
+        placed = chain[:3] + share * (ours - chain[:3])
         if rng:
             for k in range(3):
                 placed[k] += rng.normal(0.0, ALONG_SD[k]) * _unit(chain[k + 1] - chain[k])
@@ -53,7 +51,6 @@ def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> Fl
             if finger == 0:
                 placed[0] += rng.normal(0.0, THUMB_BASE_SD) @ axes
         result[1 + 4 * finger : 4 + 4 * finger] = placed
-        result[4 + 4 * finger] = tip
     return result
 
 

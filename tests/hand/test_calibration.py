@@ -62,8 +62,8 @@ from support.calibrations import calibration_of
 from support.hand import KINECT
 
 TILE = 96
-MOST_OFF_MM = 4.0
-"""A length of a hand of which nine perfect images are given; the prior holds what they leave open."""
+MOST_OFF_MM = 6.0
+"""A length of a hand of which nine perfect images are given: where in it a knuckle lies they hardly tell."""
 FEW = {"fitted": 16, "refined": 2, "scattered": 4}
 """Hypotheses of a search; ten hands are searched for, and the one hand in the image is easily found."""
 SPACE = PopulationSpace()

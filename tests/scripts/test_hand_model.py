@@ -35,7 +35,7 @@ BONES = slice(-50, -20)
 
 
 def drawn_hands(count: int) -> tuple[FloatArray, FloatArray]:
-    """Hands (N, 671) of a mean of zeros, and three ways (3, 671) to differ, each of one standard deviation."""
+    """Hands (N, 671) of a mean of zeros, and three ways (3, 671) in which they differ by one each."""
     rng = np.random.default_rng(2)
     ways = rng.standard_normal((3, SIZE))
     counted = np.ones(SIZE)
@@ -74,24 +74,22 @@ def test_coefficients_of_hands_are_of_variance_1_and_independent() -> None:
 # Joints
 
 
-def rig(anatomy: HandAnatomy, inside_mm: float = 4.0) -> FloatArray:
-    """Joints (21, 3) of a hand at rest as a rig has them, whose tips lie inside the skin."""
-    joints = joint_positions(anatomy, REST[None])[0]
-    for tip in range(4, 21, 4):
-        way = joints[tip] - joints[tip - 1]
-        joints[tip] -= inside_mm * way / np.linalg.norm(way)
-    return joints
+TIPS = np.arange(4, 21, 4)
+OTHERS = np.setdiff1d(np.arange(21), TIPS)
+
+
+def rig(anatomy: HandAnatomy) -> FloatArray:
+    """Joints (21, 3) of a hand at rest."""
+    return joint_positions(anatomy, REST[None])[0]
 
 
 def test_joints_of_anatomy_are_left_where_they_are() -> None:
     """The template's hand has them: knuckles far back, fingers divided as published."""
     joints = rig(adult())
     placed = anatomical_joints(joints, None)
-    tips = np.arange(4, 21, 4)
-    np.testing.assert_allclose(placed[tips], joint_positions(adult(), REST[None])[0][tips], atol=1e-9)
-    others = np.setdiff1d(np.arange(21), tips)
+    np.testing.assert_array_equal(placed[TIPS], joints[TIPS])
     # the thumb's base is meant for a palm of 90 mm, to which others are scaled
-    assert np.linalg.norm(placed - joints, axis=1)[others].max() < 2.0
+    assert np.linalg.norm(placed - joints, axis=1)[OTHERS].max() < 2.0
 
 
 def test_a_knuckle_at_the_web_is_moved_back_and_the_rest_divided() -> None:
@@ -115,10 +113,7 @@ def test_a_knuckle_at_the_web_is_moved_back_and_the_rest_divided() -> None:
 def test_nothing_of_anatomy_leaves_the_rig_s_joints(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hand_model.joints.ANATOMY_SHARE", (0.0, 0.5))
     joints = rig(reshaped_anatomy(adult(), "right", HandShape(1.1, (1.0, 1.2, 0.9, 1.1, 1.0))))
-    placed = anatomical_joints(joints, None)
-    tips = np.arange(4, 21, 4)
-    others = np.setdiff1d(np.arange(21), tips)
-    np.testing.assert_allclose(placed[others], joints[others], atol=1e-9)
+    np.testing.assert_allclose(anatomical_joints(joints, None), joints, atol=1e-9)
     assert ANATOMY_SHARE[0] == 1.0  # what is shipped lies where anatomy says, on average
 
 
@@ -133,10 +128,8 @@ def test_drawn_joints_scatter_about_those_of_anatomy_and_tips_do_not() -> None:
     joints = rig(adult())
     drawn = np.array([anatomical_joints(joints, np.random.default_rng(seed)) for seed in range(300)])
     mean, sd = drawn.mean(axis=0), np.linalg.norm(drawn.std(axis=0), axis=1)
-    tips = np.arange(4, 21, 4)
-    assert (sd[tips] < 1e-9).all()
-    others = np.setdiff1d(np.arange(21), tips)
-    assert (sd[others] > 1.0).all() and (sd[others] < 7.0).all()
+    np.testing.assert_array_equal(drawn[:, TIPS], np.tile(joints[TIPS], (300, 1, 1)))
+    assert (sd[OTHERS] > 1.0).all() and (sd[OTHERS] < 7.0).all()
     # the mean of 300 to four standard errors, along each axis
     assert np.linalg.norm(mean - anatomical_joints(joints, None), axis=1).max() < 4.0 * sd.max() / np.sqrt(
         300
@@ -203,7 +196,7 @@ def test_the_template_is_laid_on_a_hand_like_it(seed: int) -> None:
     assert after.mean() < 0.2 * before.mean() and np.percentile(after, 95) < 0.5
     # and nothing of the skin is left out, tips included
     missed = off_skin(wanted.vertices, replace(skin, vertices=found))
-    assert missed.mean() < 0.4 and missed.max() < 3.0
+    assert missed.mean() < 0.4 and missed.max() < 4.0
     volumes = [enclosed_volume(v, skin.triangles) for v in (found, other.vertices)]
     assert volumes[0] == pytest.approx(volumes[1], rel=0.02)  # smoothing does not shrink it
 
