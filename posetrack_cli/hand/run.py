@@ -29,15 +29,16 @@ from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, dynamics
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
-from posetrack_cli.outputs import check_output
+from posetrack_cli.outputs import check_output, part_path
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
+from posetrack_cli.results.replay import check_unfinished
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
-from posetrack_cli.tracking.options import common_record
+from posetrack_cli.tracking.options import common_record, frames_ahead, nothing_to_track
 from posetrack_cli.tracking.run import Run
 
 INIT_METHODS = ("auto", "center")
@@ -210,10 +211,11 @@ def _given_pose(options: RunOptions) -> FloatArray | None:
 
 
 def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> None:
-    """Refuse what can be refused without looking at a frame.
+    """Refuse what can be refused without looking at a frame: before a shape is estimated from many.
 
     Raises:
-        UsageError: the output may not be written, or cannot be smoothed.
+        UsageError: the output may not be written, or cannot be smoothed; no frame to track, or no start pose.
+        ResultError: nothing is there to resume.
     """
     if options.smooth and config.filter.kind == "pso":
         raise UsageError(
@@ -229,6 +231,11 @@ def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> 
             expected="--filter rbpf or pf with --proposal guided",
         )
     check_output(options.output, overwrite=options.overwrite or options.resume, source=recording.path)
+    if options.resume:
+        check_unfinished(part_path(options.output))
+    if frames_ahead(recording, options) == 0:
+        raise nothing_to_track(recording)
+    _given_pose(options)
 
 
 def run_record(

@@ -110,6 +110,12 @@ class Replay:
             )
 
 
+def check_unfinished(part: Path) -> None:
+    """Raise ResultError unless there is an unfinished result."""
+    if not part.exists():
+        raise ResultError("no unfinished result to resume", where=part, hint="run without --resume")
+
+
 def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> None:
     """Refuse to go on with a result that another run began.
 
@@ -121,8 +127,7 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
         UsageError: a record differs; the error names the keys, and their values then and now.
         ResultError: the file is missing, or killed before its records were written.
     """
-    if not part.exists():
-        raise ResultError("no unfinished result to resume", where=part, hint="run without --resume")
+    check_unfinished(part)
     stored = _first_metadata(part)
     for name, now in expected.items():
         then = stored.get(name)

@@ -149,6 +149,30 @@ def test_another_shape_gives_other_joints(recording: Path, hand_file: Path, tmp_
 
 
 @pytest.mark.parametrize(
+    ("options", "said", "code"),
+    [
+        (("--start", "100"), "no frame to track", 2),
+        (("--init", "none.toml"), "none.toml: no such file to start from", 2),
+        (("--resume",), "no unfinished result to resume", 1),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_a_run_that_cannot_be_done_is_refused_before_a_shape_is_estimated(
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    estimated: list[CalibrationOptions],
+    options: tuple[str, ...],
+    said: str,
+    code: int,
+) -> None:
+    """Which takes a minute, for nothing."""
+    arguments = ["hand", "run", str(recording), "-o", str(tmp_path / "r.mcap"), *options]
+    assert run(arguments) == code
+    assert said in one_line(capsys) and not estimated
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         (("--shape", "none.toml"), "none.toml: no such configuration"),
