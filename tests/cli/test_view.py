@@ -198,7 +198,7 @@ def test_a_folder_needs_no_options_again_but_the_camera_file(
     camera = write_camera(tmp_path / "mine.toml", opened.cameras[0])
     options = ["--fps", "30", "--camera", str(camera)]
     tracked = tmp_path / "r.mcap"
-    quick = ["--particles", "8", "--hand-side", "right", "--init", "center"]
+    quick = ["--particles", "8", "--hand-side", "right", "--shape", "average", "--init", "center"]
     assert run(["hand", "run", str(folder), "-o", str(tracked), *quick, *options]) == 0
     monkeypatch.chdir("/")
     assert view(tracked, "-o", tmp_path / "v.mp4", "--camera", camera) == 0
