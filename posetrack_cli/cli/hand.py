@@ -161,7 +161,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
     check_run(source, config, run_options)
-    found = find_hand(source, config, options["start"], options["seed"], _say, keypoints)
+    found = find_hand(source, config, options["start"], _say, keypoints)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found.line
 

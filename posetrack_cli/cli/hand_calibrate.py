@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 )
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Shape this hand instead of the average one.")
 @click.option("--config", "configs", multiple=True, help="TOML file or a shipped name, as of hand run.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")
 @recording_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing HAND.toml.")
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
@@ -56,7 +55,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
     source = open_recording(recording, **reading_options(options))
-    chosen = CalibrationOptions(options["side"], options["frames"], options["seed"])
+    chosen = CalibrationOptions(options["side"], options["frames"])
     with compiling_said():
         found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)

@@ -53,20 +53,20 @@ def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path], monkeypatch: 
     """And as the average hand explains what is seen, no other shape is looked for."""
     monkeypatch.setattr(before_run, "shape_of", never)
     side, path = seen
-    found = find_hand(open_path(path), FEW, start=0, seed=0)
+    found = find_hand(open_path(path), FEW, start=0)
     assert found.config.hand.side == side
     assert found.line == f"a {side} hand"
     rest = found.config.hand.model_copy(update={"side": "auto"})
     assert found.config.model_copy(update={"hand": rest}) == FEW
     if side == "left":  # found alike twice: costs of both sides are those of both sides
-        assert find_hand(open_path(path), FEW, start=0, seed=0) == found
+        assert find_hand(open_path(path), FEW, start=0) == found
 
 
 def test_a_side_that_is_given_stays(seen: tuple[str, Path]) -> None:
     side, path = seen
     other = "left" if side == "right" else "right"
     config = with_hand(side=other, scale=1.1)
-    found = find_hand(open_path(path), config, start=0, seed=0)
+    found = find_hand(open_path(path), config, start=0)
     assert found.config == config and found.line == ""
 
 
@@ -74,16 +74,16 @@ def test_without_a_hand_a_right_one_is_expected_and_that_is_said(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Acquisition, "detect", lambda *arguments: [])
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.side == "right"
     assert "no hand" in found.line and "--hand-side" in found.line
     told = HandConfig.model_validate({"hand": {"side": "left"}})
-    found = find_hand(open_path(seen[1]), told, start=0, seed=0)
+    found = find_hand(open_path(seen[1]), told, start=0)
     assert found.config == told and found.line == ""  # nothing is left open that could be told
 
 
 def test_after_the_last_frame_nothing_is_looked_at(seen: tuple[str, Path]) -> None:
-    found = find_hand(open_path(seen[1]), HandConfig(), start=10 * FRAMES, seed=0)
+    found = find_hand(open_path(seen[1]), HandConfig(), start=10 * FRAMES)
     assert found.config.hand.side == "right" and "no hand" in found.line
 
 
@@ -108,7 +108,7 @@ def test_costs_that_hardly_differ_are_said_to_with_a_probability(
 ) -> None:
     """1.8 mm in all are two units of log odds: 1 / (1 + e^-2) = .88."""
     say_costs(monkeypatch, [5.0] * MOST_ASKED, [3.2] + [5.0] * (MOST_ASKED - 1))
-    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0, seed=0)
+    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.config.hand.side == "left"
     assert found.line == "a left hand, but hardly so (probability 0.88); --hand-side tells"
 
@@ -119,7 +119,7 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     """A first frame that errs, by however much, is outvoted by those after it."""
     right, left = [30.0, 5.0, 5.0, 5.0, 5.0], [5.0, 8.0, 8.0, 8.0, 8.0]
     told = say_costs(monkeypatch, [*right, 0.0], [*left, 50.0])
-    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0, seed=0)
+    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.config.hand.side == "right" and found.line == "a right hand"
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
@@ -137,12 +137,12 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(before_run, "shape_of", too_few)
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=2, frames=FRAMES, side="right", scale=0.78), path)
-    found = find_hand(open_path(path), HandConfig(), start=0, seed=0)
+    found = find_hand(open_path(path), HandConfig(), start=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
     assert found.line == f"a right hand of scale {found.config.hand.scale:.2f}"
     told = HandConfig.model_validate({"hand": {"side": "right"}})
-    of_side = find_hand(open_path(path), told, start=0, seed=0)
+    of_side = find_hand(open_path(path), told, start=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=HALF_A_STEP)
 
 
@@ -177,12 +177,12 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
     monkeypatch.setattr(before_run, "shape_of", estimated)
     config = HandConfig.model_validate({"hand": {"side": side}})
     told: list[str] = []
-    found = find_hand(open_path(seen[1]), config, start=3, seed=5, report=told.append)
+    found = find_hand(open_path(seen[1]), config, start=3, report=told.append)
     assert found.config.hand.side == "right" and found.config.hand.shape == SHAPE
     assert found.config.model_copy(update={"hand": config.hand}) == config
     ((known, options),) = asked
     assert known.hand.side == "right" and known.hand.scale == 1.0
-    assert options == CalibrationOptions("right", seed=5, start=3)
+    assert options == CalibrationOptions("right", start=3)
     assert found.line == "a right hand, 188 mm long"
     assert told == ["estimating the hand's shape"]
 
@@ -201,7 +201,7 @@ def test_a_shape_that_explains_no_more_or_something_else_is_not_taken(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, other: Calibration
 ) -> None:
     monkeypatch.setattr(before_run, "shape_of", lambda *arguments: other)
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0)
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.shape == HandShape() and found.line == "a right hand"
 
 
@@ -211,7 +211,7 @@ def test_what_is_doubtful_of_a_shape_is_in_the_line(
 ) -> None:
     odd = calibration_of(HandShape(1.1, coefficients=(0.0, 3.5)), costs_mm=(4.0, 3.0))
     monkeypatch.setattr(before_run, "shape_of", lambda *arguments: odd)
-    line = find_hand(open_path(seen[1]), HandConfig(), start=0, seed=0).line
+    line = find_hand(open_path(seen[1]), HandConfig(), start=0).line
     assert line.startswith("a right hand, 199 mm long, of proportions that hardly any hand has")
     assert "\n" not in line
 
@@ -235,7 +235,7 @@ def test_a_shape_that_is_told_or_misleads_no_fit_is_not_estimated(
     monkeypatch.setattr(before_run, "shape_of", never)
     config = HandConfig.model_validate(told)
     assert not is_size_open(config) and is_size_open(HandConfig())
-    found = find_hand(open_path(seen[1]), config, start=0, seed=0)
+    found = find_hand(open_path(seen[1]), config, start=0)
     assert found.config.hand.shape == config.hand.shape
 
 

@@ -1,6 +1,6 @@
 """What a run finds out about its hand before its first frame: right or left, its size and its shape.
 
-It depends on the recording, the configuration and the seed alone, so a run that is resumed finds the same.
+It depends on the recording and the configuration alone, so a run that is resumed finds the same.
 """
 
 from __future__ import annotations
@@ -42,7 +42,6 @@ def find_hand(
     recording: Recording,
     config: HandConfig,
     start: int,
-    seed: int,
     report: Callable[[str], None] = lambda line: None,
     keypoints: KeypointFile | None = None,
 ) -> HandFound:
@@ -54,7 +53,6 @@ def find_hand(
         recording: depth frames.
         config: its ``hand.side`` may be ``auto``, its ``init.shape``, too.
         start: the run's first frame.
-        seed: of fits.
         report: called with what is being done.
         keypoints: from elsewhere: further places, and evidence of the side.
 
@@ -73,7 +71,7 @@ def find_hand(
     found = None
     if is_open and trial.cost > WELL_KNOWN_MM:
         report("estimating the hand's shape")
-        found = _shape(recording, sized, CalibrationOptions(trial.side, seed=seed, start=start))
+        found = _shape(recording, sized, CalibrationOptions(trial.side, start=start))
     doubt = _doubt_of_side(trial, len(sides))
     if found is not None:
         line = f"a {trial.side} hand, {found.length_mm:.0f} mm long{doubt}"

@@ -56,14 +56,12 @@ class CalibrationOptions:
     Attributes:
         side: ``right`` or ``left``; None to find out.
         frames: how many frames the shape is adjusted to.
-        seed: kept for those who state it; nothing here is random.
         start: the first frame that is used.
         end: the frame to stop before; None is the recording's end.
     """
 
     side: str | None = None
     frames: int = 16
-    seed: int = 0
     start: int = 0
     end: int | None = None
 
