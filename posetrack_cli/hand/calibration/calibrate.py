@@ -21,7 +21,7 @@ from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured
-from posetrack_cli.hand.calibration.trial import SIDES, tried
+from posetrack_cli.hand.calibration.trial import SIDES, tried_all_over
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -43,7 +43,6 @@ _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
 _ITERATIONS = 8
-_ROTATION_WEIGHT = 2.0  # of a quaternion's distance beside angles, rad
 
 Report = Callable[[str], None]
 _DECIMALS = 4  # of the numbers in a hand file
@@ -121,7 +120,7 @@ def calibrate(
     report("which hand, and about how large")
     sides = (options.side,) if options.side else SIDES
     bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
-    trial = tried(recording, bare, options.start, sides)
+    trial = tried_all_over(recording, bare, options.start, sides)
     known = {"side": trial.side, "scale": trial.scale}
     return shape_of(
         recording, bare.model_copy(update={"hand": bare.hand.model_copy(update=known)}), options, report
