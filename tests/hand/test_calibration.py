@@ -298,8 +298,8 @@ def test_frames_that_show_most_of_fingers_are_chosen_in_their_order(monkeypatch:
     areas[[3, 30, 12, 25]] = [500.0, 900.0, 700.0, 600.0]
     options = CalibrationOptions("right", frames=3)
     assert chosen_of(Shown(areas), options, monkeypatch) == ([12, 25, 30], 40)
-    within = CalibrationOptions("right", frames=3, start=5, end=28)
-    assert chosen_of(Shown(areas), within, monkeypatch) == ([5, 12, 25], 23)  # of equal ones the first
+    later = CalibrationOptions("right", frames=3, start=13)
+    assert chosen_of(Shown(areas), later, monkeypatch) == ([13, 25, 30], 27)  # of equal ones the first
 
 
 @pytest.mark.parametrize("count", [10, 100, 1000])
@@ -308,6 +308,18 @@ def test_a_recording_is_looked_at_evenly_all_over(monkeypatch: pytest.MonkeyPatc
     assert frames[0] == 0 and len(set(np.diff(frames))) == 1
     assert min(count, LOOKED_AT) <= seen == len(frames) < 2 * LOOKED_AT + 1
     assert count - frames[-1] <= np.diff(frames)[0]
+
+
+def test_frames_that_nobody_counted_are_looked_at_alike_from_any_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    apart = []
+    for start in (0, 1000):
+        shown = Shown(np.ones(start + 200), counted=False)
+        frames, _ = chosen_of(shown, CalibrationOptions("right", start=start), monkeypatch)
+        assert frames[0] == start
+        apart.append(set(np.diff(frames)))
+    assert apart[0] == apart[1] and len(apart[0]) == 1
 
 
 def test_frames_that_fit_badly_are_left_out_and_too_few_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
