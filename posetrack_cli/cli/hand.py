@@ -82,7 +82,7 @@ hand.add_command(hand_synth)
     "--hand-side",
     "side",
     type=click.Choice(["auto", "right", "left"]),
-    help="Which hand; auto tells from the first second.  [default: auto]",
+    help="Which hand; auto tells from the first seconds.  [default: auto]",
 )
 @click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's, 181 mm long.")
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
@@ -96,7 +96,8 @@ hand.add_command(hand_synth)
     "--shape",
     metavar="auto|average|FILE",
     help="Size and shape of the hand: auto estimates them from the recording unless they are told, average "
-    "is the average hand, FILE is one of hand calibrate.  [default: auto]",
+    "is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of hand "
+    "calibrate.  [default: auto]",
 )
 @click.option(
     "--keypoints",

@@ -48,6 +48,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     fingers bent. The file serves other recordings of the hand: hand run RECORDING --shape HAND.toml.
     """
     from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate, write_hand_file
+    from posetrack_cli.hand.calibration.doubts import doubts_of
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
     from posetrack_cli.recording.opening import open_recording
@@ -63,6 +64,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     print_line(
         f"{output}: {found.frames_used} of {found.frames_seen} frames, residual {found.residual_mm:.2f} mm"
     )
+    if doubts := doubts_of(found):
+        print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{doubts}")
     if source.losses:
         print_note(f"{recording}: {loss_line(source.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

@@ -84,7 +84,7 @@ def shape_options(command: Command) -> Command:
 @click.option("--hand-side", "side", type=click.Choice(["right", "left"]), default="right", show_default=True)
 @click.option("--scale", type=float, help="Factor on the hand's lengths.  [default: 1]")
 @shape_options
-@click.option("--random-hand", is_flag=True, help="Draw the hand's size and proportions from the seed.")
+@click.option("--random-hand", is_flag=True, help="Draw the hand's size and shape from the seed.")
 @click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Hand (glTF) instead of the average one.")
 @click.option("--fps", default=30.0, show_default=True, help="Nominal frame rate, Hz.")
 @switch_options

@@ -75,7 +75,7 @@ class HandAnatomy:
         base_rotations: (5, 3, 3) hand_R_finger at zero angles.
         segments: (5, 3) lengths from joint 3 to 2, 2 to 1, 1 to the tip, mm.
         radii: (5, 4) finger radii, mm.
-        scale: all lengths relative to the average hand of the tables.
+        scale: all lengths relative to the population's hand of these coefficients.
         palm: further factors on the palm's width (x), length (y) and thickness (z).
         wrist: further factor on the width of the skin around the wrist.
         coefficients: of the population's modes; what the skin of the average hand is made with.

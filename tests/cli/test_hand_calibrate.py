@@ -13,13 +13,16 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
+from posetrack_cli.hand.calibration import calibrate as calibrate_module
 from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model import hand_model
 from posetrack_cli.hand.population import COEFFICIENTS
+from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.results import load_arrays
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.writing import write_synthetic
+from support.calibrations import calibration_of
 
 QUICK = ("--hand-side", "right", "--frames", "8")
 FEW = "[acquisition]\nfitted = 16\nrefined = 2\nscattered = 4\n"
@@ -91,6 +94,24 @@ def test_an_existing_file_is_kept_or_replaced_by_the_same_hand(
     assert output.read_text() == "precious"
     assert calibrate(recording, output, *QUICK, "--overwrite") == 0
     assert output.read_bytes() == calibrated[0].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"), [(HandShape(1.3), "a right hand, 235 mm long, which no hand is"), (HandShape(), None)]
+)
+def test_what_is_doubtful_is_said(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    shape: HandShape,
+    said: str | None,
+) -> None:
+    monkeypatch.setattr(calibrate_module, "calibrate", lambda *arguments: calibration_of(shape))
+    assert calibrate(recording, tmp_path / "hand.toml") == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert [line for line in lines if " mm long" in line] == lines
+    assert len(lines) == (said is not None) and all(f"{recording}: {said}" in line for line in lines)
 
 
 def test_the_recording_is_never_replaced(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,6 +35,7 @@ from posetrack_cli.hand.calibration.residuals import (
     vertex_moves,
     wrist_shares,
 )
+from posetrack_cli.hand.calibration.trial import ASKED_EVERY, SIDES, Trial, tried_all_over
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -62,6 +63,7 @@ from support.calibrations import calibration_of
 from support.hand import KINECT
 
 TILE = 96
+HALF_A_STEP = 0.077  # 1.16^(1/2) - 1, of the sizes that are tried
 MOST_OFF_MM = 6.0
 """A length of a hand of which nine perfect images are given: where in it a knuckle lies they hardly tell."""
 FEW = {"fitted": 16, "refined": 2, "scattered": 4}
@@ -296,8 +298,8 @@ def test_frames_that_show_most_of_fingers_are_chosen_in_their_order(monkeypatch:
     areas[[3, 30, 12, 25]] = [500.0, 900.0, 700.0, 600.0]
     options = CalibrationOptions("right", frames=3)
     assert chosen_of(Shown(areas), options, monkeypatch) == ([12, 25, 30], 40)
-    within = CalibrationOptions("right", frames=3, start=5, end=28)
-    assert chosen_of(Shown(areas), within, monkeypatch) == ([5, 12, 25], 23)  # of equal ones the first
+    later = CalibrationOptions("right", frames=3, start=13)
+    assert chosen_of(Shown(areas), later, monkeypatch) == ([13, 25, 30], 27)  # of equal ones the first
 
 
 @pytest.mark.parametrize("count", [10, 100, 1000])
@@ -306,6 +308,18 @@ def test_a_recording_is_looked_at_evenly_all_over(monkeypatch: pytest.MonkeyPatc
     assert frames[0] == 0 and len(set(np.diff(frames))) == 1
     assert min(count, LOOKED_AT) <= seen == len(frames) < 2 * LOOKED_AT + 1
     assert count - frames[-1] <= np.diff(frames)[0]
+
+
+def test_frames_that_nobody_counted_are_looked_at_alike_from_any_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    apart = []
+    for start in (0, 1000):
+        shown = Shown(np.ones(start + 200), counted=False)
+        frames, _ = chosen_of(shown, CalibrationOptions("right", start=start), monkeypatch)
+        assert frames[0] == start
+        apart.append(set(np.diff(frames)))
+    assert apart[0] == apart[1] and len(apart[0]) == 1
 
 
 def test_frames_that_fit_badly_are_left_out_and_too_few_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,6 +336,43 @@ def test_frames_that_fit_badly_are_left_out_and_too_few_are_refused(monkeypatch:
 def test_a_recording_without_frames_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RecordingError, match=r"shown\.mcap: holds no frame"):
         chosen_of(Shown([]), CalibrationOptions("right"), monkeypatch)
+
+
+# Side and size, of all that there is
+
+
+def trial_of(shown: Shown, monkeypatch: pytest.MonkeyPatch, length: float = 0.86) -> Trial:
+    """What a right hand of a size tells that no hand explains well, and a left one less."""
+
+    def appraise(finder: Acquisition, depth: object, places: list[object], told: object) -> object:
+        anatomy = finder.observer.anatomy
+        return 5.0 + anatomy.is_left + 20.0 * abs(np.log(anatomy.scale / length)), places
+
+    monkeypatch.setattr(Acquisition, "detect", lambda finder, depth: shown.detected(depth))
+    monkeypatch.setattr(Acquisition, "appraise", appraise)
+    config = HandConfig.model_validate({"init": {"shape": "given"}, "filter": {"kind": "pso"}})
+    return tried_all_over(shown, config, 0, SIDES)  # type: ignore[arg-type]
+
+
+def test_of_a_few_images_all_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those after some that show no hand; sizes are tried however a run is configured."""
+    trial = trial_of(Shown([0.0, 0.0, *[900.0] * 6]), monkeypatch)
+    assert trial.asked == 4  # 1 mm each, of which 0.9 are a unit of log odds, and four of these are asked for
+    assert trial.side == "right" and trial.is_sure_of_side
+    assert trial.scale == pytest.approx(0.86, rel=HALF_A_STEP)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_hand_that_shows_itself_late_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, *, counted: bool
+) -> None:
+    late = [0.0] * (30 * ASKED_EVERY)
+    assert trial_of(Shown([*late, *[900.0] * (4 * ASKED_EVERY)], counted), monkeypatch).asked == 4
+
+
+def test_where_no_hand_is_seen_it_is_of_the_size_that_is_configured(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = trial_of(Shown([0.0] * 9), monkeypatch)
+    assert trial.asked == 0 and trial.scale == 1.0
 
 
 # From end to end

@@ -47,7 +47,8 @@ def find_hand(
 ) -> HandFound:
     """Decide what a configuration leaves open about the hand: its side, its size, its shape.
 
-    Side and size are told by the first seconds of the run's part, the shape by frames from all of it.
+    Side and size are told by the first seconds from the run's first frame, the shape by frames from there to
+    the recording's end, wherever the run ends.
 
     Args:
         recording: depth frames.

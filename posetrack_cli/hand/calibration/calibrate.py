@@ -21,7 +21,7 @@ from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured
-from posetrack_cli.hand.calibration.trial import SIDES, tried
+from posetrack_cli.hand.calibration.trial import SIDES, tried_all_over
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -35,7 +35,8 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.raster import View
 
 LOOKED_AT = 48
-"""Frames, evenly over the recording, of which those are chosen that show the most of fingers."""
+"""Frames, evenly over the recording, of which those are chosen that show the most of fingers; less than twice
+as many where the recording's frames do not divide."""
 _UNKNOWN_COUNT = 900
 """Frames of a recording that does not say how many it has: half a minute."""
 ROUNDS = 2
@@ -43,7 +44,6 @@ _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
 _ITERATIONS = 8
-_ROTATION_WEIGHT = 2.0  # of a quaternion's distance beside angles, rad
 
 Report = Callable[[str], None]
 _DECIMALS = 4  # of the numbers in a hand file
@@ -57,13 +57,11 @@ class CalibrationOptions:
         side: ``right`` or ``left``; None to find out.
         frames: how many frames the shape is adjusted to.
         start: the first frame that is used.
-        end: the frame to stop before; None is the recording's end.
     """
 
     side: str | None = None
     frames: int = 16
     start: int = 0
-    end: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +119,7 @@ def calibrate(
     report("which hand, and about how large")
     sides = (options.side,) if options.side else SIDES
     bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
-    trial = tried(recording, bare, options.start, sides)
+    trial = tried_all_over(recording, bare, options.start, sides)
     known = {"side": trial.side, "scale": trial.scale}
     return shape_of(
         recording, bare.model_copy(update={"hand": bare.hand.model_copy(update=known)}), options, report
@@ -169,12 +167,12 @@ class _Calibrator:
         Raises:
             RecordingError: there is none.
         """
-        options, count = self._options, self._recording.frame_count or _UNKNOWN_COUNT
-        end = count if options.end is None else min(count, options.end)
-        stride = max(1, (end - options.start) // LOOKED_AT)
+        options, count = self._options, self._recording.frame_count
+        ahead = _UNKNOWN_COUNT if count is None else count - options.start
+        stride = max(1, ahead // LOOKED_AT)
         finder = self._finder(shape)
         kept: list[tuple[float, int, Frame]] = []
-        for frame in self._recording.frames(start=options.start, end=options.end, stride=stride):
+        for frame in self._recording.frames(start=options.start, end=None, stride=stride):
             self.seen += 1
             area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
             kept.append((-area, self.seen, frame))

@@ -68,8 +68,28 @@ def tried(
     Raises:
         UsageError: the configuration's mesh is no hand that can be used.
     """
-    trial = Trial(config, recording.cameras[0], sides, keypoints)
-    for frame in _early_frames(recording, start):
+    trial = Trial(config, recording.cameras[0], sides, keypoints, has_sizes=is_size_open(config))
+    return _asked(trial, _early_frames(recording, start))
+
+
+def tried_all_over(recording: Recording, config: HandConfig, start: int, sides: Sequence[str]) -> Trial:
+    """Return what frames of the whole recording tell of side and size, whatever is configured of them.
+
+    Of a few separate images all are asked, until they agree; a hand that shows itself late is waited for.
+
+    Raises:
+        RecordingError: an image cannot be used.
+        UsageError: the configuration's mesh is no hand that can be used.
+    """
+    count = recording.frame_count
+    stride = ASKED_EVERY if count is None else min(max((count - start) // MOST_ASKED, 1), ASKED_EVERY)
+    trial = Trial(config, recording.cameras[0], sides, has_sizes=True)
+    return _asked(trial, recording.frames(start=start, end=None, stride=stride))
+
+
+def _asked(trial: Trial, frames: Iterator[Frame]) -> Trial:
+    """The trial after frames have been asked, until they agree."""
+    for frame in frames:
         trial.ask(frame)
         if trial.is_clear:
             break
@@ -94,6 +114,7 @@ class Trial:
         camera: of the depth images.
         sides: to be tried.
         keypoints: from elsewhere.
+        has_sizes: whether other sizes than the one that is configured are tried.
     """
 
     def __init__(
@@ -102,6 +123,8 @@ class Trial:
         camera: Camera,
         sides: Sequence[str],
         keypoints: KeypointFile | None = None,
+        *,
+        has_sizes: bool,
     ) -> None:
         self._keypoints, self._told = keypoints, ToldSide(keypoints, camera)
         quick = config.acquisition.model_copy(update=_QUICK)
@@ -110,7 +133,7 @@ class Trial:
         self._config, self._camera = config, camera
         self._sides, self.asked, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
-        self._scales = tuple(own * _RATIO**k for k in _STEPS) if is_size_open(config) else (own,)
+        self._scales = tuple(own * _RATIO**k for k in _STEPS) if has_sizes else (own,)
         off = np.log(np.array(self._scales) / own)
         self._unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
@@ -186,7 +209,7 @@ class Trial:
     @property
     def _doubts(self) -> FloatArray:
         """What sides and sizes (S, K) cost, and what speaks against the sizes beforehand."""
-        return np.asarray(self._costs + self.asked * self._unusual)
+        return np.asarray(self._costs + max(self.asked, 1) * self._unusual)
 
     @property
     def cost(self) -> float:
