@@ -37,7 +37,7 @@ def test_no_hand_is_so_large_or_so_small(length_mm: float) -> None:
     found = calibration_of(HandShape(length_mm / 181.0, coefficients=(LARGEST_COEFFICIENT + 1.0,)))
     said = doubts_of(found)
     assert found.length_mm == pytest.approx(length_mm, abs=1.5)
-    assert "120 to 225 mm" in said and "is the depth in mm?" in said and "--scale" in said
+    assert "120 to 225 mm" in said and "is the depth in mm" in said and "--depth-unit-mm" in said
     assert "proportions" not in said
 
 

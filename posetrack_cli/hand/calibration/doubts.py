@@ -21,9 +21,7 @@ def doubts_of(found: Calibration) -> str:
     """Return what to add to a line about a hand; empty where nothing is doubtful."""
     length, (low, high) = found.length_mm, HAND_LENGTHS_MM
     if not low <= length <= high:
-        return (
-            f", which no hand is ({low:.0f} to {high:.0f} mm): is the depth in mm? --shape average, --scale"
-        )
+        return f", which no hand is ({low:.0f} to {high:.0f} mm): is the depth in mm (--depth-unit-mm)?"
     if max((abs(c) for c in found.shape.coefficients), default=0.0) > LARGEST_COEFFICIENT:
         return ", of proportions that hardly any hand has; posetrack view shows whether it fits"
     sd, prior = found.measured.sd, found.measured.prior_sd
