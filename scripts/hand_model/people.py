@@ -13,6 +13,7 @@ from hand_model.registration import Skin, Template
 from hand_model.template import adult, cage_of, with_wrist
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
 from posetrack_cli.hand.population import HAND_LENGTH_MM
 from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
 from posetrack_cli.hand.webxr import PER_METRE, FileHand, joint_places, straightened
@@ -100,4 +101,4 @@ def _stretches(start: HandAnatomy, end: HandAnatomy) -> FloatArray:
 
 def _length(anatomy: HandAnatomy) -> float:
     """From the wrist to the tip of the straight middle finger, mm."""
-    return float(np.linalg.norm(anatomy.base_positions[2]) + anatomy.segments[2].sum())
+    return float(measures_of(anatomy)[MEASURES.index("hand_length")])

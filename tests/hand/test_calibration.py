@@ -327,10 +327,10 @@ def test_frames_that_fit_badly_are_left_out_and_too_few_are_refused(monkeypatch:
     shown, options = Shown(np.ones(9)), CalibrationOptions("right")
     calibrator = _Calibrator(shown, HandConfig(), options)  # type: ignore[arg-type]
     costs = np.array([2.0, 1.0, 2.2, 9.0, np.inf, 2.1, 2.3, 3.0, 1.5])
-    assert calibrator.chosen(np.zeros((9, 22)), costs).tolist() == [0, 1, 2, 5, 6, 8]  # median 2.15
+    assert calibrator.chosen(costs).tolist() == [0, 1, 2, 5, 6, 8]  # median 2.15
     for costs in (np.full(9, np.inf), np.where(np.arange(9) < 3, 2.0, np.inf)):
         with pytest.raises(RecordingError, match=r"shown\.mcap: no hand that can be tracked, found \d of 9"):
-            calibrator.chosen(np.zeros((9, 22)), costs)
+            calibrator.chosen(costs)
 
 
 def test_a_recording_without_frames_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,14 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, shape_of
 from posetrack_cli.hand.calibration.doubts import doubts_of
 from posetrack_cli.hand.calibration.measures import measures_of
 from posetrack_cli.hand.calibration.trial import LOOKED_AT_S, SIDES, Trial, is_size_open, tried
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.keypoints.file import KeypointFile
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.recording.recording import Recording
 
 WELL_KNOWN_MM = 2.2
@@ -95,7 +94,7 @@ def _shape(recording: Recording, config: HandConfig, options: CalibrationOptions
     except RecordingError:
         return None
     before, after = found.costs_mm
-    ratio = measures_of(average_hand(found.side, HandShape(config.hand.scale)).anatomy)[0] / found.length_mm
+    ratio = measures_of(make_anatomy(found.side, config.hand.scale))[0] / found.length_mm
     return found if after < before and 1.0 / _ANOTHER_SIZE < ratio < _ANOTHER_SIZE else None
 
 

@@ -23,7 +23,7 @@ from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured
 from posetrack_cli.hand.calibration.trial import SIDES, tried_all_over
 from posetrack_cli.hand.config import HandConfig, HandSettings
-from posetrack_cli.hand.fitting.fitter import nearest_pixels
+from posetrack_cli.hand.fitting.fitter import tile_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel, hand_maker
 from posetrack_cli.hand.observer import Observer
@@ -32,7 +32,6 @@ from posetrack_cli.hand.space import inside_limits
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.rendering.raster import View
 
 LOOKED_AT = 48
 """Frames, evenly over the recording, of which those are chosen that show the most of fingers; less than twice
@@ -140,7 +139,7 @@ def shape_of(
     for attempt in range(ROUNDS):
         report(f"finding the {side} hand, {attempt + 1} of {ROUNDS}")
         poses, costs = calibrator.find(shape)
-        chosen = calibrator.chosen(poses, costs)
+        chosen = calibrator.chosen(costs)
         medians.append(float(np.median(costs)))
         report(f"adjusting its shape to {len(chosen)} frames")
         found = calibrator.adjust(chosen, poses[chosen], shape)
@@ -195,7 +194,7 @@ class _Calibrator:
                 poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
         return poses, costs
 
-    def chosen(self, poses: FloatArray, costs: FloatArray) -> IntArray:
+    def chosen(self, costs: FloatArray) -> IntArray:
         """Frames in which the hand was found well.
 
         Raises:
@@ -230,10 +229,7 @@ class _Calibrator:
     def _observing(self, frames: Sequence[Frame]) -> Callable[[int, FloatArray, HandModel], Tile]:
         def observe(f: int, pose: FloatArray, hand: HandModel) -> Tile:
             observer = Observer(self._config, hand.anatomy, self._camera, segment=True)
-            observation = observer.observe(frames[f].depth, pose)
-            image = observation.image.astype(np.float64)
-            view = View(*observation.window.tile_projection(self._camera))
-            return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
+            return tile_of(observer.observe(frames[f].depth, pose), self._camera)
 
         return observe
 

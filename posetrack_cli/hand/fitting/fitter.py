@@ -132,9 +132,7 @@ class HandFitter:
 
     def tile(self, observation: Observation) -> Tile:
         """Return an observation as the fits read it."""
-        image = observation.image.astype(np.float64)
-        view = View(*observation.window.tile_projection(self._camera))
-        return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
+        return tile_of(observation, self._camera)
 
     def aligned(self, tile: Tile, poses: FloatArray) -> FloatArray:
         """Return poses (K, 22) shifted so that what is drawn has the observed hand's middle."""
@@ -227,6 +225,13 @@ class HandFitter:
 
         list(self._threads.map(run, parts, self._free))
         return results
+
+
+def tile_of(observation: Observation, camera: Camera) -> Tile:
+    """Return an observation by a camera as fits read it."""
+    image = observation.image.astype(np.float64)
+    view = View(*observation.window.tile_projection(camera))
+    return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
 
 
 def nearest_pixels(mask: BoolArray) -> FloatArray:
