@@ -109,7 +109,7 @@ def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
     """Return the track with every pose, and its velocity, taken at another place of the same body."""
     quaternion = _known(track.quaternion)
     back = rotations.matrices_from_quaternions(turn).T
-    levers = -rotations.matrices_from_quaternions(quaternion) @ _cross_matrix(shift)  # (N, 3, 3)
+    levers = -rotations.matrices_from_quaternions(quaternion) @ rotations.cross_matrices(shift)  # (N, 3, 3)
     return replace(
         track,
         position=_known(track.position) + rotations.rotate(quaternion, shift),
@@ -128,11 +128,6 @@ def _carried(vectors: FloatArray | None, levers: FloatArray, turn: FloatArray) -
     carried[:, :3] += np.einsum("nij,nj->ni", levers, vectors[:, 3:6])
     carried[:, 3:6] = vectors[:, 3:6] @ turn.T
     return carried
-
-
-def _cross_matrix(v: FloatArray) -> FloatArray:
-    """Return [v]_x, (3, 3): [v]_x u = v x u."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> FloatArray:
