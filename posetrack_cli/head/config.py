@@ -180,8 +180,8 @@ class HeadSmoothingSettings(Settings):
     """
 
     velocity_mm: Positive = 100.0
-    velocity_rad: Positive = 0.55
-    gain: NotNegative = 2.0
+    velocity_rad: Positive = 0.3
+    gain: NotNegative = 1.0
     expression_mm: PointSettings = PointSettings(eyes=0.3, mouth=5.0, nostrils=1.0, brows=2.0)
     noise_mm: Positive = 0.25
     depth_noise_mm: Positive = 0.5
