@@ -9,7 +9,8 @@ from reproduction.accuracy.measuring import number
 from reproduction.heads.measuring import Measured
 from reproduction.heads.options import Options
 from reproduction.heads.tables import COLUMNS, EXPLAINED, accuracy_rows
-from reproduction.heads.tasks import CALIBRATION, TRUTH, Task
+from reproduction.heads.tasks import Task
+from reproduction.heads_data import CALIBRATION, TRUTH
 from reproduction.running import Targets, table
 
 ONE_PASS = {

@@ -14,12 +14,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from posetrack_cli.recording.base import CAMERA_FILE_NAME
-from reproduction.heads_data import camera_file_text, frame_rate
+from reproduction.heads_data import TRUTH, reading_arguments
 from reproduction.made import code_digest, command, drawing_digest, is_made, mark_made
 from reproduction.task import EntrantsTask
 
-CALIBRATION, TRUTH = "calibration.json", "truth.csv"
 ENTRANTS: dict[str, tuple[str, ...]] = {
     "deformable": (),
     "deformable-2": ("--passes", "2"),
@@ -84,9 +82,7 @@ class Task(EntrantsTask):
         """Make what is missing; return the arguments that read the recording."""
         path = self.recording(out)
         if self.folder:
-            camera = out / "recordings" / f"{self.name}.{CAMERA_FILE_NAME}"
-            camera.write_text(camera_file_text(path / CALIBRATION), encoding="utf-8")
-            return (str(path), "--camera", str(camera), "--fps", f"{frame_rate(path / CALIBRATION):g}")
+            return reading_arguments(path, out / "recordings")
         facts = {"recording": self.synthetic, "code": drawing_digest()}
         if not is_made(path, facts):
             command("head", "synth", *self.synthetic, "-o", str(path), "--overwrite")

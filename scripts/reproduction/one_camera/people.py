@@ -8,8 +8,7 @@ from pathlib import Path
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from reproduction.accuracy.measuring import number
 from reproduction.heads.people import persons_in
-from reproduction.heads.tasks import CALIBRATION, TRUTH
-from reproduction.heads_data import camera_file_text, frame_rate
+from reproduction.heads_data import TRUTH, reading_arguments
 from reproduction.one_camera.entrants import PEOPLE
 from reproduction.one_camera.measuring import Figures, Measured, Removed
 from reproduction.one_camera.options import Options
@@ -67,10 +66,7 @@ def result_of(person: str, entrant: str) -> str:
 
 def _chain(options: Options, folder: Path) -> Chain:
     """All entrants of a recording; its calibration becomes a camera file of ours."""
-    camera = options.output / "recordings" / f"{folder.name}.camera.toml"
-    camera.parent.mkdir(parents=True, exist_ok=True)
-    camera.write_text(camera_file_text(folder / CALIBRATION), encoding="utf-8")
-    reading = (str(folder), "--camera", str(camera), "--fps", f"{frame_rate(folder / CALIBRATION):g}")
+    reading = reading_arguments(folder, options.output / "recordings")
     alone = ("head", "mono", *reading, "--cameras", CAMERA)
     steps = (
         Step(result_of(folder.name, entrant.name), (*alone, *entrant.arguments, "--timings"))

@@ -1,0 +1,1 @@
+"""How the head trackers do on people that nothing was tuned on."""

@@ -1,0 +1,69 @@
+"""What the head trackers do on people that nothing was tuned on: with one camera, and with two.
+
+Usage: scripts/reproduce heads-strangers --heads FOLDER [--tuned FOLDER] [--part mono] [--jobs N]
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import click
+
+from posetrack_cli import __version__
+from posetrack_cli.errors import PosetrackError
+from reproduction.head_strangers.measuring import Measured
+from reproduction.head_strangers.mono import Mono
+from reproduction.head_strangers.options import Options, Part
+from reproduction.head_strangers.stereo import Stereo
+from reproduction.running import FOLDER, Study
+from reproduction.steps import run_chains
+
+NAME = "heads-strangers"
+PARTS: tuple[Part, ...] = (Mono(), Stereo())
+
+
+def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:
+    return run_chains((chain for part in parts for chain in part.chains(options)), options.output, jobs)
+
+
+def _head(options: Options) -> Iterable[str]:
+    yield "# What the head trackers do on strangers"
+    yield ""
+    names = ", ".join(folder.name for folder in options.strangers)
+    yield f"posetrack {__version__}; strangers: {names}; {os.cpu_count()} cores."
+    yield ""
+
+
+STUDY = Study(
+    NAME, f"{NAME}.json", PARTS, _make, lambda options: Measured(options.output), _head, report=f"{NAME}.md"
+)
+
+
+@STUDY.command
+@click.option(
+    "--heads",
+    type=FOLDER,
+    required=True,
+    help="Folder of strangers' recordings: left/, right/, calibration.json and truth.csv in each.",
+)
+@click.option("--tuned", type=FOLDER, help="Folder of recordings of the people that defaults were tuned on.")
+@click.option("--person", "only", multiple=True, metavar="NAME", help="Track this person alone; repeatable.")
+@STUDY.choosing_options
+def main(
+    output: Path, heads: Path, tuned: Path | None, only: tuple[str, ...], jobs: int, chosen: tuple[str, ...]
+) -> None:
+    """Measure the head trackers on people that nothing was tuned on, with defaults.
+
+    Results that the same code made with the same arguments are kept: an interrupted study goes on where it
+    stopped. Written are heads-strangers.md and heads-strangers.json.
+    """
+    try:
+        STUDY.run(Options(output, heads, tuned, only), chosen, jobs)
+    except PosetrackError as error:
+        raise click.ClickException(str(error)) from error
+
+
+if __name__ == "__main__":
+    main()
