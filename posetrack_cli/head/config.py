@@ -173,6 +173,29 @@ class HeadStatusSettings(Settings):
     lost_after_frames: Count = 3
 
 
+class HeadSmoothingSettings(Settings):
+    """The smoothed track of ``--smooth`` **[ours]**; see ``head.smoothing``.
+
+    A head's velocity wanders by ``velocity_mm`` and ``velocity_rad`` in the square root of a second, and by
+    ``gain`` times its speed. In expressions points move about the neutral face by ``expression_mm``; they are
+    found to ``noise_mm`` across the ray and, by several cameras, to ``depth_noise_mm`` along it. What they
+    leave is Student-t with ``freedom``, and what a frame says counts by ``share``, as the errors of its
+    neighbours are like its own. Places of points in the face are smoothed over ``places_s`` (standard
+    deviation). A head that is lost for no longer than ``bridge_s`` is bridged.
+    """
+
+    velocity_mm: Positive = 100.0
+    velocity_rad: Positive = 0.3
+    gain: NotNegative = 1.0
+    expression_mm: PointSettings = PointSettings(eyes=0.3, mouth=5.0, nostrils=1.0, brows=2.0)
+    noise_mm: Positive = 0.25
+    depth_noise_mm: Positive = 0.5
+    freedom: Positive = 4.0
+    share: Annotated[float, Field(ge=1e-6, le=1.0)] = 0.1
+    places_s: Annotated[float, Field(ge=1e-3, le=10.0)] = 0.05
+    bridge_s: NotNegative = 0.5
+
+
 class HeadOutputSettings(Settings):
     """How a result is written."""
 
@@ -189,6 +212,7 @@ class HeadStereoConfig(Settings):
     particles: ParticleSettings = ParticleSettings()
     refinement: RefinementSettings = RefinementSettings()
     status: HeadStatusSettings = HeadStatusSettings()
+    smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
     output: HeadOutputSettings = HeadOutputSettings()
 
 
@@ -291,4 +315,5 @@ class HeadMonoConfig(Settings):
     refinement: RefinementSettings = RefinementSettings(previous_likeness=1.0)
     adjustment: AdjustmentSettings = AdjustmentSettings()
     status: MonoStatusSettings = MonoStatusSettings()
+    smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
     output: HeadOutputSettings = HeadOutputSettings()
