@@ -68,8 +68,8 @@ SEEN_BESIDE = np.array(
 """(K, 3) mm in the head's frame: how far from a mesh's vertices the learned points are followed.
 
 Medians over the same ten people of the constant offsets that explain, with the true poses and vertices, where
-points were followed in the left images, made symmetric. They are of all ten also where a person is left out of the
-rest: these twelve figures a stranger of the study has helped to make."""
+points were followed in the left images, made symmetric. They are of all ten also where a person is left out
+of the rest: these figures a stranger of the study has helped to make."""
 
 NEUTRAL: Expression = {}
 SIDEWAYS: Mapping[float, Expression] = {
