@@ -12,7 +12,6 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, ANGLES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.space import HandSpace, pose_rates
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA,
@@ -25,6 +24,7 @@ from posetrack_cli.results import (
 )
 from posetrack_cli.synthesis.hand.natural import natural_motion
 from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.tracking.body_space import BodySpace, pose_rates
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 SD = np.r_[np.full(3, 5.0), np.full(3, 0.06), np.full(15, 0.12)]
@@ -44,7 +44,7 @@ def write_long_result(path: Path, frames: int, seed: int = 0) -> None:
     with ResultWriter(path, SUBJECT, CAMERA, run) as writer:
         for block in np.array_split(np.arange(frames), max(1, frames // 1000)):
             true, twists = script.poses(times[block]), script.twists(times[block])
-            poses = HandSpace().retract(true, SD * rng.standard_normal((len(block), len(SD))))
+            poses = BodySpace().retract(true, SD * rng.standard_normal((len(block), len(SD))))
             poses[:, 3:7] = rotations.canonical(poses[:, 3:7])
             joints = joint_positions(anatomy, np.concatenate([poses, true])).reshape(2, len(block), -1, 3)
             for row, index in enumerate(block.tolist()):

@@ -51,10 +51,11 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
 @click.option("--time-offset-s", type=float, default=0.0, help="Seconds to add to the stamps of the truth.")
 @click.option(
     "--align",
-    type=click.Choice(["none", "rigid", "rigid+points"]),
+    type=click.Choice(["none", "rigid", "rigid+points", "similarity"]),
     default="none",
     show_default=True,
-    help="Remove one constant rigid offset first, or also each point's own.",
+    help="Remove one constant rigid offset first; or also each point's own; or also one scale, which one "
+    "camera does not see.",
 )
 @click.option(
     "--joint-offsets",

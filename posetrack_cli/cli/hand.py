@@ -18,6 +18,7 @@ from posetrack_cli.cli.options import (
     reading_options,
     recording_options,
     result_options,
+    smooth_option,
 )
 from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import close, compiling_said, kept, progress
@@ -118,7 +119,7 @@ hand.add_command(hand_synth)
     help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of mirrored "
     "images, or wrong sides.",
 )
-@click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
+@smooth_option
 @frame_options
 @recording_options
 @click.option(

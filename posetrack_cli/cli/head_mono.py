@@ -21,6 +21,7 @@ from posetrack_cli.cli.options import (
     one_camera_options,
     reading_options,
     result_options,
+    smooth_option,
 )
 from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
@@ -60,6 +61,7 @@ OWN_CONFIGURED = {"adjust": "adjustment.when", "face_model": "model.file"}
     help="Which of several faces in the first frames; 1 is the largest.",
 )
 @start_options
+@smooth_option
 @frame_options
 @one_camera_options
 @click.option(
@@ -140,6 +142,7 @@ def _run(
     (camera,) = source.cameras
     file = None if config.model.file is None else Path(config.model.file)
     clicked = None if options.init is None else Path(options.init)
+    model = load_face_model(file)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         return make_mono_tracker(config, camera, known, face=face - 1, clicked=clicked)
@@ -149,9 +152,10 @@ def _run(
         config,
         options,
         name="head-mono",
-        subject=mono_subject(camera.name, load_face_model(file)),
+        subject=mono_subject(camera.name, model),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
+        origin=model.deformation_mean,
         first_pass=first_pass,
         stated=_stated(source, file, face),
     )

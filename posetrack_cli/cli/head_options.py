@@ -27,7 +27,7 @@ CONFIGURED = {
     "detector_model": "start.detection.model",
 }
 """Configuration keys that options stand for."""
-HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "passes", "load_model", "save_model")
+HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "passes", "load_model", "save_model", "smooth")
 
 
 def particle_option(default: int) -> Callable[[Command], Command]:

@@ -21,6 +21,7 @@ from posetrack_cli.cli.options import (
     image_options,
     reading_options,
     result_options,
+    smooth_option,
 )
 from posetrack_cli.errors import UsageError
 
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 )
 @learning_options(passes=1)
 @start_options
+@smooth_option
 @frame_options
 @image_options
 @finishing_options("an existing result, and an existing model")

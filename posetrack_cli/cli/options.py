@@ -62,6 +62,11 @@ class DrawingDevice(click.IntRange):
         return "cpu" if value == "cpu" else int(super().convert(value, parameter, context))
 
 
+smooth_option = option_group(
+    click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
+)
+
+
 def only_once(context: click.Context, parameter: click.Parameter, values: tuple[Any, ...]) -> Any:
     """Callback of an option with ``multiple=True`` that may be given once: a second one is not passed over.
 

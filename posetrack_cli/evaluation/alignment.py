@@ -1,7 +1,8 @@
 """Remove what is constant in the difference between an estimate and a truth: where a model's frame sits.
 
 A tracker and a truth may put the origin and the axes of the same head differently, and mark its points
-differently. That is a convention, no error, and it is the same in every frame.
+differently. That is a convention, no error, and it is the same in every frame. One camera does not see how
+large a head is: then all distances and sizes are wrong by one common factor, which can be removed, too.
 """
 
 from __future__ import annotations
@@ -21,8 +22,14 @@ from posetrack_cli.geometry.rigid import in_object
 IDENTITY_NOTE = "no constant offset removed: no frame has a truth"
 
 
+LEAST_MOTION_MM = 1.0
+"""Root mean square of how a body moves in its own axes: what moves less tells no scale."""
+TELLING_FACTOR, TELLING_SHARE = 0.02, 0.6
+"""A common factor is remarked if it is so far from 1, and leaves no more than this share of the errors."""
+
+
 def remove_constant_offset(
-    track: Track, truth: Track, pairs: Pairs, points: bool = False
+    track: Track, truth: Track, pairs: Pairs, points: bool = False, scale: bool = False
 ) -> tuple[Track, str]:
     """Return the estimate with one constant rigid offset of its model frame removed.
 
@@ -44,11 +51,17 @@ def remove_constant_offset(
     The points in camera axes stay where they are: in the object's frame they become X^-1 m. With ``points``
     each point's constant offset in that frame, mean over the pairs of m_true - m', is then removed, too.
 
+    With ``scale`` all lengths of the estimate are first multiplied by one factor s, seen from the camera: the
+    s that minimises sum |s t_i + R_i x - t_true,i|^2 together with x. With a_i = R_i^T t_i, b_i =
+    R_i^T t_true,i and their deviations from the mean it is s = sum a_i . b_i / sum |a_i|^2, and x =
+    mean b - s mean a.
+
     Args:
         track: the estimate, with poses.
         truth: with poses, and with ``points`` the same points.
         pairs: which rows belong together; with none nothing is removed.
         points: whether each point's offset is removed, too.
+        scale: whether one factor on all lengths is.
 
     Returns:
         The aligned estimate, and a note that says what was removed.
@@ -60,6 +73,8 @@ def remove_constant_offset(
     if not len(pairs.estimate):
         return track, IDENTITY_NOTE
     mine, theirs = tracked_pairs(track, pairs)
+    if scale:
+        return _without_scale(track, truth, mine, theirs)
     turn, shift = _offset(track, truth, mine, theirs)
     aligned = _moved(track, turn, shift)
     note = f"one constant rigid offset removed: {_readable(turn, shift)}"
@@ -70,6 +85,85 @@ def remove_constant_offset(
     return _with_points_moved(
         aligned, offsets
     ), f"{note}; each point's constant offset, up to {largest:.1f} mm"
+
+
+def common_factor(track: Track, truth: Track, pairs: Pairs) -> str:
+    """Return a remark that one factor on all lengths would explain most position errors; empty if not.
+
+    Args:
+        track: the estimate, with poses.
+        truth: with poses.
+        pairs: which rows belong together.
+    """
+    if not len(pairs.estimate):
+        return ""
+    mine, theirs = tracked_pairs(track, pairs)
+    factor = _factor(track, truth, mine, theirs)
+    if factor is None or abs(factor - 1.0) < TELLING_FACTOR:
+        return ""
+    kept, left = (_spread(track, truth, mine, theirs, one) for one in (1.0, factor))
+    if left > TELLING_SHARE * kept:
+        return ""
+    return (
+        f"one factor of {factor:.3f} on distance and size would take the position error from {kept:.1f} to"
+        f" {left:.1f} mm (root mean square), and points with it: --align similarity removes it"
+    )
+
+
+def _without_scale(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tuple[Track, str]:
+    """The estimate without one factor and one offset, and a note."""
+    factor = _factor(track, truth, mine, theirs)
+    scaled = track if factor is None else _enlarged(track, factor)
+    turn, shift = _offset(scaled, truth, mine, theirs)
+    told = (
+        "no scale removed, as the object hardly moves"
+        if factor is None
+        else f"one scale removed: {factor:.4f}"
+    )
+    return _moved(scaled, turn, shift), f"{told}; one constant rigid offset: {_readable(turn, shift)}"
+
+
+def _own_axes(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return both sides' positions in the estimated object's axes, (M, 3)."""
+    inverse = rotations.conjugate(_known(track.quaternion)[mine])
+    places = _known(track.position)[mine], _known(truth.position)[theirs]
+    return rotations.rotate(inverse, places[0]), rotations.rotate(inverse, places[1])
+
+
+def _factor(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> float | None:
+    """Return the best common factor; None where the object hardly moves, or none above 0 is best."""
+    a, b = (one - one.mean(axis=0) for one in _own_axes(track, truth, mine, theirs))
+    squares = float(np.square(a).sum())
+    if squares < len(a) * LEAST_MOTION_MM**2:
+        return None
+    factor = float((a * b).sum()) / squares
+    return factor if factor > 0.0 else None
+
+
+def _spread(track: Track, truth: Track, mine: IntArray, theirs: IntArray, factor: float) -> float:
+    """Return the root mean square distance, mm, that is left with a factor and its best offset."""
+    a, b = (one - one.mean(axis=0) for one in _own_axes(track, truth, mine, theirs))
+    return float(np.sqrt(np.square(factor * a - b).sum(axis=1).mean()))
+
+
+def _enlarged(track: Track, factor: float) -> Track:
+    """Return the track with all lengths in camera axes multiplied; angles and shape stay."""
+    lengths = np.array([factor] * 3)
+    return replace(
+        track,
+        position=factor * _known(track.position),
+        points=None if track.points is None else factor * track.points,
+        twist=_times(track.twist, lengths),
+        pose_variance=_times(track.pose_variance, lengths**2),
+        twist_variance=_times(track.twist_variance, lengths**2),
+    )
+
+
+def _times(vectors: FloatArray | None, factors: FloatArray) -> FloatArray | None:
+    """Return tangent vectors (N, 6 + K) with the linear part multiplied."""
+    if vectors is None:
+        return None
+    return np.hstack([factors * vectors[:, :3], vectors[:, 3:]])
 
 
 def _check(track: Track, truth: Track, points: bool) -> None:
@@ -109,7 +203,7 @@ def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
     """Return the track with every pose, and its velocity, taken at another place of the same body."""
     quaternion = _known(track.quaternion)
     back = rotations.matrices_from_quaternions(turn).T
-    levers = -rotations.matrices_from_quaternions(quaternion) @ _cross_matrix(shift)  # (N, 3, 3)
+    levers = -rotations.matrices_from_quaternions(quaternion) @ rotations.cross_matrices(shift)  # (N, 3, 3)
     return replace(
         track,
         position=_known(track.position) + rotations.rotate(quaternion, shift),
@@ -128,11 +222,6 @@ def _carried(vectors: FloatArray | None, levers: FloatArray, turn: FloatArray) -
     carried[:, :3] += np.einsum("nij,nj->ni", levers, vectors[:, 3:6])
     carried[:, 3:6] = vectors[:, 3:6] @ turn.T
     return carried
-
-
-def _cross_matrix(v: FloatArray) -> FloatArray:
-    """Return [v]_x, (3, 3): [v]_x u = v x u."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> FloatArray:

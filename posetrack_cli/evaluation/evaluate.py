@@ -11,7 +11,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.alignment import remove_constant_offset
+from posetrack_cli.evaluation.alignment import common_factor, remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value, statistics
@@ -29,7 +29,7 @@ from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.results.reader import Result, read_result
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 
-Alignment: TypeAlias = Literal["none", "rigid", "rigid+points"]
+Alignment: TypeAlias = Literal["none", "rigid", "rigid+points", "similarity"]
 
 AGAINST_TRUTH = ("accuracy", "velocity", "covariance", "honesty")
 LONGEST_OFFSET_S = 1e10
@@ -60,7 +60,8 @@ class EvalOptions:
         truth: a file to take the truth from; None takes the one that the result carries.
         tolerance_ms: how far apart the stamps of an estimate and its truth may be.
         time_offset_s: added to the stamps of the truth.
-        align: ``rigid`` removes one constant rigid offset first, ``rigid+points`` each point's own, too.
+        align: ``rigid`` removes one constant rigid offset first, ``rigid+points`` each point's own, too,
+            ``similarity`` one factor on all lengths and one constant rigid offset.
         recording: what the result was made from, to measure it against the images; None leaves that out.
         track: which of the result's tracks.
         joint_offsets: whose axes the constant offset of each of a hand's joints is removed in, see
@@ -205,8 +206,10 @@ def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, optio
     """The estimate without its constant offset, as far as the options ask for it; a note says so."""
     if options.align == "none":
         return track
-    aligned, note = remove_constant_offset(track, truth, pairs, points=options.align == "rigid+points")
-    measures.notes.append(note)
+    points, scale = options.align == "rigid+points", options.align == "similarity"
+    aligned, note = remove_constant_offset(track, truth, pairs, points, scale)
+    remark = "" if scale else common_factor(track, truth, pairs)
+    measures.notes += [note, remark] if remark else [note]
     return aligned
 
 

@@ -18,7 +18,7 @@ its motion may be smoother than the filter's, which has to catch what the fits d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -65,7 +65,7 @@ class FitSmoother:
     It remembers what a Kalman filter expects of each frame, without the frame's own fits, and the frame.
 
     Args:
-        dynamics: of the smooth motion.
+        dynamics: of the smooth motion; or of the steps to and from a frame, by what is kept of it.
         space: the poses' space.
         fits: of the frames.
         groups: components that err together, where fits are doubted.
@@ -74,23 +74,28 @@ class FitSmoother:
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | Callable[[Memory], Dynamics],
         space: StateSpace,
         fits: FrameFits,
         groups: Sequence[IntArray] = (),
         freedom: float | None = None,
     ) -> None:
         self._dynamics, self._space, self._fits = dynamics, space, fits
+        self._step_dynamics: Dynamics | None = None  # of the step to the frame that was smoothed last
         self._groups, self._freedom = groups, freedom
         self._belief: StateGaussian | None = None
         self._message: BackwardMessage | None = None
 
-    def remember(self, state: FilterState, step: Step | None = None) -> Memory:
-        """Return what is expected of a frame; a chain begins with the particles' own moments."""
+    def remember(self, state: FilterState | StateGaussian, step: Step | None = None) -> Memory:
+        """Return what is expected of a frame; a chain begins with the particles' own moments.
+
+        Where no particles are, the Gaussian itself may be given, with what the chain's first frame says.
+        """
         if self._belief is None or step is None or step.cut:
             expected, first = self._moments(state), True
         else:
-            expected, first = predicted(self._belief, step.dt, self._dynamics, self._space), False
+            dynamics = self._dynamics_of(step.frame)
+            expected, first = predicted(self._belief, step.dt, dynamics, self._space), False
         frame = {} if step is None else step.frame
         kept = {**vars(expected), "first": int(first), **frame}
         self.resume(kept)
@@ -111,10 +116,10 @@ class FitSmoother:
 
     def back(self, memory: Memory, dt: float) -> Smoothed:
         """Go on to the frame before; see `Smoother`."""
-        if self._message is None:
+        if self._message is None or self._step_dynamics is None:
             raise FilterError("a backward pass begins with the last frame")
         check_time_step(dt)
-        earlier = earlier_message(self._message, dt, self._dynamics)
+        earlier = earlier_message(self._message, dt, self._step_dynamics)
         return self._smoothed(memory, recentred(earlier, memory["pose"], self._space))
 
     def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
@@ -126,6 +131,7 @@ class FitSmoother:
     def _smoothed(self, memory: Memory, message: BackwardMessage) -> Smoothed:
         """Join what is known before and after a frame with its own fits."""
         belief, self._message = joined(_belief_of(memory), message, self._space), message
+        self._step_dynamics = self._dynamics_of(memory)
         known = None if memory["first"] else self._fits.known(memory)
         if known is None:
             return belief.smoothed
@@ -140,8 +146,13 @@ class FitSmoother:
             return fit
         return doubted(belief, fit, self._groups, self._freedom, self._space)
 
-    def _moments(self, state: FilterState) -> StateGaussian:
-        moving = state.with_velocity(self._dynamics.pose_noise.size)
+    def _dynamics_of(self, frame: Memory) -> Dynamics:
+        return self._dynamics if isinstance(self._dynamics, Dynamics) else self._dynamics(frame)
+
+    def _moments(self, state: FilterState | StateGaussian) -> StateGaussian:
+        if isinstance(state, StateGaussian):
+            return state
+        moving = state.with_velocity(self._space.local(state.poses[:1], state.poses[:1]).shape[-1])
         return state_gaussian(moving, truncated(normalise(state.log_weights)[0]), self._space)
 
 

@@ -192,6 +192,15 @@ def _canonical_sign(q: FloatArray) -> FloatArray:
     return np.where(sign == 0.0, 1.0, sign)
 
 
+def cross_matrices(v: FloatArray) -> FloatArray:
+    """Return [v]_x, (..., 3, 3), of vectors (..., 3): [v]_x u = v x u."""
+    matrices = np.zeros((*v.shape, 3))
+    matrices[..., 0, 1], matrices[..., 0, 2] = -v[..., 2], v[..., 1]
+    matrices[..., 1, 0], matrices[..., 1, 2] = v[..., 2], -v[..., 0]
+    matrices[..., 2, 0], matrices[..., 2, 1] = -v[..., 1], v[..., 0]
+    return matrices
+
+
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the cross product of (..., 3) vectors; np.cross takes several times as long on small arrays."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))

@@ -22,7 +22,7 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.segmentation import Detection, detect
-from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.tracking.body_space import BodySpace
 
 _D = np.pi / 180.0
 # Thumb CMC and MCP flexion, abduction; then MCP flexion, abduction, PIP flexion of each finger, degrees.
@@ -177,7 +177,7 @@ class Acquisition:
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config, self._settings = config, config.acquisition
         self.accept_mm = config.acquisition.accept_mm
-        self._hand, self._camera, self._space = hand, camera, HandSpace()
+        self._hand, self._camera, self._space = hand, camera, BodySpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
         self.local_fitter = LocalFitter(config, hand, camera)
         size = config.observation.tile_px

@@ -32,8 +32,9 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import pixel_mixture, reading_share
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import NO_ARM, Observation
-from posetrack_cli.hand.space import HandSpace, tangent_vector
+from posetrack_cli.hand.space import tangent_vector
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.tracking.body_space import BodySpace
 
 USUAL_STEP_S = 1.0 / 30.0
 NOT_TOLD: FloatArray = np.empty((0, POSE_SIZE))
@@ -90,7 +91,7 @@ class LocalFitter:
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._config, self._settings, self._camera = config, config.fit, camera
-        self._anatomy, self._space = hand.anatomy, HandSpace()
+        self._anatomy, self._space = hand.anatomy, BodySpace()
         terms = fit_terms(config)
         self.sigma_mm = terms.sigma_mm
         self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
@@ -242,7 +243,7 @@ class HandFits:
     """
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
-        self._local, self._space = LocalFitter(config, hand, camera), HandSpace()
+        self._local, self._space = LocalFitter(config, hand, camera), BodySpace()
         self._settings, self._clamp_mm = config.smoothing, config.observation.clamp_mm
         self._most, self._size = config.fit.most_modes, config.observation.tile_px
         self._is_calibrated = config.observation.models_pixels

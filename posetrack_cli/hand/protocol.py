@@ -10,9 +10,9 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.space import pose_rates
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.tracking.body_space import pose_rates
 from posetrack_cli.tracking.loop import Tracker
 
 State = TypeVar("State")

@@ -24,7 +24,7 @@ from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import HandTrackerProtocol
-from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, frame_fits, make_smoother
+from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, dynamics
 from posetrack_cli.hand.trackers import make_tracker
@@ -40,6 +40,7 @@ from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record, frames_ahead, nothing_to_track
 from posetrack_cli.tracking.run import Run
+from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack, smoothing_path
 
 INIT_METHODS = ("auto", "center")
 _REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]
@@ -53,11 +54,9 @@ class RunOptions(tracking_options.RunOptions):
 
     Attributes:
         init: ``auto``, ``center`` or the path of a pose (see ``read_pose``); None as configured.
-        smooth: also write the smoothed track.
         keypoints: from elsewhere.
     """
 
-    smooth: bool = False
     keypoints: KeypointFile | None = None
 
 
@@ -141,7 +140,7 @@ class HandRun(Run):
                 writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None, _REST, 0.0)
             )
         path = smoothing_path(self._options.output)
-        with SmoothedTrack(path, smoother, self._anatomy, kept) as track:
+        with SmoothedTrack(path, smoother, smoothed_hand(self._anatomy), kept) as track:
             yield _Smoothing(self, track, fits)
 
     def on_frame(self, frame: Frame) -> None:
@@ -175,14 +174,14 @@ class HandRun(Run):
 class _Smoothing:
     """The memory of a run that is smoothed (``tracking.run.FrameMemory``)."""
 
-    def __init__(self, run: HandRun, track: SmoothedTrack, fits: HandFits | None) -> None:
+    def __init__(self, run: HandRun, track: SmoothedTrack[Estimate], fits: HandFits | None) -> None:
         self._run, self._track, self._fits = run, track, fits
 
     def remember(self, state: Any, estimate: Estimate) -> None:
         frame = NOTHING
         if self._fits is not None:
             frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
-        self._track.remember(state.particles, estimate, state.dt, state.cut, frame)
+        self._track.remember(state.particles, FrameFacts.of(estimate), state.dt, state.cut, frame)
 
     def flush(self) -> None:
         self._track.flush()
@@ -198,11 +197,6 @@ def with_method(config: HandConfig, options: RunOptions) -> HandConfig:
     if options.init not in INIT_METHODS:
         return config
     return config.model_copy(update={"init": config.init.model_copy(update={"method": options.init})})
-
-
-def smoothing_path(output: Path) -> Path:
-    """The file beside a result in which a run remembers what it will smooth."""
-    return output.with_name(f"{output.name}.part.frames")
 
 
 def _given_pose(options: RunOptions) -> FloatArray | None:

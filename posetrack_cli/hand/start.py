@@ -19,10 +19,11 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import InitSettings
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.space import HandSpace, inside_limits, tangent_vector
+from posetrack_cli.hand.space import inside_limits, tangent_vector
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.text import parse_toml
+from posetrack_cli.tracking.body_space import BodySpace
 
 ESTIMATE_TOPICS = ("/hand/estimate", "/truth/hand/estimate")
 USUAL_DEPTH_MM = 650.0
@@ -53,7 +54,7 @@ def scattered_poses(anatomy: HandAnatomy, count: int, rng: np.random.Generator) 
     """Poses (N, 22) as the start's prior spreads them, 650 mm away: what benchmarks draw."""
     start = np.tile(rest_pose(anatomy, np.array([0.0, 0.0, USUAL_DEPTH_MM])), (count, 1))
     spread = tangent_vector(InitSettings().spread)
-    return inside_limits(HandSpace().retract(start, spread * rng.standard_normal((count, spread.size))))
+    return inside_limits(BodySpace().retract(start, spread * rng.standard_normal((count, spread.size))))
 
 
 def centre_pose(

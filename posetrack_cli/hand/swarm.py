@@ -54,11 +54,12 @@ from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
-from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
+from posetrack_cli.hand.space import inside_limits, pose_layout, tangent_vector
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.body_space import BodySpace
 from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
 
 _ABDUCTIONS = [ANGLE_NAMES.index(f"{finger}_mcp_abduction") for finger in FINGERS[1:]]
@@ -185,7 +186,7 @@ class SwarmTracker:
     ) -> None:
         self.config, self.anatomy, self.objective = config, anatomy, objective
         self._observer, self._finder = observer, finder
-        self._space = HandSpace()
+        self._space = BodySpace()
         self._rules = swarm_rules(config.pso)
         self._spread = tangent_vector(config.pso.spread)
         self.codec = Fields(SwarmState, pose=Value(pose_layout()), stamp_ns=stamp(), misses=whole())

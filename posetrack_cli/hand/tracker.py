@@ -29,10 +29,11 @@ from posetrack_cli.hand.observation import NO_ARM, Observation
 from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
-from posetrack_cli.hand.space import HandSpace, inside_limits, pose_layout, tangent_vector
+from posetrack_cli.hand.space import inside_limits, pose_layout, tangent_vector
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
+from posetrack_cli.tracking.body_space import BodySpace
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
 
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
@@ -125,7 +126,7 @@ class HandTracker:
         plausible = finder is not None and self._proposal.looks_at_frames
         self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
         self._is_calibrated = self._finder is not None and config.observation.models_pixels
-        self._space, self.dynamics = HandSpace(), dynamics(config)
+        self._space, self.dynamics = BodySpace(), dynamics(config)
         resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self._model = FilterModel(self.dynamics, self._space, resampling, self._proposal.sampling)
         self.codec = state_codec(config)

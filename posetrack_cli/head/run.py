@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -10,10 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path, write_output
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
+from posetrack_cli.head.smoothing.track import HeadMemory
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -23,6 +27,7 @@ from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record
 from posetrack_cli.tracking.run import Report
+from posetrack_cli.tracking.smoothing import smoothing_path
 from posetrack_cli.tracking.two_pass import (
     Learned,
     LearningTracker,
@@ -60,6 +65,7 @@ class HeadRun(TwoPassRun):
         subject: what its estimates are of.
         flush_frames: estimates between two checkpoints.
         make_tracker: of each pass.
+        origin: (B,) what the coefficients of the neutral face are called in results; zeros without.
         first_pass: called with every estimate of the first of two passes; none of them is written.
         stated: what the record says besides, such as that intrinsics were guessed.
 
@@ -74,18 +80,21 @@ class HeadRun(TwoPassRun):
     def __init__(
         self,
         recording: Recording,
-        config: Settings,
+        config: HeadStereoConfig | HeadMonoConfig,
         options: HeadRunOptions,
         *,
         name: str,
         subject: Subject,
         flush_frames: int,
         make_tracker: MakeTracker,
+        origin: FloatArray | None = None,
         first_pass: Report = lambda estimate: None,
         stated: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         check_head_run(recording, options)
         super().__init__(recording, options, flush_frames, options.passes, make_tracker, first_pass)
+        self._config = config
+        self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
         self.subject, self._name, load = subject, name, options.load_model
         self.tracker = make_tracker(None) if load is None else self._knowing(load)
         self.record = {**head_record(name, recording, config, options), **stated}
@@ -113,6 +122,17 @@ class HeadRun(TwoPassRun):
                 hint="--init FILE begins with clicked points; --detector yunet finds faces that haar misses",
             )
         return self.tracker.learned(state)
+
+    @contextmanager
+    def open_memory(self, writer: ResultWriter) -> Iterator[HeadMemory | None]:
+        """Open what will be smoothed; None if nothing is."""
+        if not self._options.smooth:
+            yield None
+            return
+        path, kept = smoothing_path(self._options.output), writer.frames_written
+        about = self._config, self.subject, len(self.cameras), self._origin
+        with HeadMemory(path, *about, kept) as memory:
+            yield memory
 
     def finish(self, writer: ResultWriter, state: Any) -> dict[str, str]:
         """Attach what was learned, and write it where asked."""

@@ -26,6 +26,7 @@ class RunOptions:
         resume: go on with an interrupted run.
         overwrite: replace an existing result.
         timings: write each frame's milliseconds; then two runs differ in their bytes.
+        smooth: also write the smoothed track.
     """
 
     output: Path
@@ -37,6 +38,7 @@ class RunOptions:
     resume: bool = False
     overwrite: bool = False
     timings: bool = False
+    smooth: bool = False
 
 
 @dataclass(frozen=True)

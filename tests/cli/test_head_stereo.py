@@ -179,7 +179,7 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
         return HeadRun(
             source,
             config,
-            HeadRunOptions(tmp_path / name, passes=passes, resume=resume),
+            HeadRunOptions(tmp_path / name, passes=passes, resume=resume, smooth=True),
             name="head-stereo",
             subject=head_subject(source.cameras[0].name, components_of(config)),
             flush_frames=config.output.flush_frames,
@@ -190,6 +190,29 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
     assert track("cut.mcap", frames).stopped
     assert track("cut.mcap", resume=True).tracked < 10 * passes
     assert filecmp.cmp(tmp_path / "whole.mcap", tmp_path / "cut.mcap", shallow=False)
+
+
+def test_a_smoothed_track_stands_beside_the_filtered_one(
+    made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "r.mcap"
+    assert stereo(made, path, "--smooth") == 0
+    assert [one.name for one in tmp_path.iterdir()] == ["r.mcap"]
+    mine, theirs = load_arrays(path), load_arrays(tracked)
+    for name in mine:
+        np.testing.assert_array_equal(mine[name], theirs[name], err_msg=name)
+    report = tmp_path / "both.json"
+    asked = ["eval", str(path), "--track", "both", "--align", "rigid", "--json", str(report)]
+    assert run(asked) == 0
+    found = [one["metrics"] for one in json.loads(report.read_text())["results"]]
+    assert [one["frames"]["value"] for one in found] == [10, 10]
+    assert found[1]["position_mm"]["mean"] < 1.0 and found[1]["rotation_deg"]["mean"] < 1.0
+    assert found[1]["jitter_mm"]["mean"] < 0.7 * found[0]["jitter_mm"]["mean"]
+    assert run(["view", str(path), "--recording", str(made), "--track", "both", "-o", f"{path}.png"]) == 0
+    capsys.readouterr()
+    assert run(["export", str(path), "--track", "smoothed"]) == 0
+    rows = [row for row in capsys.readouterr().out.splitlines() if not row.startswith("#")]
+    assert len(rows) == 11
 
 
 def test_clicked_points_begin_a_run(

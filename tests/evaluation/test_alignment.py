@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.alignment import remove_constant_offset
+from posetrack_cli.evaluation.alignment import common_factor, remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
@@ -300,3 +300,51 @@ def test_points_of_other_names_cannot_be_aligned() -> None:
     with pytest.raises(UsageError, match="other points"):
         remove_constant_offset(head, other, all_pairs(FRAMES), points=True)
     remove_constant_offset(head, other, all_pairs(FRAMES))
+
+
+def enlarged(track: Track, factor: float) -> Track:
+    """The same head, so many times as large and as far away: one camera sees the same."""
+    return replace(track, position=factor * of(track.position), points=factor * of(track.points))
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.floats(0.5, 2.0))
+def test_a_planted_scale_comes_back_exactly(seed: int, factor: float) -> None:
+    truth = random_head(FRAMES, seed)
+    turn, shift = planted(seed)
+    estimate = enlarged(offset_by(truth, turn, shift), factor)
+    aligned, note = remove_constant_offset(estimate, truth, all_pairs(FRAMES), scale=True)
+    np.testing.assert_allclose(of(aligned.position), of(truth.position), atol=1e3 * ROUNDING)
+    np.testing.assert_allclose(in_object(aligned), in_object(truth), atol=1e3 * ROUNDING)
+    assert note.startswith(f"one scale removed: {1.0 / factor:.4f}; one constant rigid offset: ")
+
+
+def test_no_other_scale_is_better() -> None:
+    truth = random_head(12)
+    estimate = shaken(enlarged(truth, 1.1), 5)
+    best = cost(remove_constant_offset(estimate, truth, all_pairs(12), scale=True)[0], truth)[0]
+
+    def translation(unknowns: FloatArray) -> float:
+        return cost(offset_by(enlarged(estimate, unknowns[0]), Rotation.identity(), unknowns[1:]), truth)[0]
+
+    assert best <= minimize(translation, [1.0, 0.0, 0.0, 0.0]).fun * (1 + 1e-6)
+
+
+def test_what_hardly_moves_tells_no_scale() -> None:
+    truth = random_head(FRAMES)
+    still = replace(
+        truth,
+        position=np.tile(of(truth.position)[:1], (FRAMES, 1)),
+        quaternion=np.tile(of(truth.quaternion)[:1], (FRAMES, 1)),
+    )
+    aligned, note = remove_constant_offset(enlarged(still, 1.1), still, all_pairs(FRAMES), scale=True)
+    assert note.startswith("no scale removed, as the object hardly moves; ")
+    np.testing.assert_allclose(of(aligned.position), of(still.position), atol=ROUNDING)
+
+
+def test_a_factor_that_explains_the_errors_is_remarked_and_others_are_not() -> None:
+    truth = random_head(FRAMES)
+    told = common_factor(shaken(enlarged(truth, 1.1), 1, sd_mm=1.0, sd_rad=0.0), truth, all_pairs(FRAMES))
+    assert told.startswith("one factor of 0.909 on distance and size") and "--align similarity" in told
+    for other in (shaken(truth, 1), enlarged(truth, 1.01), shaken(enlarged(truth, 1.1), 1, sd_mm=200.0)):
+        assert common_factor(other, truth, all_pairs(FRAMES)) == ""

@@ -17,10 +17,10 @@ from posetrack_cli.filtering.model import Dynamics, Euclidean
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Step
 from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
+from posetrack_cli.tracking.body_space import BodySpace
 
-SPACE, HANDS = Euclidean(), HandSpace()
+SPACE, HANDS = Euclidean(), BodySpace()
 START = rest_pose(make_anatomy(), np.array([10.0, -20.0, 650.0]))
 STEPS = np.random.default_rng(5).integers(1, 5, 14) / 30.0
 EXACT = 1e-8

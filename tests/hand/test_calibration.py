@@ -49,7 +49,6 @@ from posetrack_cli.hand.shape import (
     PopulationSpace,
     random_shape,
 )
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.opening import open_recording
@@ -59,6 +58,7 @@ from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.shapes import SHAPES
 from posetrack_cli.synthesis.hand.writing import write_synthetic
+from posetrack_cli.tracking.body_space import BodySpace
 from support.calibrations import calibration_of
 from support.hand import KINECT
 
@@ -79,7 +79,7 @@ def poses_of(hand: HandModel, count: int) -> FloatArray:
     poses = np.tile(rest_pose(hand.anatomy, np.array([0.0, 0.0, 600.0])), (count, 1))
     turns = np.zeros((count, 21))
     turns[:, 4] = [(-0.7, 0.0, 0.7)[k % 3] for k in range(count)]
-    poses = HandSpace().retract(poses, turns)
+    poses = BodySpace().retract(poses, turns)
     poses[:, 7:] = [SHAPES[names[k % len(names)]] for k in range(count)]
     return poses
 
@@ -117,7 +117,7 @@ def test_moves_are_those_of_the_vertices() -> None:
     rng = np.random.default_rng(3)
     delta = np.concatenate([POSE_STEPS, SPACE.steps]) * rng.uniform(-1, 1, 21 + SIZE)
     there = average_hand("right", SPACE.shape(SPACE.theta(OTHER) + delta[21:]))
-    moved = HandSpace().retract(pose[None], delta[None, :21])
+    moved = BodySpace().retract(pose[None], delta[None, :21])
     posed = [
         model.smooth.posed(skinning_transforms(model.anatomy, p).astype(np.float64))[0]
         for model, p in ((hand, pose[None]), (there, moved))
@@ -138,7 +138,7 @@ def test_surface_rows_predict_how_residuals_change(device: RenderingDevice) -> N
     weighted = float((at.weights * at.residuals**2).sum() / at.weights.sum())
     assert np.sqrt(weighted) < 0.3
     # off the truth along the optical axis the residuals are that offset, and one step takes it back
-    off = HandSpace().retract(pose[None], np.eye(21)[2:3] * 4.0)[0]
+    off = BodySpace().retract(pose[None], np.eye(21)[2:3] * 4.0)[0]
     moves = moves_of(off, hand, OTHER)
     matrix, vector = rows.rows(tile, off, hand, moves).normal(1.0)
     ridge = np.diag(np.concatenate([np.full(3, 1e-3), np.full(18, 1e3), np.full(SIZE, 1e6)]))
@@ -176,7 +176,7 @@ def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
 def started(poses: FloatArray, seed: int) -> FloatArray:
     """The poses as a search may find them."""
     noise = np.random.default_rng(seed).standard_normal((len(poses), 21))
-    return HandSpace().retract(poses, noise * np.repeat([4.0, 0.04, 0.08], [3, 3, 15]))
+    return BodySpace().retract(poses, noise * np.repeat([4.0, 0.04, 0.08], [3, 3, 15]))
 
 
 def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: RenderingDevice) -> None:

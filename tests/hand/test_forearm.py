@@ -20,9 +20,9 @@ from posetrack_cli.hand.local_fits import without_arm
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import IGNORED, NO_ARM, Observation, window_around
 from posetrack_cli.hand.shape import random_shape
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.mesh import is_closed
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
+from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, WALL_MM
 from support.hand import KINECT, bent, random_poses
 
@@ -182,7 +182,7 @@ def test_a_wrist_is_turned_back_from_where_it_cannot_bend_to(bend_deg: float) ->
     add_arm_prior(arm, arm, posed(pose, arm), equations)
     step = np.zeros(UNKNOWNS)
     step[[3, 4, 5, 21, 22]] = np.linalg.pinv(equations.matrix[:, [3, 4, 5, 21, 22]]) @ equations.vector
-    turned = HandSpace().retract(pose[None], step[None, :21])[0]
+    turned = BodySpace().retract(pose[None], step[None, :21])[0]
     axes = posed(pose, arm).axes[ARM]
     swung = rotations.matrices_from_quaternions(
         rotations.exponential(step[21] * axes[0] + step[22] * axes[1])[None]
@@ -229,7 +229,7 @@ def test_fits_of_a_hand_alone_do_not_depend_on_the_tube() -> None:
     alone = np.divide(1.0, bare.inverse, out=np.full_like(bare.inverse, -WALL_MM), where=bare.inverse > 0)
     np.testing.assert_allclose(observation.image, alone, rtol=1e-6)
     sd = 0.1 * np.random.default_rng(1).standard_normal((8, 21))
-    others = HandSpace().retract(np.tile(pose, (8, 1)), sd)
+    others = BodySpace().retract(np.tile(pose, (8, 1)), sd)
     for fit in fitter.descend(tile, others, [PosePrior(other, FREE) for other in others], 3):
         np.testing.assert_array_equal(fit.arm, NO_ARM)
         assert not fit.data.matrix[21:].any()

@@ -15,13 +15,13 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.spool import RecordSpool
+from posetrack_cli.tracking.body_space import BodySpace
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed
 
-HAND, SPACE = HANDS["right"], HandSpace()
+HAND, SPACE = HANDS["right"], BodySpace()
 SD = np.concatenate([[4.0] * 3, [0.06] * 3, np.tile([0.15, 0.05, 0.15], 5)])
 
 

@@ -14,7 +14,7 @@ from posetrack_cli.hand.kinematics import (
     mirrored_poses,
     skinning_transforms,
 )
-from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.tracking.body_space import BodySpace
 from support.hand import REST, bent, pose_strategy, random_poses
 
 ROUNDING_MM = 1e-9
@@ -127,7 +127,7 @@ def test_joint_1_bends_half_as_far_as_joint_2(finger: str) -> None:
 
 @pytest.mark.parametrize("name", ANATOMIES)
 def test_the_jacobian_is_the_derivative_along_the_tangent(name: str) -> None:
-    anatomy, poses, space, h = ANATOMIES[name], random_poses(6, seed=3), HandSpace(), 1e-5
+    anatomy, poses, space, h = ANATOMIES[name], random_poses(6, seed=3), BodySpace(), 1e-5
     jacobian = joint_jacobian(anatomy, poses)
     for k in range(21):
         step = np.zeros((len(poses), 21))

@@ -12,13 +12,13 @@ from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.local_fits import LocalFits, LocalFitter, motion_precision
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.tracking.body_space import BodySpace
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed, turned_about_its_length
 
 FRAME_S = 1.0 / 30.0
-HAND, SPACE = HANDS["right"], HandSpace()
+HAND, SPACE = HANDS["right"], BodySpace()
 FOUND_MM = 2.0
 
 

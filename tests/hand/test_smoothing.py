@@ -14,13 +14,15 @@ from posetrack_cli.filtering.smoothing import Smoothed
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.smoothing import Kept, SmoothedTrack, make_smoother
-from posetrack_cli.hand.space import HandSpace, pose_rates
+from posetrack_cli.hand.smoothing import make_smoother, smoothed_hand
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.body_space import BodySpace, pose_rates
+from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack
 
-ANATOMY, SPACE = make_anatomy(), HandSpace()
+ANATOMY, SPACE = make_anatomy(), BodySpace()
+HAND = smoothed_hand(ANATOMY)
 START = rest_pose(ANATOMY, np.array([0.0, 0.0, 650.0]))
 DT, FRAME_NS, BEGAN_NS = 1.0 / 30.0, 33_333_333, 1_700_000_000_123_456_789
 SD = np.concatenate([np.full(3, 2.0), np.full(18, 0.05)])
@@ -96,13 +98,13 @@ def by_hand(method: str, states: list[MarginalState], steps: list[float]) -> lis
 
 def remember(track: SmoothedTrack, states, first: int = 0, **options) -> None:
     for index, state in enumerate(states, first):
-        track.remember(state, estimate(index), DT, cut=index == 0, **options)
+        track.remember(state, FrameFacts.of(estimate(index)), DT, cut=index == 0, **options)
 
 
 @both
 def test_a_chain_is_smoothed_as_by_hand(tmp_path: Path, method: str) -> None:
     states = tracked(6)
-    with SmoothedTrack(tmp_path / "spool", smoother(method), ANATOMY) as track:
+    with SmoothedTrack(tmp_path / "spool", smoother(method), HAND) as track:
         remember(track, states)
         found = list(track.backward())[::-1]
     for index, (one, expected) in enumerate(zip(found, by_hand(method, states, [DT] * 5), strict=True)):
@@ -113,10 +115,10 @@ def test_a_chain_is_smoothed_as_by_hand(tmp_path: Path, method: str) -> None:
 
 def test_what_was_found_anew_says_nothing_about_before(tmp_path: Path) -> None:
     before, after = tracked(3, seed=1), tracked(3, seed=2)
-    with SmoothedTrack(tmp_path / "spool", smoother("gaussian"), ANATOMY) as track:
+    with SmoothedTrack(tmp_path / "spool", smoother("gaussian"), HAND) as track:
         for index, state in enumerate(before + after):
             status = Status.REINITIALISED if index == 3 else Status.TRACKING
-            track.remember(state, estimate(index, status), DT, cut=index in (0, 3))
+            track.remember(state, FrameFacts.of(estimate(index, status)), DT, cut=index in (0, 3))
         found = list(track.backward())[::-1]
     expected = [chain for states in (before, after) for chain in by_hand("gaussian", states, [DT] * 2)]
     for one, smoothed in zip(found, expected, strict=True):
@@ -129,9 +131,9 @@ def test_a_filter_that_stood_still_has_one_estimate_for_all_its_frames(tmp_path:
     states = tracked(3)
     standing = [states[0], states[1], states[1], states[1], states[2]]
     steps = [DT, 4.0 * DT, 0.0, 0.0, 2.0 * DT]
-    with SmoothedTrack(tmp_path / "spool", smoother("gaussian"), ANATOMY) as track:
+    with SmoothedTrack(tmp_path / "spool", smoother("gaussian"), HAND) as track:
         for index, (state, dt) in enumerate(zip(standing, steps, strict=True)):
-            track.remember(state, estimate(index, Status.LOST), dt, cut=index == 0)
+            track.remember(state, FrameFacts.of(estimate(index, Status.LOST)), dt, cut=index == 0)
         found = list(track.backward())[::-1]
     expected = by_hand("gaussian", states, [4.0 * DT, 2.0 * DT])
     for one, smoothed in zip(found, [expected[i] for i in (0, 1, 1, 1, 2)], strict=True):
@@ -142,11 +144,11 @@ def test_a_filter_that_stood_still_has_one_estimate_for_all_its_frames(tmp_path:
 @both
 def test_a_resumed_run_smooths_the_same(tmp_path: Path, method: str) -> None:
     states, path = tracked(6), tmp_path / "spool"
-    with SmoothedTrack(path, smoother(method), ANATOMY) as track:
+    with SmoothedTrack(path, smoother(method), HAND) as track:
         remember(track, states[:5])
         track.flush()
     kept = Kept(3, states[5])  # two frames past the checkpoint
-    with SmoothedTrack(path, smoother(method), ANATOMY, kept) as track:
+    with SmoothedTrack(path, smoother(method), HAND, kept) as track:
         assert len(track) == 3
         remember(track, states[3:], first=3)
         resumed = list(track.backward())[::-1]
@@ -157,7 +159,7 @@ def test_a_resumed_run_smooths_the_same(tmp_path: Path, method: str) -> None:
 @both
 def test_a_filter_without_velocity_has_none_when_smoothed(tmp_path: Path, method: str) -> None:
     states = [ParticleState(state.poses, state.log_weights) for state in tracked(4)]
-    with SmoothedTrack(tmp_path / "spool", smoother(method, "pf"), ANATOMY) as track:
+    with SmoothedTrack(tmp_path / "spool", smoother(method, "pf"), HAND) as track:
         remember(track, states)
         for one in track.backward():
             np.testing.assert_array_equal(one.twist, np.zeros(21))
@@ -165,7 +167,7 @@ def test_a_filter_without_velocity_has_none_when_smoothed(tmp_path: Path, method
 
 
 def test_nothing_remembered_is_nothing_smoothed(tmp_path: Path) -> None:
-    with SmoothedTrack(tmp_path / "spool", smoother("gaussian"), ANATOMY) as track:
+    with SmoothedTrack(tmp_path / "spool", smoother("gaussian"), HAND) as track:
         assert list(track.backward()) == []
         track.delete()
     assert not (tmp_path / "spool").exists()

@@ -10,10 +10,11 @@ from hypothesis.extra.numpy import arrays
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 from posetrack_cli.hand.config import ComponentSettings
-from posetrack_cli.hand.space import HandSpace, inside_limits, pose_rates, tangent_vector
+from posetrack_cli.hand.space import inside_limits, tangent_vector
+from posetrack_cli.tracking.body_space import BodySpace, pose_rates
 from support.hand import pose_strategy, random_poses
 
-SPACE = HandSpace()
+SPACE = BodySpace()
 ROUNDING = 1e-9
 """Positions below 1e3 mm and unit quaternions, a few dozen operations."""
 units = st.floats(-1.0, 1.0, allow_subnormal=False)

@@ -11,11 +11,11 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer, Outline
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.swarm import Objective, SwarmState, SwarmTracker, search_box
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.body_space import BodySpace
 from support.codecs import assert_lawful
 from support.hand import KINECT
 
@@ -69,7 +69,7 @@ def run(tracker: SwarmTracker, frames: list[Frame], seed: int = 0) -> tuple[Swar
 
 
 def moved(delta: np.ndarray) -> np.ndarray:
-    return HandSpace().retract(START[None], delta[None])[0]
+    return BodySpace().retract(START[None], delta[None])[0]
 
 
 ASIDE = moved(np.concatenate([[6.0, -4.0, 2.0], np.zeros(18)]))
@@ -110,7 +110,7 @@ def test_the_swarm_starts_at_the_last_solution_with_the_configured_spread() -> N
     state, _ = run(tracker, [seen(0)])
     first = objective.asked[0]
     np.testing.assert_allclose(first[0], START, atol=1e-12)
-    deltas = HandSpace().local(np.broadcast_to(START, first.shape), first)[1:]
+    deltas = BodySpace().local(np.broadcast_to(START, first.shape), first)[1:]
     four_errors = 4.0 / np.sqrt(2 * 4000)
     np.testing.assert_allclose(deltas[:, :3].std(axis=0), 5.0, rtol=four_errors)
     np.testing.assert_allclose(deltas[:, 3:6].std(axis=0), 0.02, rtol=four_errors)

@@ -9,11 +9,12 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.space import HandSpace, inside_limits
+from posetrack_cli.hand.space import inside_limits
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.rendering.gl.tiled import NEAR_MM, BoneSpheres
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.tracking.body_space import BodySpace
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 TILE = 48
@@ -23,7 +24,7 @@ def random_poses(centre: tuple[float, float, float], spread_mm: float, count: in
     rng = np.random.default_rng(5)
     start = np.tile(rest_pose(make_anatomy(), np.array(centre)), (count, 1))
     sd = np.concatenate([np.full(3, spread_mm), np.full(3, 1.5), np.full(15, 0.8)])
-    return inside_limits(HandSpace().retract(start, sd * rng.standard_normal((count, 21))))
+    return inside_limits(BodySpace().retract(start, sd * rng.standard_normal((count, 21))))
 
 
 def pixel_box(drawn: np.ndarray) -> tuple[int, int, int, int]:

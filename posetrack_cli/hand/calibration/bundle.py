@@ -13,7 +13,8 @@ from posetrack_cli.hand.calibration.residuals import FrameRows, vertex_moves
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandMaker, HandModel
 from posetrack_cli.hand.shape import HandShape, ShapeSpace
-from posetrack_cli.hand.space import HandSpace, inside_limits
+from posetrack_cli.hand.space import inside_limits
+from posetrack_cli.tracking.body_space import BodySpace
 
 Observe = Callable[[int, FloatArray, HandModel], Tile]
 """Gives the tile of a frame (its place among the chosen ones) for a pose and a hand."""
@@ -27,7 +28,7 @@ LEAST_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
 MOST_SHAPE_STEP, MOST_POSE_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, 15])
 _RELAXED_SD = np.repeat([np.inf, np.inf, 0.6], [3, 3, 15])
-_SPACE = HandSpace()
+_SPACE = BodySpace()
 
 
 @dataclass(frozen=True, eq=False)

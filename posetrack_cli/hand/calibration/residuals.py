@@ -19,14 +19,14 @@ from posetrack_cli.hand.fitting.skin import Skin, skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.raster import Drawing, draw, empty_drawing
+from posetrack_cli.tracking.body_space import BodySpace
 
 POSE_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, 15])
 """Differences of the tangent vector, mm and rad: the skin moves by about half a millimetre."""
 WRIST_PART, LEAST_SHARE = 0.35, 0.05
 """Of the palm's length from the wrist: there hands differ most, and where they end is not sure."""
-_SPACE = HandSpace()
+_SPACE = BodySpace()
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,9 +34,9 @@ from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.raster import View
+from posetrack_cli.tracking.body_space import BodySpace
 
 # MCP and PIP flexion, rad, of a straight, curled, half-bent, hooked and flat-bent finger.
 _FOLDS = np.array([(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)])
@@ -47,7 +47,7 @@ SCATTER: FloatArray = np.array([8.0] * 3 + [0.15] * 3 + [0.3, 0.3, 0.08] + list(
 
 
 def fit_starts(
-    expected: FloatArray, others: FloatArray, count: int, space: HandSpace, rng: np.random.Generator
+    expected: FloatArray, others: FloatArray, count: int, space: BodySpace, rng: np.random.Generator
 ) -> FloatArray:
     """Return start poses (count, 22): the expected pose, others, then scattered ones about all of these.
 

@@ -18,7 +18,6 @@ from posetrack_cli.hand.anatomy import (
 )
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.space import pose_rates
 from posetrack_cli.rendering.devices import device_or_default
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
@@ -30,6 +29,7 @@ from posetrack_cli.synthesis.hand.scene import Scene, room_depth
 from posetrack_cli.synthesis.hand.sensor import CAMERA, missing_beside_edges, noisy, quantised
 from posetrack_cli.synthesis.hand.walk import WalkNoise
 from posetrack_cli.synthesis.timeline import Timeline, make_timeline
+from posetrack_cli.tracking.body_space import pose_rates
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 

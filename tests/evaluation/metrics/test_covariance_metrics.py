@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.tracking.body_space import BodySpace
 from support.metrics import figures, measure, number, relaxed
 from support.tracks import random_hand, random_head
 
@@ -73,7 +73,7 @@ def test_errors_are_those_of_the_filter_s_own_space() -> None:
         np.hstack([track.position, track.quaternion, track.shape])  # type: ignore[list-item]
         for track in (estimate, truth)
     ]
-    errors = HandSpace().local(*poses)
+    errors = BodySpace().local(*poses)
     measures, _ = measure(estimate, truth)
     assert estimate.pose_variance is not None
     expected = (errors**2 / estimate.pose_variance).sum(axis=1)

@@ -20,11 +20,11 @@ from posetrack_cli.hand.fitting.fitter import HandFitter
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import mirrored_poses
-from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, numerical_gradient
 from support.hand import KINECT, REST, bent, random_poses
 
-SPACE = HandSpace()
+SPACE = BodySpace()
 ABOUT = plausibility_of(RIGHT.anatomy)
 ONLY_COLLISIONS = ABOUT._replace(limit=0.0, taut=0.0, rest=0.0, closing=0.0)
 # The joints of index and middle cross when the fingers are spread towards each other.

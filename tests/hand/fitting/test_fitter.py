@@ -14,11 +14,11 @@ from posetrack_cli.hand.fitting.gauss_newton import Fit, Steps
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, observed
 from support.hand import KINECT
 
-SPACE = HandSpace()
+SPACE = BodySpace()
 CLAMP_MM = Terms().clamp_mm
 FREE = 1.0 / np.square(np.repeat([40.0, 0.6, 0.6], [3, 3, 15]))
 """Precision of a prior that hardly holds."""

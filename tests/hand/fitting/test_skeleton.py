@@ -11,7 +11,7 @@ from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy, make_anatomy
 from posetrack_cli.hand.fitting.normal_equations import ROW
 from posetrack_cli.hand.fitting.skeleton import PALM, Posed, empty_posed, point_row, pose_bones, skeleton_of
 from posetrack_cli.hand.kinematics import joint_jacobian, joint_positions, skinning_transforms
-from posetrack_cli.hand.space import HandSpace
+from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT
 from support.hand import bent, pose_strategy, random_poses
 
@@ -21,7 +21,7 @@ FLOAT32 = 2.0 * np.finfo(np.float32).eps * 1500.0
 """``skinning_transforms`` are float32, of lengths up to 1.5 m."""
 EXACT_MM = 1e-9
 each_hand = pytest.mark.parametrize("name", list(ANATOMIES))
-SPACE = HandSpace()
+SPACE = BodySpace()
 
 
 def posed(anatomy: HandAnatomy, pose: FloatArray) -> Posed:

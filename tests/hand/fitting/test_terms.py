@@ -24,14 +24,15 @@ from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.hand.space import HandSpace, inside_limits
+from posetrack_cli.hand.space import inside_limits
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
+from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, TILE_PX, WALL_MM, drawn_depth
 from support.hand import KINECT, random_poses
 
-SPACE = HandSpace()
+SPACE = BodySpace()
 SETTINGS = Terms()
 each_hand = pytest.mark.parametrize("name", list(HANDS))
 

@@ -14,13 +14,13 @@ from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
-from posetrack_cli.hand.space import HandSpace
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand.frames import synthesise
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
 from posetrack_cli.synthesis.hand.scene import Scene
 from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.tracking.body_space import BodySpace
 
 HAND = average_hand()
 ANATOMY, SAMPLER, SETTINGS = HAND.anatomy, PixelSampler(CAMERA), SegmentationSettings()
@@ -74,7 +74,7 @@ def overlaps(frames: list[Told], predictions: list[FloatArray]) -> np.ndarray:
 
 
 def near_predictions(frames: list[Told]) -> list[FloatArray]:
-    rng, space = np.random.default_rng(3), HandSpace()
+    rng, space = np.random.default_rng(3), BodySpace()
     tangents = rng.standard_normal((len(frames), 21))
     tangents[:, :3] *= OFF_MM / np.linalg.norm(tangents[:, :3], axis=1, keepdims=True)
     tangents[:, 3:6] *= OFF_RAD / np.linalg.norm(tangents[:, 3:6], axis=1, keepdims=True)

@@ -1,0 +1,139 @@
+"""What the points of one frame say of a head's pose, for a smoother **[ours]**.
+
+The tracker's own fit takes what a face does for what its model knows, and what the model does not know for a
+turn of the head. Here the model has no say: each point lies about the neutral face,
+
+    p_k = R (m_k + d_k) + t + e_k,    d_k ~ N(0, s_k^2),    e_k ~ N(0, a^2 (1 - r r^T) + b^2 r r^T)
+
+with s_k as far as points of its kind move in expressions, r the ray to the point, a the noise across it and b
+that along it; of one camera b is without end. Integrated over d_k the precision of a point is
+
+    P_k = (1 - r r^T) / (s_k^2 + a^2) + r r^T / (s_k^2 + b^2)
+
+and what it leaves is Student-t, so that a raised brow or a closed eye counts less the farther it goes:
+w_k = (nu + n) / (nu + e^T P e), n = 3, or 2 of one camera. m is the face as the whole recording knows it in
+the end: a face that is still being learnt would turn the head a little at each step.
+
+Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
+lowered to ``share``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.fit_smoothing import FitSmoother
+from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
+from posetrack_cli.filtering.model import Dynamics
+from posetrack_cli.filtering.modes import LikelihoodModes, scaled
+from posetrack_cli.filtering.smoothing import Memory
+from posetrack_cli.geometry.rotations import cross_matrices, matrices_from_quaternions
+from posetrack_cli.head.config import HeadSmoothingSettings
+from posetrack_cli.head.face.pose import POSE_SIZE
+from posetrack_cli.head.refinement.refine import point_values
+from posetrack_cli.head.tracker.estimates import UNKNOWN_SD
+from posetrack_cli.tracking.body_space import BodySpace
+
+SPACE = BodySpace()
+GROUPS = (np.arange(3), np.arange(3, POSE_SIZE))
+"""Position and rotation are doubted apart: a blink moves a head without turning it."""
+UNKNOWN_SPEED = np.repeat([500.0, 3.0], 3)
+"""(6,) mm/s and rad/s, standard deviations at the end of a chain."""
+STEPS, CONVERGED = 8, 1e-4
+"""Gauss-Newton steps at most, and mm or rad that end them."""
+LEAST_WEIGHT = 0.02
+"""Of a point that is hardly seen: ten of them still say where the head is."""
+
+
+class HeadFits:
+    """The fits of frames (``filtering.fit_smoothing.FrameFits``).
+
+    A frame's memory has the pose that was ``tracked`` (7,), ``points`` (K, 3), ``weights`` (K,), the
+    ``neutral`` face (K, 3) and whether the head was ``seen``; where not, it says hardly more than nothing.
+
+    Args:
+        settings: noise and movements.
+        cameras: how many see the head.
+    """
+
+    def __init__(self, settings: HeadSmoothingSettings, cameras: int) -> None:
+        self._settings = settings
+        self._directions = 2 if cameras == 1 else 3
+        self._moved = np.square(point_values(settings.expression_mm))
+
+    def known(self, frame: Memory) -> LikelihoodModes:
+        """Return the fit that is found from the tracker's pose."""
+        return self._fit(frame, frame["tracked"])
+
+    def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
+        """Return the fit that is found from the pose that all other frames expect."""
+        return self._fit(frame, belief.pose) if frame["seen"] else known
+
+    def belief(self, frame: Memory) -> StateGaussian:
+        """Return what a frame alone says: the end of a chain."""
+        fit = self.known(frame)
+        covariance = np.zeros((2 * POSE_SIZE, 2 * POSE_SIZE))
+        covariance[:POSE_SIZE, :POSE_SIZE] = np.linalg.inv(fit.information[0])
+        covariance[POSE_SIZE:, POSE_SIZE:] = np.diag(np.square(UNKNOWN_SPEED))
+        return StateGaussian(fit.poses[0], np.zeros(POSE_SIZE), covariance)
+
+    def _fit(self, frame: Memory, start: FloatArray) -> LikelihoodModes:
+        vague = np.diag(UNKNOWN_SD**-2)
+        if not frame["seen"]:
+            return _mode(frame["tracked"], np.zeros(POSE_SIZE), vague)
+        pose: FloatArray = start
+        gradient, information = np.zeros(POSE_SIZE), vague
+        for _ in range(STEPS):
+            gradient, information = self._normal_equations(frame, pose)
+            step = np.linalg.solve(information + vague, gradient)
+            if np.abs(step).max() < CONVERGED:
+                break
+            pose = SPACE.retract(pose[None], np.asarray(step)[None])[0]
+        return scaled(_mode(pose, gradient, information + vague), self._settings.share)
+
+    def _normal_equations(self, frame: Memory, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return gradient (6,) and information (6, 6) of the points about a pose, each point reweighted."""
+        rotation, neutral = matrices_from_quaternions(pose[3:7]), frame["neutral"]
+        left = frame["points"] - neutral @ rotation.T - pose[:3]
+        jacobian = np.zeros((len(neutral), 3, POSE_SIZE))
+        jacobian[:, :, :3] = np.eye(3)
+        jacobian[:, :, 3:] = -rotation @ cross_matrices(neutral)
+        precision = self._precisions(frame["points"])
+        squared = np.einsum("ki,kij,kj->k", left, precision, left)
+        freedom = self._settings.freedom
+        weights = np.maximum(frame["weights"], LEAST_WEIGHT)
+        weights = weights * (freedom + self._directions) / (freedom + squared)
+        says = np.einsum("k,kji,kjl->kil", weights, jacobian, precision)
+        return np.einsum("kij,kj->i", says, left), np.einsum("kij,kjl->il", says, jacobian)
+
+    def _precisions(self, points: FloatArray) -> FloatArray:
+        """Return P_k, (K, 3, 3), of points (K, 3)."""
+        rays, settings = points / np.linalg.norm(points, axis=1, keepdims=True), self._settings
+        along = rays[:, :, None] * rays[:, None, :]
+        across = (np.eye(3) - along) / (self._moved + settings.noise_mm**2)[:, None, None]
+        if self._directions == 2:
+            return np.asarray(across)
+        precisions: FloatArray = across + along / (self._moved + settings.depth_noise_mm**2)[:, None, None]
+        return precisions
+
+
+def make_head_smoother(settings: HeadSmoothingSettings, fits: HeadFits) -> FitSmoother:
+    """Return the smoother of poses: velocities wander, and fits that contradict all others are doubted.
+
+    A head that moves fast also changes its velocity fast: with the frame's ``speed`` (2,), mm/s and rad/s,
+
+        sd(velocity) = sqrt(least^2 + (gain speed)^2)    per square root of a second
+    """
+    least = np.array([settings.velocity_mm, settings.velocity_rad])
+
+    def dynamics(frame: Memory) -> Dynamics:
+        wandering = np.square(least) + np.square(settings.gain * frame["speed"])
+        return Dynamics(np.zeros(POSE_SIZE), np.repeat(wandering, 3))
+
+    return FitSmoother(dynamics, SPACE, fits, GROUPS, settings.freedom)
+
+
+def _mode(pose: FloatArray, gradient: FloatArray, information: FloatArray) -> LikelihoodModes:
+    symmetric = 0.5 * (information + information.T)
+    return LikelihoodModes(pose[None], gradient[None], symmetric[None], np.zeros(1))
