@@ -27,6 +27,7 @@ from posetrack_cli.errors import EXIT_INTERRUPTED
 _DEBUG = "POSETRACK_DEBUG"
 _STANDARD = (0, 1, 2)
 _ERROR = 2
+_BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _NEW_OBJECTS = 20_000
 """After so many Python looks for what may go, not after 700: most are made as a run starts and as kernels
 compile, and they stay. A tenth of a short run went into looking."""
@@ -38,7 +39,12 @@ def is_debugging() -> bool:
 
 
 def prepare_process() -> None:
-    """Make standard streams safe to use, and silence what is not ours to say unless it was asked for."""
+    """Make standard streams safe to use, and silence what is not ours to say unless it was asked for.
+
+    BLAS gets one thread, whatever was asked for: how it shares out a product decides how that is rounded, and
+    results would differ from one number of cores to another. Our matrices are too small to share.
+    """
+    os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))  # read as numpy and scipy are loaded, which is later
     gc.set_threshold(_NEW_OBJECTS)
     _fill_closed_descriptors()
     if sys.stderr is None:

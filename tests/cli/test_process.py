@@ -155,3 +155,26 @@ def test_run_leaves_the_process_alone() -> None:
     before = sys.stdout, sys.stderr, os.fstat(2)
     assert main.run(["--version"]) == EXIT_DONE
     assert (sys.stdout, sys.stderr, os.fstat(2)) == before
+
+
+PRODUCT = """
+import os
+import sys
+from posetrack_cli.cli.main import main
+from posetrack_cli.cli.process import prepare_process
+
+assert "numpy" not in sys.modules
+prepare_process()
+import numpy
+
+numpy.ones((500, 500)) @ numpy.ones((500, 500))
+print(len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="counts threads as Linux tells them")
+def test_products_are_rounded_alike_on_any_number_of_cores() -> None:
+    """BLAS starts no threads of its own, though it was asked to."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "4"}
+    done = subprocess.run([sys.executable, "-c", PRODUCT], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == ["1"], done.stderr
