@@ -24,6 +24,7 @@ from posetrack_cli.head.initialisation.average_face import MeasuredFace, exchang
 from posetrack_cli.head.initialisation.matching import match_points
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
+from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
 
 
@@ -52,18 +53,42 @@ class StereoInitialiser:
     Args:
         settings: what is good enough.
         cameras: C >= 2, calibrated.
+        landmarks: of the reference camera's images; frames that have none are searched by a detector.
 
     Raises:
         UsageError: a face detector without its model.
     """
 
-    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera]) -> None:
-        self._settings, self._cameras = settings, tuple(cameras)
+    def __init__(
+        self,
+        settings: StereoInitialisationSettings,
+        cameras: Sequence[Camera],
+        landmarks: Landmarks | None = None,
+    ) -> None:
+        self._settings, self._cameras, self._landmarks = settings, tuple(cameras), landmarks
         self._detector = FaceDetector(settings.detection)
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
         """Return where the face is in a frame, the first of the run or another, or why none was found."""
-        return self._attempt(frame).find(self._detector)
+        told = self.from_landmarks(frame)
+        return self._attempt(frame).find(self._detector) if told is None else told
+
+    def from_landmarks(self, frame: Frame, tracked: FloatArray | None = None) -> StereoInitialisation | None:
+        """Return where landmarks tell the largest face, None where they tell none.
+
+        Args:
+            frame: of all cameras.
+            tracked: (K, 2) pixels of a track in the reference camera: None is returned if it has not slid.
+        """
+        faces = () if self._landmarks is None else self._landmarks.faces(frame)
+        if not faces or self._landmarks is None:
+            return None
+        if tracked is not None and not self._landmarks.has_slid(tracked, faces[0]):
+            return None
+        pixels = np.full((len(self._cameras), POINT_COUNT, 2), np.nan)
+        pixels[0] = faces[0].pixels
+        found = self._attempt(frame).from_clicked(pixels)
+        return None if isinstance(found, InitFailure) else found
 
     def _attempt(self, frame: Frame) -> StereoAttempt:
         return StereoAttempt(RigImages(self._cameras, frame.images), self._settings)
