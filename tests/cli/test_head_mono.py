@@ -407,7 +407,8 @@ def test_landmarks_from_elsewhere_begin_a_run_where_they_are(
     (tmp_path / "told.csv").write_text("\n".join(["frame,point,x,y", *rows]))
     output = tmp_path / "r.mcap"
     assert mono(made, output, "--passes", "1", "--landmarks", tmp_path / "told.csv") == 0
-    assert "noise 0." in lines(capsys)[0]
+    said = lines(capsys)[0]
+    assert "11 faces by frame number, in px" in said and said.endswith("1 wild point left out")
     record, found = read_result(output).run, load_arrays(output)
     assert (record["landmarks"], record["landmarks.unit"]) == ("told.csv", "px")
     assert len(record["landmarks.sha256"]) == 64

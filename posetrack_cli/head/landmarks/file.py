@@ -70,7 +70,8 @@ class LandmarkFile:
     def line(self) -> str:
         """What was found, for people."""
         by = "stamp" if self.sets.by_stamp else "number"
-        wild = f", {self.wild} wild points left out" if self.wild else ""
+        points = f"point{'s' * (self.wild > 1)}"
+        wild = f", {self.wild} wild {points} left out" if self.wild else ""
         noise = float(np.median(self.noise_px))
         return f"{len(self.sets)} faces by frame {by}, in {self.unit}, noise {noise:.1f} px{wild}"
 

@@ -1,15 +1,7 @@
 """The ten points of a face in files of landmarks: which of other programs' points each is.
 
-| ours | of 68 (OpenFace, dlib, iBUG) | of 468 or 478 (MediaPipe) |
-|---|---|---|
-| right_eye_outer, right_eye_inner | 36, 39 | 33, 133 |
-| left_eye_inner, left_eye_outer | 42, 45 | 362, 263 |
-| right_mouth_corner, left_mouth_corner | 48, 54 | 61, 291 |
-| right_nostril, left_nostril | 32, 34 | 97, 326 |
-| right_brow_inner, left_brow_inner | 21, 22 | 55, 285 |
-
-Right is the subject's. The programs' nostrils and brows are not quite ours; each point's constant offset
-(``adjustment.offset_mm``) takes that up.
+The programs' nostrils and brows are not quite ours; each point's constant offset (``adjustment.offset_mm``)
+takes that up. ``docs/landmarks.md`` shows the same table.
 """
 
 from __future__ import annotations
@@ -17,9 +9,20 @@ from __future__ import annotations
 from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES
 from posetrack_cli.recording.keypoints.kind import PointKind, by_index, same_order
 
-OF_68 = (36, 39, 42, 45, 48, 54, 32, 34, 21, 22)
-OF_478 = (33, 133, 362, 263, 61, 291, 97, 326, 55, 285)
-"""The same of 468: the ten further ones are irises."""
+THEIRS = {
+    "right_eye_outer": (36, 33),
+    "right_eye_inner": (39, 133),
+    "left_eye_inner": (42, 362),
+    "left_eye_outer": (45, 263),
+    "right_mouth_corner": (48, 61),
+    "left_mouth_corner": (54, 291),
+    "right_nostril": (32, 97),
+    "left_nostril": (34, 326),
+    "right_brow_inner": (21, 55),
+    "left_brow_inner": (22, 285),
+}
+"""Of each of ours, which of 68 points (OpenFace, dlib, iBUG) and which of MediaPipe's 468 or 478 it is."""
+OF_68, OF_478 = (tuple(THEIRS[name][k] for name in POINT_NAMES) for k in range(2))
 
 FACE_POINTS = PointKind(
     subject="face",
