@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +38,8 @@ class StereoInitialisation:
         pixels: (C, K, 2) of the points in every image; NaN for a camera without one.
         matched: (K,) which points were found in more than one image; the others' depth is an average face's.
         score: 0 to 1, mean correlation of the matched points.
+        doubt: an order of images that faces found in each by itself fit better, though the head was found in
+            the order recorded; empty if none.
     """
 
     pose: HeadPose
@@ -45,6 +47,15 @@ class StereoInitialisation:
     pixels: FloatArray
     matched: BoolArray
     score: float
+    doubt: tuple[int, ...] = ()
+
+    def is_surer_than(self, other: StereoInitialisation) -> bool:
+        """Whether more points were matched than in another order of images, and lie more like a face's."""
+        deviations = [
+            MeasuredFace(one.pose.points(one.shape), np.ones(POINT_COUNT, dtype=bool)).deviation
+            for one in (self, other)
+        ]
+        return bool(self.matched.sum() > other.matched.sum()) and deviations[0] < deviations[1]
 
 
 class StereoInitialiser:
@@ -239,7 +250,13 @@ class StereoAttempt:
         detections: dict[int, Detection],
         detector: FaceDetector,
     ) -> StereoInitialisation | InitFailure:
-        """Return the outcome, or that images look exchanged if the faces found in each of them say so."""
+        """Return the outcome, or that images look exchanged if all evidence says so.
+
+        Faces found in each image by itself may fit another order better by chance: on a wide baseline they
+        lie off by more than a point's width. So a head must be found in that order, too, and if one was found
+        as recorded match in more points and be more like a face; else the outcome stays, with a doubt
+        **[ours]**.
+        """
         views, cameras = self.views, self.images.cameras
         if any(view is None for view in views) or not any(one.faces for one in detections.values()):
             return outcome
@@ -251,10 +268,28 @@ class StereoAttempt:
         order = exchanged_order(cameras, faces)
         if not order:
             return outcome
+        other = self._found_in(order, faces)
+        if isinstance(outcome, StereoInitialisation):
+            if other is None or not other.is_surer_than(outcome):
+                return replace(outcome, doubt=order)
+        elif other is None:
+            return outcome
         names = ", ".join(cameras[c].name for c in order)
         return InitFailure(
             f"images look exchanged: they fit the calibration in the order {names}", outcome.score, order
         )
+
+    def _found_in(self, order: Sequence[int], faces: FloatArray) -> StereoInitialisation | None:
+        """Return the head of faces (C, K, 2), one in each image, with the images in another order."""
+        images = [self.images.images[c] for c in order]
+        attempt = StereoAttempt(RigImages(self.images.cameras, images), self.settings)
+        for camera in range(len(order)):
+            clicked = np.full_like(faces, np.nan)
+            clicked[camera] = faces[order[camera]]
+            found = attempt.from_clicked(clicked)
+            if isinstance(found, StereoInitialisation):
+                return found
+        return None
 
 
 def clicked_camera(pixels: FloatArray) -> int | None:

@@ -131,7 +131,8 @@ class StereoFace:
         face = new_face(shape, self._config.model)
         reference = take_templates(images, found.pose, shape)
         track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
-        state = replace(state, face=face, templates=(reference,), track=track, lost=0)
+        search = replace(state.search, order=found.doubt, exchanged=0)
+        state = replace(state, face=face, templates=(reference,), track=track, lost=0, search=search)
         return state, initial_fit(track, found.score, found.pixels)
 
     def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
@@ -180,8 +181,15 @@ class StereoFace:
         return self._codecs.to_model(state)
 
     def remarks(self, state: StereoState) -> tuple[str, ...]:
-        """Return nothing: what a stereo run finds is in its diagnostics."""
-        return ()
+        """Say whether the images may belong to other cameras; what else a run finds is in its diagnostics."""
+        if not state.search.order:
+            return ()
+        names = ", ".join(self.cameras[c].name for c in state.search.order)
+        return (
+            "where the head was found, faces fit the calibration better with images in the order"
+            f" {names}; its points matched as recorded, so the run went on: are cameras or calibration"
+            " mixed up?",
+        )
 
     def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
