@@ -31,6 +31,7 @@ KERNEL_SOURCES = (
     "rendering/cpu/tile_sums.py",
     "rendering/pixel_model.py",
     "rendering/raster.py",
+    "head/detection/appearance.py",
     "head/face/patches.py",
     "head/face/points.py",
     "head/face/templates.py",

@@ -22,15 +22,20 @@ Triple = tuple[Positive, Positive, Positive]
 class DetectionSettings(Settings):
     """How faces are found in an image.
 
-    ``model`` is YuNet's ONNX file. A face counts from ``least_face_score`` on (0.5 is the detector's own
+    ``model`` is YuNet's ONNX file. ``points = "learned"`` chooses the ten points together by what they look
+    like in many faces, ``features`` is what ``scripts/build-face-features`` wrote of that, none the shipped
+    file **[ours]**; ``"corners"`` takes the strongest corner near each point's place, for several cameras,
+    which measure where it is. A face counts from ``least_face_score`` on (0.5 is the detector's own
     threshold), its points from a mean response of ``least_point_score`` **[ours]**; ``least_face_px`` is the
     narrowest box that the Haar cascade looks for.
     """
 
-    file_keys: ClassVar[tuple[str, ...]] = ("model",)
+    file_keys: ClassVar[tuple[str, ...]] = ("model", "features")
 
     detector: Literal["haar", "yunet"] = "haar"
     model: str | None = None
+    points: Literal["learned", "corners"] = "corners"
+    features: str | None = None
     least_face_score: Fraction = 0.5
     least_point_score: Fraction = 0.3
     least_face_px: Annotated[int, Field(ge=24, le=10_000)] = 80
@@ -200,7 +205,7 @@ class HeadOutputSettings(Settings):
 class HeadStereoConfig(Settings):
     """Everything that a stereo run depends on besides its recording and its seed."""
 
-    file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model",)
+    file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "start.detection.features")
 
     start: StereoInitialisationSettings = StereoInitialisationSettings()
     model: ModelSettings = ModelSettings()
@@ -223,7 +228,7 @@ class MonoInitialisationSettings(Settings):
     adjusted of the person's **[ours]**.
     """
 
-    detection: DetectionSettings = DetectionSettings()
+    detection: DetectionSettings = DetectionSettings(points="learned")
     frames: Annotated[int, Field(ge=1, le=30)] = 5
     slope_deg: Positive = 4.0
     span_s: Positive = 2.0
@@ -243,10 +248,10 @@ class FaceModelSettings(Settings):
 class OffsetSettings(Settings):
     """Standard deviations (x, y, z) mm in the head's frame of the constant offset of each kind of point."""
 
-    eyes: Triple = (2.0, 2.0, 2.0)
-    mouth: Triple = (2.0, 2.0, 3.0)
-    nostrils: Triple = (2.5, 3.0, 8.0)
-    brows: Triple = (3.0, 5.0, 3.0)
+    eyes: Triple = (1.8, 1.4, 2.0)
+    mouth: Triple = (2.5, 1.4, 2.0)
+    nostrils: Triple = (2.8, 1.4, 5.0)
+    brows: Triple = (2.1, 1.4, 3.5)
 
 
 class AdjustmentSettings(Settings):
@@ -260,7 +265,8 @@ class AdjustmentSettings(Settings):
 
     **[ours]** ``prior`` weighs the squares of whitened s and a beside the boxes, ``offsets`` adds the
     constant offsets of points with the deviations ``offset_mm``, ``huber`` bounds the influence of a point
-    in units of its ``pixel_sd``. A frame is adjusted with if the face is turned from the camera by less than
+    in units of its ``pixel_sd``, which is twice what a point errs by in a frame: points err alike in like
+    frames. A frame is adjusted with if the face is turned from the camera by less than
     ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the length
     of its 3K numbers): an expression that the model does not know would be taken for the person.
     """
@@ -274,12 +280,12 @@ class AdjustmentSettings(Settings):
     pose_rad: Triple = (0.2, 0.2, 0.1)
     deformation: Positive = 1.0
     identity: Positive = 0.5
-    bound: Positive = 2.5
-    prior: NotNegative = 4.0
+    bound: Positive = 4.0
+    prior: NotNegative = 2.0
     offsets: bool = True
     offset_mm: OffsetSettings = OffsetSettings()
-    huber: Positive = 3.0
-    pixel_sd: PointSettings = PointSettings(eyes=0.7, mouth=1.5, nostrils=1.2, brows=1.0)
+    huber: Positive = 1.5
+    pixel_sd: PointSettings = PointSettings(eyes=1.4, mouth=3.0, nostrils=2.4, brows=4.0)
     facing_deg: Positive = 45.0
     score: Fraction = 0.6
     neutral_mm: Positive = 6.0
@@ -301,7 +307,7 @@ class MonoStatusSettings(HeadStatusSettings):
 class HeadMonoConfig(Settings):
     """Everything that a one-camera run depends on besides its recording and its seed."""
 
-    file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "model.file")
+    file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "start.detection.features", "model.file")
 
     start: MonoInitialisationSettings = MonoInitialisationSettings()
     model: FaceModelSettings = FaceModelSettings()

@@ -63,7 +63,7 @@ def load_truth(
     """
     log = LossLog() if losses is None else losses
     if path is None:
-        truth = _topics_truth(McapFile(result.path), result.subject, "truth")
+        truth = topics_truth(McapFile(result.path), result.subject, "truth")
     else:
         truth = _given(result, path, log)
     if truth is None:
@@ -87,7 +87,7 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
         return load_csv_track(path, result.subject)
     if is_result(path):
         return _estimates_of(path, result.subject, losses)
-    truth = _topics_truth(McapFile(path, losses), result.subject, path.name)
+    truth = topics_truth(McapFile(path, losses), result.subject, path.name)
     if truth is None:
         raise TruthError(
             f"holds no truth of a {result.subject.name}",
@@ -110,7 +110,7 @@ def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
     return truth
 
 
-def _topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
+def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
     """Return the truth on an MCAP file's topics, None if there is none of this subject."""
     schemas = {c.topic: s.name for s, c in McapFile(file.path).channels() if s is not None}
     if schemas.get(_estimate_topic(subject.name)) == ESTIMATE_SCHEMA_NAME:

@@ -8,6 +8,7 @@ from pathlib import Path
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import DetectionSettings
+from posetrack_cli.head.detection.appearance import SHIPPED, Appearance, load_appearance
 from posetrack_cli.head.detection.finders import FaceFinder, HaarFaces, YunetFaces
 from posetrack_cli.head.detection.points import FacePoints, find_points
 
@@ -32,20 +33,28 @@ class FaceDetector:
         settings: which finder, and what is sure enough.
 
     Raises:
-        UsageError: ``yunet`` without its model file, or a file that is none.
+        UsageError: ``yunet`` without its model file, or a file that is none or missing.
+        ResultError: a file of features that is none.
     """
 
     def __init__(self, settings: DetectionSettings = DetectionSettings()) -> None:  # noqa: B008
         self._settings = settings
         self._finder = _finder(settings)
+        self._looks = _looks(settings)
 
     def detect(self, image: ImageArray) -> Detection:
         """Return the faces in a (height, width) uint8 image."""
         guesses = self._finder.find(image)
         sure = [guess for guess in guesses if guess.score >= self._settings.least_face_score]
-        found = [find_points(image, guess) for guess in sure]
+        found = [find_points(image, guess, self._looks) for guess in sure]
         faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
         return Detection(faces, max((guess.score for guess in guesses), default=0.0))
+
+
+def _looks(settings: DetectionSettings) -> Appearance | None:
+    if settings.points == "corners":
+        return None
+    return load_appearance(SHIPPED if settings.features is None else Path(settings.features))
 
 
 def _finder(settings: DetectionSettings) -> FaceFinder:

@@ -35,7 +35,7 @@ NARROWING = (0.4, 0.2, 0.1)
 
 def projected(poses: FloatArray, shape: FloatArray = FITTED) -> FloatArray:
     """Return the patch pixels (N, L, 2) of points (L, 3), mm, under poses (N, 8)."""
-    rows = poses[:, 2, None, None] * (_rotations(poses[:, 3:6]) * IN_CAMERA)[:, :2]
+    rows = poses[:, 2, None, None] * (rotations_of(poses[:, 3:6]) * IN_CAMERA)[:, :2]
     pixels: FloatArray = np.einsum("nij,kj->nki", rows, shape) + poses[:, None, :2]
     up, out = rows[:, :, 1] * poses[:, 6, None], rows[:, :, 0] * poses[:, 7, None]
     pixels[:, MOUTH] += np.stack([up - out, up + out], axis=1)
@@ -49,7 +49,7 @@ def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
         angles: (3,) roll, yaw, pitch, rad.
         shape: (K, 3) mm in the head's frame.
     """
-    relief: FloatArray = shape @ (_rotations(angles[None]) * IN_CAMERA)[0, 2]
+    relief: FloatArray = shape @ (rotations_of(angles[None]) * IN_CAMERA)[0, 2]
     return relief
 
 
@@ -115,7 +115,7 @@ def _normal(count: int) -> FloatArray:
     return numbers
 
 
-def _rotations(angles: FloatArray) -> FloatArray:
+def rotations_of(angles: FloatArray) -> FloatArray:
     """Return Rz(roll) Ry(yaw) Rx(pitch), (N, 3, 3), of angles (N, 3) rad."""
     (cz, cy, cx), (sz, sy, sx) = np.cos(angles).T, np.sin(angles).T
     rows = [

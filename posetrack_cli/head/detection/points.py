@@ -1,4 +1,4 @@
-"""The ten points of one face in one image, each where its response is strongest near where it is expected."""
+"""The ten points of one face in one image."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.head.detection.appearance import Appearance
 from posetrack_cli.head.detection.finders import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.fit import fit_face, projected
+from posetrack_cli.head.detection.joint_places import POSE_SIZE as JOINT_POSE
+from posetrack_cli.head.detection.joint_places import find_jointly
 from posetrack_cli.head.detection.responses import FacePatch, cut_patch, response_maps
 from posetrack_cli.head.face.points import NOSTRILS, POINT_COUNT
 
@@ -106,11 +109,17 @@ class FacePoints:
         return float(self.responses.mean())
 
 
-def find_points(image: ImageArray, guess: FaceGuess) -> FacePoints:
+def find_points(image: ImageArray, guess: FaceGuess, looks: Appearance | None = None) -> FacePoints:
     """Find the ten points of a face in a (height, width) uint8 image.
 
-    A mean face is fitted to response maps of the face's surroundings, these are made upright by it, the face
-    is fitted again, and each point goes to the strongest place nearby.
+    A mean face is fitted to response maps of the face's surroundings, these are made upright by it, and the
+    face is fitted again. From there all points are chosen together by what they are known to look like; or
+    each goes to the strongest corner nearby, which is not quite the same in every face, but good to follow.
+
+    Args:
+        image: grey.
+        guess: where the face is.
+        looks: what points look like; without, they are the strongest corners.
     """
     first = cut_patch(image, guess.middle, guess.eye_distance / EYE_DISTANCE_MM, guess.roll)
     eyes = (first.from_image(guess.eyes[0]), first.from_image(guess.eyes[1]))
@@ -119,7 +128,12 @@ def find_points(image: ImageArray, guess: FaceGuess) -> FacePoints:
     upright = cut_patch(image, first.to_image(rough[:2]), pixels_per_mm, roll)
     maps = response_maps(upright.grey)
     pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright))
-    pixels, responses = _strongest(maps, projected(pose[None])[0])
+    expected = projected(pose[None])[0]
+    if looks is None:
+        pixels, responses = _strongest(maps, expected)
+    else:
+        places = find_jointly(upright.grey, expected[:POINT_COUNT], pose[:JOINT_POSE], looks)
+        pixels, responses, pose = places.pixels, places.probabilities, places.pose
     angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
     return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
 

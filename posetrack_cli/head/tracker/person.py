@@ -44,6 +44,7 @@ class KnownPerson:
         adjusted_frames: how many frames the person was adjusted from.
         rms_px: of the last adjustment, root mean square.
         usual_score: running mean of the scores of tracked frames; NaN before the first.
+        is_settled: whether a whole recording has said who it is; single frames then do no more **[ours]**.
     """
 
     person: PersonParameters
@@ -55,6 +56,7 @@ class KnownPerson:
     adjusted_frames: int = 0
     rms_px: float = np.nan
     usual_score: float = np.nan
+    is_settled: bool = False
 
     def with_score(self, score: float) -> KnownPerson:
         """Return what is known after a frame with a score."""
@@ -70,6 +72,8 @@ class KnownPerson:
             adjuster: of views of that camera.
         """
         settings = adjuster.settings
+        if self.is_settled:
+            return self._seen_again(view, score, adjuster)
         views = choose_views(self.views, view, settings.views)
         start = PersonParameters(self.history.mean, self.person.offsets)
         adjusted = adjuster.adjust(views, start, iterations=settings.iterations, deviations=False)
@@ -80,6 +84,24 @@ class KnownPerson:
             views=adjusted.views,
             album=self.album.with_view(adjusted.views[-1], score),
             shape=person_shape(adjuster.model, adjusted.person),
+            adjusted_frames=self.adjusted_frames + 1,
+            rms_px=rms(adjusted.residuals),
+        )
+
+    def _seen_again(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
+        """Return the same person after a frame: its pose and deformation alone are adjusted."""
+        adjusted = adjuster.adjust(
+            (view,),
+            self.person,
+            iterations=adjuster.settings.iterations,
+            hold_person=True,
+            wide=True,
+            deviations=False,
+        )
+        return replace(
+            self,
+            views=adjusted.views,
+            album=self.album.with_view(adjusted.views[-1], score),
             adjusted_frames=self.adjusted_frames + 1,
             rms_px=rms(adjusted.residuals),
         )
@@ -98,6 +120,7 @@ class KnownPerson:
             album=Album(),
             shape=person_shape(adjuster.model, adjusted.person),
             rms_px=rms(adjusted.residuals),
+            is_settled=True,
         )
 
 
@@ -204,10 +227,14 @@ class PersonFitter:
         return person, fit
 
     def _shows_person(self, person: KnownPerson, fit: FrameFit) -> bool:
-        """Whether a face looks at the camera and like itself (4.4.3), and is little deformed **[ours]**."""
+        """Whether a face looks at the camera and like itself (4.4.3), and is little deformed **[ours]**.
+
+        Of a person who is settled a deformed face tells nothing wrong.
+        """
         settings = self._config.adjustment
         clear = off_axis_deg(fit.track.pose) < settings.facing_deg and fit.score > settings.score
-        return settings.when == "always" and clear and _deformed_mm(person, fit) < settings.neutral_mm
+        harmless = person.is_settled or _deformed_mm(person, fit) < settings.neutral_mm
+        return settings.when == "always" and clear and harmless
 
     def _view(self, frame: SeededFrame, fit: FrameFit) -> PointView:
         a = fit.coefficients + self._model.deformation_mean

@@ -203,7 +203,7 @@ def test_a_gross_outlier_moves_little():
     # the influence of a point 50 sd off is bounded to that of one 3 sd off
     assert away(robust) < 0.2 * away(misled)
     assert robust.residuals[2, 5] > 60.0
-    assert np.sqrt(np.nanmean(np.delete(robust.residuals.ravel(), 25) ** 2)) < 1.5
+    assert np.sqrt(np.nanmean(np.delete(robust.residuals.ravel(), 25) ** 2)) < 2.0
 
 
 def test_a_held_person_stays_to_the_bit():
