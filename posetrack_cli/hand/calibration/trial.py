@@ -47,7 +47,8 @@ _SIZE_SD = (0.12, 0.15)
 larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
 sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4)."""
 _QUICK = {"scattered": 4, "finished": 3}
-"""A search for another size may miss the last tenths of a millimetre."""
+"""A search for another size, or for the other side of a hand that is well known, may miss the last tenths of
+a millimetre."""
 _HOPELESS_MM = 4.0
 """A side that costs so much more than the other in a frame is not tried in further sizes."""
 
@@ -141,7 +142,7 @@ class Trial:
         self._unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
-        self._finders: dict[tuple[int, int], Acquisition] = {}
+        self._finders: dict[tuple[int, int, bool], Acquisition] = {}
 
     def ask(self, frame: Frame) -> None:
         """Add what a frame costs, if there may be a hand in it."""
@@ -152,7 +153,7 @@ class Trial:
         self._ask_keypoints(frame)
 
         def of(side: int, k: int, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
-            finder = self._finder(side, k)
+            finder = self._finder(side, k, quick=k != own or costs.min() <= WELL_KNOWN_MM)
             told = told_candidates(self._keypoints, self._camera, finder, frame)
             return finder.appraise(frame.depth, places, told)
 
@@ -253,14 +254,14 @@ class Trial:
         own = self._config.hand.scale
         return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
-    def _finder(self, side: int, k: int) -> Acquisition:
+    def _finder(self, side: int, k: int, quick: bool = False) -> Acquisition:
         """What searches with a hand of one side and size."""
-        if (side, k) not in self._finders:
+        if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = hand_maker(self._config.hand.mesh)(self._sides[side], shape)
-            config = self._config if k == len(self._scales) // 2 else self._quick
-            self._finders[side, k] = Acquisition(config, hand, self._camera)
-        return self._finders[side, k]
+            config = self._quick if quick else self._config
+            self._finders[side, k, quick] = Acquisition(config, hand, self._camera)
+        return self._finders[side, k, quick]
 
 
 def _early_frames(recording: Recording, start: int) -> Iterator[Frame]:
