@@ -122,7 +122,8 @@ class MonoInitialiser:
         (image,) = frame.images
         if image is None:
             return InitFailure("no image")
-        detection = self._detector.detect(image)
+        roll = None if near is None else _roll(near)
+        detection = self._detector.detect(image, wanted=self._choice + 1 if near is None else 1, roll=roll)
         faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
         face = self._chosen(faces) if near is None else _same(faces, near)
         if isinstance(face, str):
@@ -189,6 +190,12 @@ class MonoInitialiser:
         """Return a frame as the adjustment takes it: detected points count less than tracked ones."""
         weights = np.full(POINT_COUNT, min(self._config.start.pixel_sd**-2, 1.0))
         return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
+
+
+def _roll(pixels: FloatArray) -> float:
+    """Rad, clockwise, of the line through the eyes of a face with points (K, 2)."""
+    across = pixels[2:4].mean(axis=0) - pixels[:2].mean(axis=0)
+    return float(np.arctan2(across[1], across[0]))
 
 
 def _same(faces: Sequence[FacePoints], near: FloatArray) -> FacePoints | str:
