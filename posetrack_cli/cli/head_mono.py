@@ -84,7 +84,7 @@ def head_mono(recording: Path, **options: Any) -> None:
 
     source = _opened(recording, options)
     config = head_configuration(HeadMonoConfig, options, OWN_CONFIGURED)
-    chosen, face = head_run_options(options), options["face"]
+    chosen, face = head_run_options(options, source.cameras[0]), options["face"]
     if chosen.init is not None and face > 1:
         raise UsageError("--face does not apply to clicked points", found=face, hint="leave it out")
 
@@ -145,7 +145,9 @@ def _run(
     model = load_face_model(file)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        return make_mono_tracker(config, camera, known, face=face - 1, clicked=clicked)
+        return make_mono_tracker(
+            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks
+        )
 
     return HeadRun(
         source,

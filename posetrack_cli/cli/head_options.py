@@ -12,10 +12,13 @@ import click
 from posetrack_cli.cli.options import RUN_OPTIONS, Command, configuration_of, option_group
 from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import close, compiling_said, kept, progress
+from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+    from posetrack_cli.head.landmarks.file import LandmarkFile
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
@@ -81,6 +84,19 @@ start_options = option_group(
         show_default=True,
         help="Start: find the face, or a table camera,point,x,y of points clicked in the first frame.",
     ),
+    click.option(
+        "--landmarks",
+        "landmark_file",
+        metavar="FILE",
+        type=click.Path(path_type=Path),
+        help="Points per frame that another program found in the images (of the reference camera), CSV or "
+        "JSON: OpenFace's 68, MediaPipe's 478, or our ten by name (README: Landmarks).",
+    ),
+    click.option(
+        "--landmarks-unit",
+        type=click.Choice(["px", "normalised"]),
+        help="Of their coordinates.  [default: as FILE says or looks]",
+    ),
 )
 
 
@@ -106,12 +122,32 @@ def head_configuration(
     return config
 
 
-def head_run_options(options: Mapping[str, Any]) -> HeadRunOptions:
-    """Return what a run depends on besides recording and configuration."""
+def head_run_options(options: Mapping[str, Any], camera: Camera) -> HeadRunOptions:
+    """Return what a run depends on besides recording and configuration, and say what landmarks are taken for.
+
+    Args:
+        options: of the command.
+        camera: the reference, of whose images landmarks are.
+    """
     from posetrack_cli.head.run import HeadRunOptions
 
     init = None if options["init"] == "auto" else options["init"]
-    return HeadRunOptions(**{name: options[name] for name in HEAD_RUN_OPTIONS}, init=init)
+    own = {name: options[name] for name in HEAD_RUN_OPTIONS}
+    return HeadRunOptions(**own, init=init, landmarks=_landmarks(options, camera))
+
+
+def _landmarks(options: Mapping[str, Any], camera: Camera) -> LandmarkFile | None:
+    path, unit = options["landmark_file"], options["landmarks_unit"]
+    if path is None:
+        if unit is not None:
+            what = "--landmarks-unit is about landmarks, and none are given"
+            raise UsageError(what, hint="--landmarks FILE")
+        return None
+    from posetrack_cli.head.landmarks.file import read_landmarks
+
+    landmarks = read_landmarks(path, camera, unit)
+    print_note(f"{path}: {landmarks.line}")
+    return landmarks
 
 
 def track_head(source: Recording, options: HeadRunOptions, made: Callable[[Report], HeadRun]) -> None:

@@ -59,7 +59,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
     source = _opened(recording, options)
     config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
-    chosen = head_run_options(options)
+    chosen = head_run_options(options, source.cameras[0])
     track_head(source, chosen, lambda first_pass: _run(source, config, chosen, first_pass))
 
 
@@ -88,7 +88,9 @@ def _run(source: Recording, config: HeadStereoConfig, options: HeadRunOptions, f
     clicked = None if options.init is None else Path(options.init)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        return make_stereo_tracker(config, source.cameras, known, clicked=clicked)
+        return make_stereo_tracker(
+            config, source.cameras, known, clicked=clicked, landmarks=options.landmarks
+        )
 
     return HeadRun(
         source,

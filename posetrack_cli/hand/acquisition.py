@@ -25,14 +25,14 @@ from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.tracking.body_space import BodySpace
 
 _D = np.pi / 180.0
-# Thumb CMC, MCP, abduction; then MCP flexion, abduction, PIP flexion of each finger, degrees.
+# Thumb CMC and MCP flexion, abduction; then MCP flexion, abduction, PIP flexion of each finger, degrees.
 _FOLDED = (80.0, 0.0, 95.0)
 _SHAPES: FloatArray = _D * np.array(
     [
         (-5, 5, 0, 3, 5, 5, 3, 0, 5, 3, -4, 5, 4, -8, 6),  # open
         (8, 20, 0, 30, 2, 40, 30, 0, 42, 32, -2, 43, 35, -5, 44),  # half closed
-        (15, 45, -20, *_FOLDED, *_FOLDED, *_FOLDED, *_FOLDED),  # fist
-        (35, 34, -25, 3, 5, 5, 3, -5, 5, *_FOLDED, *_FOLDED),  # two fingers
+        (14, 47, -9, *_FOLDED, *_FOLDED, *_FOLDED, *_FOLDED),  # fist
+        (33, 37, -13, 3, 5, 5, 3, -5, 5, *_FOLDED, *_FOLDED),  # two fingers
     ]
 )
 _TURNS = _D * np.arange(0.0, 360.0, 30.0)  # about the hand's own length

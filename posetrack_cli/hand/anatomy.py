@@ -4,10 +4,11 @@ Hand coordinates: origin at the wrist; with the identity rotation the fingers po
 (-y), the palm faces the sensor (-z) and the thumb of a right hand points to +x. A left hand is the
 mirror image x -> -x; its angles mean the same anatomical motion.
 
-Angles (hand.md, appendix A.1 of the paper), 15 of them, radians: for the thumb joint 3 (CMC) about x,
-joint 2 (MCP) about x and z; for each finger joint 3 (MCP) about x and z, joint 2 (PIP) about x. About
-x, positive bends towards the palm; about z, positive moves towards the thumb's side. Joint 1 is not
-free: half of joint 2's x angle.
+Angles (hand.md, appendix A.1 of the paper), 15 of them, radians: for the thumb joint 3 (CMC) about x and
+z, joint 2 (MCP) about x; for each finger joint 3 (MCP) about x and z, joint 2 (PIP) about x. About x,
+positive bends towards the palm; about z, positive moves towards the thumb's side. Joint 1 is not free: half
+of joint 2's x angle. In the paper it is the thumb's joint 2 that turns about z, too; a thumb abducts at its
+saddle joint, about an axis of the metacarpal **[ours]**.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _FINGER_ANGLES = ("mcp_flexion", "mcp_abduction", "pip_flexion")
 ANGLE_NAMES: tuple[str, ...] = (
     "thumb_cmc_flexion",
     "thumb_mcp_flexion",
-    "thumb_mcp_abduction",
+    "thumb_cmc_abduction",
     *(f"{finger}_{angle}" for finger in FINGERS[1:] for angle in _FINGER_ANGLES),
 )
 JOINT_NAMES: tuple[str, ...] = (
@@ -49,7 +50,7 @@ ANGLE_LIMITS: FloatArray = _D * np.array(
     [
         (-45.0, 74.0),  # thumb CMC flexion
         (0.0, 74.0),  # thumb MCP flexion
-        (-35.0, 35.0),  # thumb MCP abduction
+        (-35.0, 35.0),  # thumb CMC abduction
         *((-15.0, 90.0), (-19.0, 28.0), (0.0, 108.0)),  # index
         *((-15.0, 90.0), (-28.0, 17.0), (0.0, 108.0)),  # middle
         *((-15.0, 90.0), (-17.0, 17.0), (0.0, 108.0)),  # ring

@@ -225,7 +225,7 @@ class FitSettings(Settings):
     it, are modes of their own.
     """
 
-    starts: Annotated[int, Field(ge=1, le=64)] = 6
+    starts: Annotated[int, Field(ge=1, le=64)] = 7
     iterations: Annotated[int, Field(ge=1, le=100)] = 6
     polish: Annotated[int, Field(ge=0, le=100)] = 2
     refold_iterations: Annotated[int, Field(ge=1, le=100)] = 3

@@ -19,12 +19,12 @@ def _chain_turns(angles: FloatArray, sign: float) -> FloatArray:
     """Turns of all finger bones from rest in their finger's frame, (N, 15) -> (5, 3, N, 9).
 
     A finger bends about one axis behind its abduction: Rz(abduction) Rx(sum of flexions). The thumb
-    bends at the CMC first: Rx(CMC), then Rz(abduction) Rx(flexion) from the MCP on.
+    bends at the CMC first: Rx(CMC) Rz(abduction), then Rx(flexion) from the MCP on.
     """
     by_angle = angles.T.reshape(5, 3, -1)
     thumb, fingers = by_angle[0], by_angle[1:]
     a, t = np.zeros_like(by_angle), np.zeros_like(by_angle)
-    a[0, 1:] = sign * thumb[2]
+    a[0] = sign * thumb[2]
     t[0, 1], t[0, 2] = thumb[1], (1.0 + HALF_RULE) * thumb[1]
     a[1:] = sign * fingers[:, 1:2]
     t[1:, 0] = fingers[:, 0]
@@ -148,7 +148,7 @@ def _hinges(anatomy: HandAnatomy, angles: FloatArray) -> list[tuple[int, FloatAr
         if f == 0:
             first = np.broadcast_to(base[0][:, 0], flexion.shape)
             hinges += [(0, first, 0, 0, 1.0), (1, flexion, 0, 1, 1.0), (1, flexion, 0, 2, HALF_RULE)]
-            hinges += [(2, spread, 0, 1, 1.0)]
+            hinges += [(2, spread, 0, 0, 1.0)]
         else:
             hinges += [(k, flexion, f, 0, 1.0), (k + 1, spread, f, 0, 1.0)]
             hinges += [(k + 2, flexion, f, 1, 1.0), (k + 2, flexion, f, 2, HALF_RULE)]

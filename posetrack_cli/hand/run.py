@@ -18,7 +18,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import FOREARM_NUMBERS
-from posetrack_cli.hand.keypoints.file import KeypointFile, KeypointUse
+from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
@@ -32,6 +32,7 @@ from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output, part_path
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.keypoints.use import KeypointUse
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
@@ -103,7 +104,9 @@ class HandRun(Run):
         )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
-        self._use = None if options.keypoints is None else KeypointUse(options.keypoints)
+        self._use = (
+            None if options.keypoints is None else KeypointUse(options.keypoints.name, options.keypoints.sets)
+        )
 
     def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
         """Return the state at the pose that is given, or as the configuration says."""

@@ -213,14 +213,14 @@ def _bends(directions: FloatArray, thumb: bool) -> list[FloatArray]:
     """Rotations (3, 3) from zero angles of bones with these directions (3, 3), in their finger's frame.
 
     Those of our kinematics as far as it can follow, Rz(a) Rx(t), or for the thumb Rx(s) Rz(a) Rx(t) with
-    its first bone at Rx(s); then the smallest rotation that does the rest, so no bone twists without need.
+    its first bone at Rx(s) Rz(a); then the smallest rotation that does the rest, so no bone twists without
+    need.
     """
     first = _flexion(directions[0]) if thumb else np.eye(3)
-    spread = _abduction(first.T @ directions[1 if thumb else 0])
+    base = first @ _abduction(first.T @ directions[0])
     out = []
     for place, direction in enumerate(directions):
-        base = first if thumb and place == 0 else first @ spread
-        model = first if thumb and place == 0 else base @ _flexion(base.T @ direction)
+        model = base if thumb and place == 0 else base @ _flexion(base.T @ direction)
         out.append(_between(-model[:, 1], direction) @ model)
     return out
 

@@ -16,11 +16,13 @@ from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
 from posetrack_cli.head.smoothing.track import HeadMemory
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.keypoints.use import KeypointUse
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
@@ -47,11 +49,13 @@ class HeadRunOptions(tracking_options.RunOptions):
             learned, and is the result (thesis, 4.5).
         load_model: begin with what an earlier run of the same person has learned.
         save_model: write what this one has.
+        landmarks: from elsewhere.
     """
 
     passes: int = 1
     load_model: Path | None = None
     save_model: Path | None = None
+    landmarks: LandmarkFile | None = None
 
 
 class HeadRun(TwoPassRun):
@@ -94,6 +98,8 @@ class HeadRun(TwoPassRun):
         check_head_run(recording, options)
         super().__init__(recording, options, flush_frames, options.passes, make_tracker, first_pass)
         self._config = config
+        told = options.landmarks
+        self._use = None if told is None else KeypointUse(told.name, told.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
         self.subject, self._name, load = subject, name, options.load_model
         self.tracker = make_tracker(None) if load is None else self._knowing(load)
@@ -143,9 +149,15 @@ class HeadRun(TwoPassRun):
                 write_output(part, data)
         return {"passes": str(self._options.passes)}
 
+    def on_frame(self, frame: Frame) -> None:
+        """Remember whether there were landmarks of a frame."""
+        if self._use is not None:
+            self._use.see(frame.index, frame.stamp_ns)
+
     def remarks(self, state: Any) -> tuple[str, ...]:
-        """Return what the tracker remarks."""
-        return self.tracker.remarks(state)
+        """Return what the tracker remarks, and whether few frames had landmarks."""
+        unused = () if self._use is None else self._use.remarks
+        return (*unused, *self.tracker.remarks(state))
 
 
 def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
@@ -188,4 +200,5 @@ def head_record(
         "passes": str(options.passes),
         **{key: shown_name(path) for key, path in given.items()},
         **{f"{key}.sha256": file_digest(path)[1] for key, path in given.items()},
+        **({} if options.landmarks is None else options.landmarks.record()),
     }

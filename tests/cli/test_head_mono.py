@@ -81,6 +81,8 @@ def test_no_face_is_one_line_with_frames_and_score(
     ("arguments", "code", "expected"),
     [
         (["--detector", "yunet"], 2, "--detector-model"),
+        (["--landmarks", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
+        (["--landmarks-unit", "px"], 2, "--landmarks-unit is about landmarks, and none are given"),
         (["--set", "adjustment.view=3"], 2, "views"),
         (["--face-model", "nowhere.npz"], 2, "no such face model"),
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
@@ -386,6 +388,33 @@ def test_clicked_points_begin_a_run(made: Path, tracked: Path, tmp_path: Path) -
     record = read_result(tmp_path / "r.mcap").run
     assert record["init"] == "clicked.csv" and len(record["init.sha256"]) == 64
     assert table(tmp_path / "r.mcap")["rotation_deg"] < 3.0
+
+
+def test_landmarks_from_elsewhere_begin_a_run_where_they_are(
+    made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """True points with noise, and some wild ones, of all frames but the last."""
+    truth = load_arrays(tracked, "/truth/head/estimate")["points"]
+    rng, camera = np.random.default_rng(1), open_recording(made, "grey").cameras[0]
+    pixels = np.array([camera.pixels_from_points(points)[0] for points in truth])
+    pixels += rng.normal(0.0, 0.5, pixels.shape)
+    pixels[2, 3] += 50.0
+    rows = [
+        f"{t},{name},{x:.3f},{y:.3f}"
+        for t, frame in enumerate(pixels[:-1])
+        for name, (x, y) in zip(POINT_NAMES, frame, strict=True)
+    ]
+    (tmp_path / "told.csv").write_text("\n".join(["frame,point,x,y", *rows]))
+    output = tmp_path / "r.mcap"
+    assert mono(made, output, "--passes", "1", "--landmarks", tmp_path / "told.csv") == 0
+    said = lines(capsys)[0]
+    assert "11 faces by frame number, in px" in said and said.endswith("1 wild point left out")
+    record, found = read_result(output).run, load_arrays(output)
+    assert (record["landmarks"], record["landmarks.unit"]) == ("told.csv", "px")
+    assert len(record["landmarks.sha256"]) == 64
+    first = camera.pixels_from_points(found["points"][0])[0]
+    np.testing.assert_allclose(first, pixels[0], atol=0.05)  # where they were told, not where features are
+    assert table(output)["rotation_deg"] < 3.0
 
 
 def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, tmp_path: Path) -> None:

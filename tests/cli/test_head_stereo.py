@@ -233,6 +233,20 @@ def test_clicked_points_begin_a_run(
     assert not list(tmp_path.glob("m.mcap*"))
 
 
+def test_landmarks_from_elsewhere_begin_a_run(made: Path, tracked: Path, tmp_path: Path) -> None:
+    left, points = read_result(tracked).camera(), load_arrays(tracked)["points"]
+    rows = [
+        f"{t},{name},{x:.1f},{y:.1f}"
+        for t, frame in enumerate(points)
+        for name, (x, y) in zip(POINT_NAMES, left.pixels_from_points(frame)[0], strict=True)
+    ]
+    (tmp_path / "told.csv").write_text("\n".join(["frame,point,x,y", *rows]))
+    assert stereo(made, tmp_path / "r.mcap", "--landmarks", tmp_path / "told.csv") == 0
+    assert read_result(tmp_path / "r.mcap").run["landmarks"] == "told.csv"
+    assert np.any(load_arrays(tmp_path / "r.mcap")["position"] != load_arrays(tracked)["position"])
+    assert table(tmp_path / "r.mcap")["position_mm"] < 1.0
+
+
 def _swapped(row: str) -> str:
     """A row with the subject's left and right confused."""
     camera, point, x, y = row.split(",")

@@ -45,7 +45,7 @@ def test_21_joints_in_a_tree_of_five_fingers() -> None:
 
 def test_15_angles_in_the_paper_s_order() -> None:
     # appendix A.1: p8 joint 3 about x; p9, p10 joint 2 about x, z; then p11.. MCP x, z, PIP x a finger
-    assert ANGLE_NAMES[:3] == ("thumb_cmc_flexion", "thumb_mcp_flexion", "thumb_mcp_abduction")
+    assert ANGLE_NAMES[:3] == ("thumb_cmc_flexion", "thumb_mcp_flexion", "thumb_cmc_abduction")
     for f, finger in enumerate(FINGERS[1:], start=1):
         assert ANGLE_NAMES[3 * f : 3 * f + 3] == (
             f"{finger}_mcp_flexion",
@@ -127,7 +127,7 @@ def test_flexion_goes_to_the_palm_and_abduction_to_the_thumb(side: str, thumb: f
 def test_joint_limits_are_those_of_the_method() -> None:
     limits = dict(zip(ANGLE_NAMES, np.rad2deg(ANGLE_LIMITS).round(9).tolist(), strict=True))
     assert limits["thumb_cmc_flexion"] == [-45.0, 74.0]
-    assert limits["thumb_mcp_abduction"] == [-35.0, 35.0]
+    assert limits["thumb_cmc_abduction"] == [-35.0, 35.0]
     assert limits["thumb_mcp_flexion"] == [0.0, 74.0]
     abductions = {"index": [-19, 28], "middle": [-28, 17], "ring": [-17, 17], "little": [-39, 28]}
     for finger, abduction in abductions.items():

@@ -124,6 +124,17 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
+@pytest.mark.parametrize(("cost", "asked"), [(WELL_KNOWN_MM, 1), (WELL_KNOWN_MM + 0.1, 2)])
+def test_one_frame_tells_the_side_of_a_well_known_hand_alone(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, cost: float, asked: int
+) -> None:
+    """4 mm between the sides are more than four units of log odds; what is hardly explained tells less."""
+    told = say_costs(monkeypatch, [cost] * 4, [cost + 4.0] * 4)
+    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
+    assert found.line == "a right hand"
+    assert len(list(told["right"])) == 4 - asked
+
+
 def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hand of four fifths of the size expected: its size to half a step between those tried.
 

@@ -16,10 +16,12 @@ from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_NAMES
-from posetrack_cli.hand.keypoints import file as keypoint_file
-from posetrack_cli.hand.keypoints.file import KeypointFile, KeypointUse, read_keypoints
-from posetrack_cli.hand.keypoints.layout import joint_of, point_column
-from posetrack_cli.hand.keypoints.sets import SetCollector
+from posetrack_cli.hand.keypoints.file import KeypointFile, read_keypoints
+from posetrack_cli.hand.keypoints.joints import HAND_POINTS
+from posetrack_cli.recording.keypoints.layout import point_column
+from posetrack_cli.recording.keypoints.reading import parse_keypoints
+from posetrack_cli.recording.keypoints.sets import SetCollector
+from posetrack_cli.recording.keypoints.use import KeypointUse
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 FRAMES = (0, 1, 4)
@@ -205,11 +207,14 @@ def test_every_layout_gives_the_points_back(tmp_path: Path, layout: str) -> None
 
 
 def test_joints_have_the_names_and_order_that_mediapipe_gives_them() -> None:
-    assert [joint_of(name) for name in MEDIAPIPE] == list(range(21))
-    assert [joint_of(name) for name in JOINT_NAMES] == list(range(21))
-    assert joint_of("HandLandmark.PINKY_TIP") == 20 and joint_of("elbow") is None
-    assert point_column("thumb_cmc_flexion_rad") is None and point_column("vx_mm_s") is None
-    found = point_column("thumb_cmc_x_mm")
+    assert [HAND_POINTS.number(name) for name in MEDIAPIPE] == list(range(21))
+    assert [HAND_POINTS.number(name) for name in JOINT_NAMES] == list(range(21))
+    assert HAND_POINTS.number("HandLandmark.PINKY_TIP") == 20 and HAND_POINTS.number("elbow") is None
+    assert (
+        point_column(HAND_POINTS, "thumb_cmc_flexion_rad") is None
+        and point_column(HAND_POINTS, "vx_mm_s") is None
+    )
+    found = point_column(HAND_POINTS, "thumb_cmc_x_mm")
     assert found is not None and (found.point, found.value, found.unit) == (1, 0, "mm")
 
 
@@ -489,7 +494,7 @@ def test_a_frame_of_very_many_hands_is_numbered_without_looking_at_all_of_them_e
             return super().__contains__(key)
 
     values, count = Counted(), 2000
-    collector = SetCollector(Path("k.csv"), False, values)
+    collector = SetCollector(Path("k.csv"), HAND_POINTS, False, values)
     for expected in range(count):
         hand = collector.new_hand(7)
         assert hand == expected
@@ -547,7 +552,8 @@ def test_the_record_states_digest_unit_and_sides(tmp_path: Path) -> None:
 
 
 def test_a_run_whose_frames_have_hardly_any_keypoints_is_remarked_on(tmp_path: Path) -> None:
-    use = KeypointUse(read(written(tmp_path, GOOD)))
+    known = read(written(tmp_path, GOOD))
+    use = KeypointUse(known.name, known.sets)
     for index in range(4):
         use.see(index, 0)
     assert use.remarks == ()  # two of four
@@ -597,6 +603,6 @@ _VALUES = st.recursive(
 def test_no_json_ends_in_anything_but_a_line(tmp_path_factory: pytest.TempPathFactory, value: Any) -> None:
     path = written(tmp_path_factory.getbasetemp(), value, "any.json")
     try:
-        keypoint_file._parse(path)
+        parse_keypoints(path, HAND_POINTS)
     except UsageError as error:
         assert str(error).isprintable()

@@ -14,7 +14,6 @@ from posetrack_cli.hand.calibration.trial import CLEAR_LOG_ODDS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import FEWEST, places_in_image, places_in_space, skin_depths
-from posetrack_cli.hand.keypoints.sets import KeypointSets
 from posetrack_cli.hand.keypoints.told import (
     MOST_HANDS,
     ToldHands,
@@ -29,6 +28,7 @@ from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.monitor import TrackMonitor
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.keypoints.sets import KeypointSets
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Status
 from support.hand import KINECT, random_poses

@@ -38,10 +38,10 @@ def chain_by_hand(anatomy: HandAnatomy, pose: np.ndarray) -> tuple[np.ndarray, l
     joints, bones = [origin], [np.column_stack([palm.as_matrix(), origin])]
     for f in range(5):
         first, second, third = pose[7 + 3 * f : 10 + 3 * f]
-        if f == 0:  # CMC x; MCP z, x; IP half of MCP x
+        if f == 0:  # CMC x, z; MCP x; IP half of MCP x
             turns = [
-                about("x", first),
-                about("z", spread * third) * about("x", second),
+                about("x", first) * about("z", spread * third),
+                about("x", second),
                 about("x", second / 2),
             ]
         else:  # MCP z, x; PIP x; DIP half of PIP

@@ -236,7 +236,7 @@ def test_the_skin_stays_around_the_bones_whatever_the_pose(level: str) -> None:
     mesh, poses = hand_mesh(RIGHT, level), random_poses(20, seed=9)
     vertices, joints = posed(mesh, RIGHT, poses), joint_positions(RIGHT, poses)
     distance = bone_distances(vertices, joints).min(axis=-1)
-    assert distance.max() < 35.0  # half a palm is as wide
+    assert distance.max() < 37.0  # half a palm is as wide, and its ball moves with the thumb
     fingers = mesh.weights[:, 0] < 0.01
     before = bone_distances(mesh.vertices[None], joint_positions(RIGHT, REST[None])).min(axis=-1)[0]
     pulled_mm = (

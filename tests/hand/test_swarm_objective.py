@@ -79,7 +79,7 @@ def test_fingers_that_cross_are_counted_by_the_angle_between_them() -> None:
             bent(index_mcp_abduction=np.deg2rad(-5.0)),  # parallel to the middle finger
             bent(index_mcp_abduction=np.deg2rad(-15.0)),  # 10 degrees through it
             bent(index_mcp_abduction=np.deg2rad(-15.0), little_mcp_abduction=np.deg2rad(9.0)),  # and 3
-            bent(thumb_mcp_abduction=-0.6, index_mcp_abduction=0.4),  # the thumb is none of them
+            bent(thumb_cmc_abduction=-0.6, index_mcp_abduction=0.4),  # the thumb is none of them
         ]
     )
     expected = np.deg2rad([0.0, 0.0, 10.0, 13.0, 0.0])

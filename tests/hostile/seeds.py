@@ -275,6 +275,23 @@ def keypoints_tree() -> list[dict[str, Any]]:
     return [{"frame": f, "hands": [hand]} for f in range(FRAMES)]
 
 
+def landmarks_csv() -> str:
+    """Landmarks of the first frames, of both heads' recordings, in OpenFace's layout."""
+    names = ["frame", "face_id", "confidence", "success"]
+    names += [f"{axis}_{k}" for axis in "xy" for k in range(68)]
+    points = [f"{20 + k % 17}" for k in range(68)] + [f"{15 + k % 13}" for k in range(68)]
+    rows = [",".join([str(f + 1), "0", "0.9", "1", *points]) for f in range(FRAMES)]
+    return "\n".join([", ".join(names), *rows]) + "\n"
+
+
+def landmarks_tree() -> list[dict[str, Any]]:
+    """The same by our own names."""
+    from posetrack_cli.head.face.points import POINT_NAMES
+
+    points = {name: [20 + 2 * k, 15 + k, 0.0, 0.9] for k, name in enumerate(POINT_NAMES)}
+    return [{"frame": f, "faces": [{"landmarks": points}]} for f in range(FRAMES)]
+
+
 def truth_csv() -> str:
     from posetrack_cli.hand.anatomy import JOINT_NAMES
 

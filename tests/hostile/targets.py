@@ -421,13 +421,18 @@ CSV_PIECES = (
 
 
 def tables(seeds: Seeds) -> Strategy:
-    """timestamps.csv, truth, clicked points, keypoints, gates and baselines."""
+    """timestamps.csv, truth, clicked points, keypoints, landmarks, gates and baselines."""
     folder, heads = of.depth_folder(seeds), of.grey_folder(seeds)
     stamps = "rec/timestamps.csv"
     tail = ("-o", "out.mcap", *HEAD)
     clicked = ("head", "stereo", "rec", *tail, "--init", "c.csv")
     mono = ("head", "mono", "rec", *tail, "--cameras", "left", "--passes", "1", "--init", "c.csv")
     result = {"r.mcap": seeds.results["hand"]}
+
+    def told(file: str, tracker: str) -> tuple[str, ...]:
+        own = ("--cameras", "left", "--passes", "1") if tracker == "mono" else ()
+        return ("head", tracker, "rec", *tail, *own, "--landmarks", file)
+
     return st.one_of(
         made_of(
             "tables",
@@ -477,6 +482,20 @@ def tables(seeds: Seeds) -> Strategy:
             changed_tree(of.keypoints_tree()).map(lambda t: utf8(json_text(t))),
             st.just(("hand", "run", "hand.mcap", *OUT_OF_HAND, "--keypoints", "k.json")),
             **{"hand.mcap": seeds.hand},
+        ),
+        made_of(
+            "tables",
+            "l.csv",
+            changed_text(of.landmarks_csv(), CSV_PIECES),
+            st.sampled_from((told("l.csv", "stereo"), told("l.csv", "mono"))),
+            **heads,
+        ),
+        made_of(
+            "tables",
+            "l.json",
+            changed_tree(of.landmarks_tree()).map(lambda t: utf8(json_text(t))),
+            st.sampled_from((told("l.json", "stereo"), told("l.json", "mono"))),
+            **heads,
         ),
         made_of(
             "tables",

@@ -35,6 +35,10 @@ class Told:
     there: bool = True
     failure: InitFailure = field(default_factory=lambda: InitFailure(NO_FACE, 0.3))
     asked: int = 0
+    doubt: tuple[int, ...] = ()
+
+    def from_landmarks(self, frame: object, tracked: object = None) -> None:
+        """No landmarks tell anything."""
 
     def find(self, frame: object, *, is_first: bool) -> StereoInitialisation | InitFailure:
         self.asked += 1
@@ -42,7 +46,8 @@ class Told:
             return self.failure
         pose = pose_at(self.index).moved(np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0]))
         pixels = project(CAMERAS, pose.points(SHAPE)).pixels
-        return StereoInitialisation(pose, SHAPE.copy(), pixels, np.ones(len(SHAPE), dtype=bool), 0.9)
+        known = np.ones(len(SHAPE), dtype=bool)
+        return StereoInitialisation(pose, SHAPE.copy(), pixels, known, 0.9, self.doubt)
 
 
 @dataclass

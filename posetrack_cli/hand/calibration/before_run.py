@@ -13,13 +13,18 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, shape_of
 from posetrack_cli.hand.calibration.doubts import doubts_of
 from posetrack_cli.hand.calibration.measures import measures_of
-from posetrack_cli.hand.calibration.trial import LOOKED_AT_S, SIDES, Trial, is_size_open, tried
+from posetrack_cli.hand.calibration.trial import (
+    LOOKED_AT_S,
+    SIDES,
+    WELL_KNOWN_MM,
+    Trial,
+    is_size_open,
+    tried,
+)
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.recording.recording import Recording
 
-WELL_KNOWN_MM = 2.2
-"""A hand that costs no more is the configured one: its own model costs 1 to 2 mm, strangers 3 and more."""
 _ANOTHER_SIZE = 1.25
 """A shape that is by more larger or smaller than the size that fits best explains something else, too."""
 

@@ -33,6 +33,9 @@ _COST_PER_LOG_ODDS, _MOST_A_FRAME = 0.9, 3.0
 
 Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the
 cheaper one in four of five; 0.7 mm would be likeliest if frames erred independently."""
+WELL_KNOWN_MM = 2.2
+"""A hand that costs no more is the configured one: its own model costs 1 to 2 mm, strangers 3 and more. One
+frame of such a hand may tell the side for certain, if its mirror image costs 3.6 mm more."""
 CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
 _RATIO, _STEPS = 1.16, (-2, -1, 0, 1, 2)
@@ -176,7 +179,8 @@ class Trial:
         self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
         if len(self._sides) > 1:
             difference = float(costs[1].min() - costs[0].min()) / _COST_PER_LOG_ODDS
-            self._log_odds += float(np.clip(difference, -_MOST_A_FRAME, _MOST_A_FRAME))
+            most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else _MOST_A_FRAME
+            self._log_odds += float(np.clip(difference, -most, most))
 
     def _ask_keypoints(self, frame: Frame) -> None:
         """Add what the frame's keypoints tell of the side."""

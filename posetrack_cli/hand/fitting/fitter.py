@@ -51,7 +51,10 @@ def fit_starts(
 ) -> FloatArray:
     """Return start poses (count, 22): the expected pose, others, then scattered ones about all of these.
 
-    A finger that moved between two frames is mostly found from another fold, not from a nearby angle.
+    A finger that moved between two frames is mostly found from another fold, not from a nearby angle. In
+    every second scattered pose all four take one fold, as in a fist: seen from the back, a fist with its
+    fingers a little open and the palm pulled back to the elbow is another minimum, and no single finger's
+    fold leads out of it.
 
     Args:
         expected: (22,) the prediction.
@@ -66,8 +69,10 @@ def fit_starts(
         return given
     about = given[np.arange(more) % len(given)]
     scattered = space.retract(about, SCATTER * rng.standard_normal((more, TANGENT_SIZE)))
-    fold = _FOLDS[rng.integers(len(_FOLDS), size=(more, 4))]
+    which = rng.integers(len(_FOLDS), size=(more, 4))
     refolded = rng.random((more, 4)) < _REFOLDED
+    which[::2], refolded[::2] = which[::2, :1], True
+    fold = _FOLDS[which]
     for finger in range(1, 5):
         rows = refolded[:, finger - 1]
         scattered[rows, 7 + 3 * finger] = fold[rows, finger - 1, 0]

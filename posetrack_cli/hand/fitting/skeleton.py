@@ -43,7 +43,7 @@ class Posed(NamedTuple):
     Attributes:
         bones: (17, 3, 4) camera_T_rest, mm; the last is the forearm's (``place_arm``).
         axes: (6, 3, 3) hinge axes in camera coordinates: of a finger flexion and abduction (the third is not
-            used), of the thumb CMC flexion, MCP flexion, MCP abduction, of the forearm the two that it swings
+            used), of the thumb CMC flexion, MCP flexion, CMC abduction, of the forearm the two that it swings
             about and its direction towards the elbow, 0 where there is none.
         centres: (5, 3, 3) joints 3, 2, 1 in camera coordinates, mm.
         tips: (5, 3) mm.
@@ -87,7 +87,7 @@ def _finger_turns(pose: FloatArray, f: int, sign: float, turns: FloatArray) -> N
     k = 7 + 3 * f
     if f == 0:
         flexion = pose[k + 1]
-        _bent(pose[k], 0.0, 0.0, turns[0])
+        _bent(pose[k], sign * pose[k + 2], 0.0, turns[0])
         _bent(pose[k], sign * pose[k + 2], flexion, turns[1])
         _bent(pose[k], sign * pose[k + 2], (1.0 + HALF) * flexion, turns[2])
         return
@@ -252,11 +252,9 @@ def point_row(
         if f == 0:
             if joint == 0:
                 row[6] += first
-            elif joint == 1:
-                row[7] += second
                 row[8] += axes[0, 2, 0] * tx + axes[0, 2, 1] * ty + axes[0, 2, 2] * tz
             else:
-                row[7] += HALF * second
+                row[7] += second if joint == 1 else HALF * second
         elif joint == 0:
             row[6] += first
             row[7] += second

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli import limits
-from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import open_input
+from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.keypoints.json_text import read_json, read_json_lines
-from posetrack_cli.hand.keypoints.layout import (
+from posetrack_cli.hand.keypoints.joints import HAND_POINTS
+from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.keypoints.layout import (
     HANDEDNESS,
     METRES,
     MILLIMETRES,
@@ -21,20 +20,22 @@ from posetrack_cli.hand.keypoints.layout import (
     NORMALISED,
     PIXELS,
     UNITS,
-    Parsed,
 )
-from posetrack_cli.hand.keypoints.sets import KeypointSets
-from posetrack_cli.hand.keypoints.tables import KIND, read_csv
-from posetrack_cli.recording.identity import file_digest, shown_name
+from posetrack_cli.recording.keypoints.reading import (
+    MOST_OF,
+    digest_of,
+    in_pixels,
+    known_scores,
+    lies_within,
+    parse_keypoints,
+    unit_cannot_be_told,
+)
+from posetrack_cli.recording.keypoints.sets import KeypointSets
 from posetrack_cli.units import METRES_PER_MM
 
 UNSURE = "unsure"
 """How sides are taken that may be the wrong way round."""
-_MOST_OF = 90.0
-"""Percent of the points that have to lie where a unit would have them."""
 _NEAREST_M, _FARTHEST_M = 0.1, 10.0
-_OUTSIDE = 0.5
-"""Of the image's size beside it: landmarks that are cut off."""
 _OF_WORLD = 20.0
 """Percent of normalised coordinates below 0, from which on their origin is taken to be in the hand."""
 
@@ -82,31 +83,6 @@ class KeypointFile:
         return f"{len(sets)} hands of 21 points by frame {by}, in {self.unit}, {labels[self.sides]}"
 
 
-class KeypointUse:
-    """Counts for which frames of a run there are keypoints.
-
-    Args:
-        keypoints: the file.
-    """
-
-    def __init__(self, keypoints: KeypointFile) -> None:
-        self._file, self._frames, self._told = keypoints, 0, 0
-
-    def see(self, index: int, stamp_ns: int) -> None:
-        """Count a frame."""
-        rows = self._file.sets.of(index, stamp_ns)
-        self._frames += 1
-        self._told += int(rows.stop > rows.start)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What to say at the end, in one line: most frames have none, so perhaps they are matched wrongly."""
-        if 2 * self._told >= self._frames:
-            return ()
-        by = "by stamps, to 10 ms" if self._file.sets.by_stamp else "by number, counted from 0"
-        return (f"{self._file.name} has keypoints for {self._told} of {self._frames} frames, matched {by}",)
-
-
 def read_keypoints(
     path: Path, camera: Camera, unit: str | None = None, swap_sides: bool = False
 ) -> KeypointFile:
@@ -122,39 +98,15 @@ def read_keypoints(
     Raises:
         UsageError: no such file; or names file, line and field of what cannot be used.
     """
-    parsed = _parse(path)
+    parsed = parse_keypoints(path, HAND_POINTS)
     unit = unit or parsed.unit or _unit_by_numbers(parsed.sets, camera, path)
     exchanged = (parsed.side_field == MIRRORED) != swap_sides
     sets = _in_our_units(parsed.sets, unit, camera, path)
     sides = "exchanged" if exchanged else (UNSURE if parsed.side_field == HANDEDNESS else "as told")
     sides = "none" if np.isnan(sets.right).all() else sides
     right = 1.0 - sets.right if exchanged else sets.right
-    known = replace(sets, scores=_known_scores(sets.scores), right=right)
-    try:
-        digest = file_digest(path)[1]
-    except RecordingError as error:
-        raise UsageError(str(error)) from error
-    return KeypointFile(shown_name(path), digest, known, unit in (PIXELS, NORMALISED), unit, sides)
-
-
-def _parse(path: Path) -> Parsed:
-    _check_size(path)
-    suffix = path.suffix.lower()
-    if suffix in (".jsonl", ".ndjson"):
-        return read_json_lines(path)
-    return read_json(path) if suffix == ".json" else read_csv(path)
-
-
-def _check_size(path: Path) -> None:
-    """Raise where a file is missing or larger than any that is read."""
-    try:
-        with open_input(path) as stream:
-            size = stream.seek(0, 2)
-    except OSError as error:
-        raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=KIND) from error
-    if size > limits.KEYPOINT_BYTES:
-        expected = f"{limits.KEYPOINT_BYTES} at most"
-        raise UsageError("is too large", where=path, found=f"{size} bytes", expected=expected)
+    known = replace(sets, scores=known_scores(sets.scores), right=right)
+    return KeypointFile(shown_name(path), digest_of(path), known, unit in (PIXELS, NORMALISED), unit, sides)
 
 
 def _unit_by_numbers(sets: KeypointSets, camera: Camera, path: Path) -> str:
@@ -165,32 +117,19 @@ def _unit_by_numbers(sets: KeypointSets, camera: Camera, path: Path) -> str:
     """
     points = sets.points[np.isfinite(sets.points[..., 0])]
     if np.isfinite(points[:, 2]).all():
-        low, high = np.percentile(points[:, 2], [100.0 - _MOST_OF, _MOST_OF])
+        low, high = np.percentile(points[:, 2], [100.0 - MOST_OF, MOST_OF])
         if METRES_PER_MM * low >= _NEAREST_M:
             return MILLIMETRES
         if low >= _NEAREST_M and high <= _FARTHEST_M:
             return METRES
-    if _lies_within(points, 1.0, 1.0):
+    if lies_within(points, 1.0, 1.0):
         if np.percentile(points[:, :2].min(axis=1), _OF_WORLD) < 0.0:
             raise _no_place(path)
         return NORMALISED
-    if _lies_within(points, camera.width, camera.height):
+    if lies_within(points, camera.width, camera.height):
         return PIXELS
-    (x0, y0), (x1, y1) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    raise UsageError(
-        "unit cannot be told",
-        where=path,
-        found=f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} beside an image of {camera.width} x {camera.height}",
-        expected=f"one of {', '.join(UNITS)}",
-        hint="--keypoints-unit tells it; pixels are those of the depth images",
-    )
-
-
-def _lies_within(points: FloatArray, width: float, height: float) -> bool:
-    """Whether most points (N, 3) lie in an image of a size, or not far beside it."""
-    size = np.array([width, height])
-    inside = ((points[:, :2] >= -_OUTSIDE * size) & (points[:, :2] <= (1.0 + _OUTSIDE) * size)).all(axis=1)
-    return bool(100.0 * inside.mean() >= _MOST_OF)
+    hint = "--keypoints-unit tells it; pixels are those of the depth images"
+    raise unit_cannot_be_told(path, points, camera, ", ".join(UNITS), hint)
 
 
 def _no_place(path: Path) -> UsageError:
@@ -211,11 +150,7 @@ def _in_our_units(sets: KeypointSets, unit: str, camera: Camera, path: Path) -> 
     """
     points = sets.points
     if unit in (PIXELS, NORMALISED):
-        scale = (camera.width, camera.height) if unit == NORMALISED else (1.0, 1.0)
-        # normalised coordinates count from the image's corner, pixels from the first one's centre
-        shift = 0.5 if unit == NORMALISED else 0.0
-        pixels = points[..., :2] * scale - shift
-        return replace(sets, points=np.concatenate([pixels, np.full_like(points[..., 2:], np.nan)], axis=-1))
+        return in_pixels(sets, unit, camera)
     points = points / (METRES_PER_MM if unit == METRES else 1.0)
     known = np.isfinite(points[..., 0])
     if not np.isfinite(points[known]).all():
@@ -225,11 +160,3 @@ def _in_our_units(sets: KeypointSets, unit: str, camera: Camera, path: Path) -> 
         raise _no_place(path)
     points[points[..., 2] < limits.NEAREST_MM] = np.nan
     return replace(sets, points=points)
-
-
-def _known_scores(scores: FloatArray) -> FloatArray:
-    """Scores, those not stated 1; where all are 0 a program wrote the field without filling it."""
-    stated = np.isfinite(scores)
-    if not scores[stated].any():
-        return np.ones_like(scores)
-    return np.where(stated, scores, 1.0)

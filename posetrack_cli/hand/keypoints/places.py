@@ -15,7 +15,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import undistort
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.fitting.points import PlacesToFit
-from posetrack_cli.hand.keypoints.sets import POINTS
+from posetrack_cli.hand.keypoints.joints import POINTS
 
 PIXEL_SD, CONVENTION_SD_MM = 3.0, 6.0
 """Of a good detector's points, pixels, and of where programs put a joint, mm."""

@@ -24,8 +24,8 @@ from posetrack_cli.hand.fitting.gauss_newton import Steps
 from posetrack_cli.hand.fitting.points import PlacesToFit, fit_places, make_point_workspace, misfits
 from posetrack_cli.hand.fitting.skeleton import skeleton_of
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
+from posetrack_cli.hand.keypoints.joints import POINTS
 from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
-from posetrack_cli.hand.keypoints.sets import POINTS
 from posetrack_cli.hand.kinematics import joint_positions, mean_joint_distances
 from posetrack_cli.hand.local_fits import NOT_TOLD, TOLD_PRECISION
 from posetrack_cli.recording.base import Frame

@@ -23,6 +23,7 @@ from posetrack_cli.head.initialisation.stereo import (
     StereoInitialiser,
     clicked_camera,
 )
+from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.tracking.two_pass import NothingFoundError
 
@@ -63,15 +64,20 @@ class ClickedInitialiser(StereoInitialiser):
         settings: what is good enough.
         cameras: C >= 2, calibrated.
         clicked: the points.
+        landmarks: for later frames.
 
     Raises:
         UsageError: a face detector without its model.
     """
 
     def __init__(
-        self, settings: StereoInitialisationSettings, cameras: Sequence[Camera], clicked: ClickedPoints
+        self,
+        settings: StereoInitialisationSettings,
+        cameras: Sequence[Camera],
+        clicked: ClickedPoints,
+        landmarks: Landmarks | None = None,
     ) -> None:
-        super().__init__(settings, cameras)
+        super().__init__(settings, cameras, landmarks)
         self._clicked = clicked
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,8 +22,11 @@ from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of
+from posetrack_cli.head.landmarks.faces import Landmarks, ToldFace
+from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.recording.base import Frame
 
+Face = TypeVar("Face", FacePoints, ToldFace)
 EYE_DISTANCE_MM = 63.0
 SAME_FACE = 1.0
 """A face that moved farther from one frame to the next, in eye distances, is another one."""
@@ -102,14 +106,20 @@ class MonoInitialiser:
         adjuster: of views of the camera that takes the images.
         detector: of faces.
         choice: which face, 0 the largest in the image, 1 the next.
+        landmarks: of the same images; frames that have none are searched by the detector.
     """
 
     def __init__(
-        self, config: HeadMonoConfig, adjuster: Adjuster, detector: FaceDetector, choice: int = 0
+        self,
+        config: HeadMonoConfig,
+        adjuster: Adjuster,
+        detector: FaceDetector,
+        choice: int = 0,
+        landmarks: Landmarks | None = None,
     ) -> None:
         self._config, self._adjuster = config, adjuster
         self._camera, self._model = adjuster.camera, adjuster.model
-        self._detector, self._choice = detector, choice
+        self._detector, self._choice, self._landmarks = detector, choice, landmarks
 
     def detect(self, frame: Frame, near: FloatArray | None = None) -> DetectedFace | InitFailure:
         """Return a face in a frame with its points, or why there is none.
@@ -122,6 +132,9 @@ class MonoInitialiser:
         (image,) = frame.images
         if image is None:
             return InitFailure("no image")
+        told = self.told(frame, near)
+        if told is not None:
+            return face_at(told.pixels, frame.stamp_ns, self._camera, told.responses)
         roll = None if near is None else _roll(near)
         detection = self._detector.detect(image, wanted=self._choice + 1 if near is None else 1, roll=roll)
         faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
@@ -134,7 +147,17 @@ class MonoInitialiser:
             return InitFailure(reason, face.score)
         return face_at(face.pixels, frame.stamp_ns, self._camera, face.responses)
 
-    def _chosen(self, faces: Sequence[FacePoints]) -> FacePoints | str:
+    def told(self, frame: Frame, near: FloatArray | None = None) -> ToldFace | None:
+        """Return the face that landmarks tell of a frame, chosen as a detected one; None for none."""
+        faces = () if self._landmarks is None else self._landmarks.faces(frame)
+        face = self._chosen(faces) if near is None else _same(faces, near)
+        return None if isinstance(face, str) else face
+
+    def has_slid(self, pixels: FloatArray, told: ToldFace) -> bool:
+        """Whether tracked points (K, 2) have left where landmarks tell them."""
+        return self._landmarks is not None and self._landmarks.has_slid(pixels, told)
+
+    def _chosen(self, faces: Sequence[Face]) -> Face | str:
         if self._choice < len(faces):
             return faces[self._choice]
         return f"{len(faces)} face{'s' * (len(faces) > 1)}, not {self._choice + 1}" if faces else NO_FACE
@@ -157,20 +180,22 @@ class MonoInitialiser:
         misfit = float(np.median([face.misfit for face in detected]))
         if misfit > most:
             return InitFailure(_unlike(misfit), score)
+        others = () if self._landmarks is None else self._landmarks.others
+        told = [face_at(one.pixels, one.stamp_ns, self._camera, one.responses) for one in others]
+        told = [face for face in told if face.misfit <= most]
         adjusted = self._adjuster.adjust(
-            [self._view(face) for face in detected],
+            [self._view(face) for face in (*detected, *told)],
             PersonParameters(self._model.identity_mean, np.zeros((POINT_COUNT, 3))),
             iterations=settings.start_iterations,
             hold_person=settings.when == "never",
             wide=True,
         )
-        residual = _residual(adjusted, detected)
-        reason = _implausible([view.pose for view in adjusted.views], residual, most)
+        residual = _residual(adjusted, (*detected, *told))
+        views = adjusted.views[: len(detected)]
+        reason = _implausible([view.pose for view in views], residual, most)
         if reason:
             return InitFailure(reason, score)
-        return MonoInitialisation(
-            adjusted.views, adjusted.person, detected[0].pixels, residual, score, adjusted
-        )
+        return MonoInitialisation(views, adjusted.person, detected[0].pixels, residual, score, adjusted)
 
     def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
         """Return the templates of a frame with a face, the last of those that the head was found in."""
@@ -187,8 +212,11 @@ class MonoInitialiser:
         return self._model.of_person(start.person.identity, start.person.offsets).mean
 
     def _view(self, face: DetectedFace) -> PointView:
-        """Return a frame as the adjustment takes it: detected points count less than tracked ones."""
-        weights = np.full(POINT_COUNT, min(self._config.start.pixel_sd**-2, 1.0))
+        """Return a frame as the adjustment takes it: points count by their noise beside tracked ones'."""
+        noise = np.full(POINT_COUNT, self._config.start.pixel_sd)
+        if self._landmarks is not None:
+            noise = self._landmarks.noise_px / point_values(self._config.adjustment.pixel_sd)
+        weights = np.minimum(noise**-2, 1.0) * (face.responses > 0.0)
         return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
 
 
@@ -198,7 +226,7 @@ def _roll(pixels: FloatArray) -> float:
     return float(np.arctan2(across[1], across[0]))
 
 
-def _same(faces: Sequence[FacePoints], near: FloatArray) -> FacePoints | str:
+def _same(faces: Sequence[Face], near: FloatArray) -> Face | str:
     if not faces:
         return NO_FACE
     middle = near.mean(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from posetrack_cli.head.initialisation.average_face import MeasuredFace, exchang
 from posetrack_cli.head.initialisation.matching import match_points
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
+from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
 
 
@@ -37,6 +38,8 @@ class StereoInitialisation:
         pixels: (C, K, 2) of the points in every image; NaN for a camera without one.
         matched: (K,) which points were found in more than one image; the others' depth is an average face's.
         score: 0 to 1, mean correlation of the matched points.
+        doubt: an order of images that faces found in each by itself fit better, though the head was found in
+            the order recorded; empty if none.
     """
 
     pose: HeadPose
@@ -44,6 +47,15 @@ class StereoInitialisation:
     pixels: FloatArray
     matched: BoolArray
     score: float
+    doubt: tuple[int, ...] = ()
+
+    def is_surer_than(self, other: StereoInitialisation) -> bool:
+        """Whether more points were matched than in another order of images, and lie more like a face's."""
+        deviations = [
+            MeasuredFace(one.pose.points(one.shape), np.ones(POINT_COUNT, dtype=bool)).deviation
+            for one in (self, other)
+        ]
+        return bool(self.matched.sum() > other.matched.sum()) and deviations[0] < deviations[1]
 
 
 class StereoInitialiser:
@@ -52,18 +64,42 @@ class StereoInitialiser:
     Args:
         settings: what is good enough.
         cameras: C >= 2, calibrated.
+        landmarks: of the reference camera's images; frames that have none are searched by a detector.
 
     Raises:
         UsageError: a face detector without its model.
     """
 
-    def __init__(self, settings: StereoInitialisationSettings, cameras: Sequence[Camera]) -> None:
-        self._settings, self._cameras = settings, tuple(cameras)
+    def __init__(
+        self,
+        settings: StereoInitialisationSettings,
+        cameras: Sequence[Camera],
+        landmarks: Landmarks | None = None,
+    ) -> None:
+        self._settings, self._cameras, self._landmarks = settings, tuple(cameras), landmarks
         self._detector = FaceDetector(settings.detection)
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
         """Return where the face is in a frame, the first of the run or another, or why none was found."""
-        return self._attempt(frame).find(self._detector)
+        told = self.from_landmarks(frame)
+        return self._attempt(frame).find(self._detector) if told is None else told
+
+    def from_landmarks(self, frame: Frame, tracked: FloatArray | None = None) -> StereoInitialisation | None:
+        """Return where landmarks tell the largest face, None where they tell none.
+
+        Args:
+            frame: of all cameras.
+            tracked: (K, 2) pixels of a track in the reference camera: None is returned if it has not slid.
+        """
+        faces = () if self._landmarks is None else self._landmarks.faces(frame)
+        if not faces or self._landmarks is None:
+            return None
+        if tracked is not None and not self._landmarks.has_slid(tracked, faces[0]):
+            return None
+        pixels = np.full((len(self._cameras), POINT_COUNT, 2), np.nan)
+        pixels[0] = faces[0].pixels
+        found = self._attempt(frame).from_clicked(pixels)
+        return None if isinstance(found, InitFailure) else found
 
     def _attempt(self, frame: Frame) -> StereoAttempt:
         return StereoAttempt(RigImages(self._cameras, frame.images), self._settings)
@@ -214,7 +250,13 @@ class StereoAttempt:
         detections: dict[int, Detection],
         detector: FaceDetector,
     ) -> StereoInitialisation | InitFailure:
-        """Return the outcome, or that images look exchanged if the faces found in each of them say so."""
+        """Return the outcome, or that images look exchanged if all evidence says so.
+
+        Faces found in each image by itself may fit another order better by chance: on a wide baseline they
+        lie off by more than a point's width. So a head must be found in that order, too, and if one was found
+        as recorded match in more points and be more like a face; else the outcome stays, with a doubt
+        **[ours]**.
+        """
         views, cameras = self.views, self.images.cameras
         if any(view is None for view in views) or not any(one.faces for one in detections.values()):
             return outcome
@@ -226,10 +268,28 @@ class StereoAttempt:
         order = exchanged_order(cameras, faces)
         if not order:
             return outcome
+        other = self._found_in(order, faces)
+        if isinstance(outcome, StereoInitialisation):
+            if other is None or not other.is_surer_than(outcome):
+                return replace(outcome, doubt=order)
+        elif other is None:
+            return outcome
         names = ", ".join(cameras[c].name for c in order)
         return InitFailure(
             f"images look exchanged: they fit the calibration in the order {names}", outcome.score, order
         )
+
+    def _found_in(self, order: Sequence[int], faces: FloatArray) -> StereoInitialisation | None:
+        """Return the head of faces (C, K, 2), one in each image, with the images in another order."""
+        images = [self.images.images[c] for c in order]
+        attempt = StereoAttempt(RigImages(self.images.cameras, images), self.settings)
+        for camera in range(len(order)):
+            clicked = np.full_like(faces, np.nan)
+            clicked[camera] = faces[order[camera]]
+            found = attempt.from_clicked(clicked)
+            if isinstance(found, StereoInitialisation):
+                return found
+        return None
 
 
 def clicked_camera(pixels: FloatArray) -> int | None:

@@ -25,6 +25,8 @@ from posetrack_cli.head.initialisation.mono import (
     face_at,
 )
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.landmarks.faces import Landmarks
+from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import known_people, people_codec, unusable_people
@@ -85,6 +87,7 @@ class MonoPeople:
         choice: which face to begin with, 0 the largest.
         clicked: points of the first frame; without them the face is found there, too.
         known: what another tracker has exported: people and templates to begin with.
+        landmarks: of the recorded images, from elsewhere.
 
     Raises:
         UsageError: a face detector without its model.
@@ -100,8 +103,10 @@ class MonoPeople:
         choice: int = 0,
         clicked: ClickedPoints | None = None,
         known: Arrays | None = None,
+        landmarks: LandmarkFile | None = None,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
+        self._landmarks = landmarks
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._reductions: dict[float, _Reduction] = {}
@@ -148,12 +153,13 @@ class MonoPeople:
     def fit(self, state: MonoState, track: TrackState, frame: SeededFrame) -> tuple[MonoState, FrameFit]:
         """Follow the person into a frame; where the fit is poor, compare it with a detection **[ours]**.
 
-        After a blink or a smile points may have slid to places that they do not come back from.
+        After a blink or a smile points may have slid to places that they do not come back from. Landmarks
+        from elsewhere tell that in any frame.
         """
         fitter, settings = self._at(state).fitter, self._config.status
         fit = fitter.fit(state.person, track, frame)
         recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
-        if recent or fit.score >= settings.check_below:
+        if not self._has_slid(state, frame, fit) and (recent or fit.score >= settings.check_below):
             return state, fit
         state = replace(state, checked_ns=frame.stamp_ns)
         found = self.detect(state, frame)
@@ -284,6 +290,12 @@ class MonoPeople:
         fit = at.fitter.initial_fit(frame, last, start, seen)
         return state.with_new_person(person, fit.track, frame.index), fit
 
+    def _has_slid(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> bool:
+        """Whether points are elsewhere than the landmarks of a frame, if it has any."""
+        initialiser = self._at(state).initialiser
+        told = initialiser.told(frame.frame, fit.pixels[0])
+        return told is not None and initialiser.has_slid(fit.pixels[0], told)
+
     def _last_pixels(self, state: MonoState, frame: SeededFrame) -> FloatArray | None:
         """Where the points were when the head was last tracked, unless that was long ago or before a cut."""
         track = state.track
@@ -315,7 +327,8 @@ class MonoPeople:
         if scale not in self._reductions:
             config, camera = self._config, reduced_camera(self._recorded, scale)
             adjuster = Adjuster(self._model, camera, config.adjustment)
-            initialiser = MonoInitialiser(config, adjuster, self._detector, self._choice)
+            told = None if self._landmarks is None else Landmarks(self._landmarks, camera, scale)
+            initialiser = MonoInitialiser(config, adjuster, self._detector, self._choice, told)
             self._reductions[scale] = _Reduction(adjuster, initialiser, PersonFitter(config, adjuster))
         return self._reductions[scale]
 
@@ -352,6 +365,7 @@ def make_mono_tracker(
     *,
     face: int = 0,
     clicked: Path | None = None,
+    landmarks: LandmarkFile | None = None,
 ) -> MonoTracker:
     """Return the tracker that a run uses.
 
@@ -361,6 +375,7 @@ def make_mono_tracker(
         known: what another tracker has exported.
         face: which one to begin with, 0 the largest.
         clicked: table of points in the first frame; without it the face is found there, too.
+        landmarks: of the recorded images, from elsewhere.
 
     Raises:
         UsageError, ResultError: a file that is missing or cannot be used.
@@ -368,7 +383,8 @@ def make_mono_tracker(
     """
     model = load_face_model(None if config.model.file is None else Path(config.model.file))
     points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
-    return HeadTracker(MonoPeople(config, camera, model, choice=face, clicked=points, known=known))
+    people = MonoPeople(config, camera, model, choice=face, clicked=points, known=known, landmarks=landmarks)
+    return HeadTracker(people)
 
 
 def _known_scale(known: Arrays, camera: Camera) -> float:

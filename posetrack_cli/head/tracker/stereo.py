@@ -20,6 +20,8 @@ from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, tak
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
+from posetrack_cli.head.landmarks.faces import Landmarks
+from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.refinement.refine import point_values, refine_initial_depth
 from posetrack_cli.head.subject import StereoDiagnostics
@@ -129,22 +131,24 @@ class StereoFace:
         face = new_face(shape, self._config.model)
         reference = take_templates(images, found.pose, shape)
         track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
-        state = replace(state, face=face, templates=(reference,), track=track, lost=0)
+        search = replace(state.search, order=found.doubt, exchanged=0)
+        state = replace(state, face=face, templates=(reference,), track=track, lost=0, search=search)
         return state, initial_fit(track, found.score, found.pixels)
 
     def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
-        """Follow the head into a frame."""
-        return state, self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
+        """Follow the head into a frame; where landmarks say that it slid, begin there again **[ours]**."""
+        fit = self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
+        told = self._initialiser.from_landmarks(frame.frame, fit.pixels[0])
+        if told is None:
+            return state, fit
+        again = self._from_points(state, told, frame, track.stamp_ns)
+        return state, again if again.score > fit.score else fit
 
     def recognise(
         self, state: StereoState, found: StereoInitialisation, frame: SeededFrame
     ) -> Iterator[tuple[StereoState, FrameFit]]:
         """Lay the known face on the points that were found, and follow it from there."""
-        model = state.known_face.model
-        pose = self._laid_on(model.mean, found)
-        track = self._frame_tracker.start(frame, pose, model.mean, model)
-        state, fit = self.fit(state, replace(track, stamp_ns=state.last_seen_ns(frame)), frame)
-        yield state, replace(fit, track=fit.track.at_rest())
+        yield state, self._from_points(state, found, frame, state.last_seen_ns(frame))
 
     def least_score(self, state: StereoState) -> float:
         """Return the score from which on a face counts as the known one."""
@@ -177,8 +181,15 @@ class StereoFace:
         return self._codecs.to_model(state)
 
     def remarks(self, state: StereoState) -> tuple[str, ...]:
-        """Return nothing: what a stereo run finds is in its diagnostics."""
-        return ()
+        """Say whether the images may belong to other cameras; what else a run finds is in its diagnostics."""
+        if not state.search.order:
+            return ()
+        names = ", ".join(self.cameras[c].name for c in state.search.order)
+        return (
+            "where the head was found, faces fit the calibration better with images in the order"
+            f" {names}; its points matched as recorded, so the run went on: are cameras or calibration"
+            " mixed up?",
+        )
 
     def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
@@ -186,6 +197,16 @@ class StereoFace:
         neutral = float(np.linalg.norm(fit.coefficients)) < settings.keyframe_neutral_mm
         clear = fit.score > settings.keyframe_correlation
         return neutral and clear and is_new_direction(templates, fit.track.pose.facing, settings.keyframe_deg)
+
+    def _from_points(
+        self, state: StereoState, found: StereoInitialisation, frame: SeededFrame, last_ns: int
+    ) -> FrameFit:
+        """Follow the known face from where its points were found; it is at rest."""
+        model = state.known_face.model
+        pose = self._laid_on(model.mean, found)
+        track = replace(self._frame_tracker.start(frame, pose, model.mean, model), stamp_ns=last_ns)
+        fit = self._frame_tracker.step(track, frame, state.templates, model)
+        return replace(fit, track=fit.track.at_rest())
 
     def _laid_on(self, mean: FloatArray, found: StereoInitialisation) -> HeadPose:
         """The pose in which the known shape lies best on the points that were found."""
@@ -199,6 +220,7 @@ def make_stereo_tracker(
     known: Arrays | None = None,
     *,
     clicked: Path | None = None,
+    landmarks: LandmarkFile | None = None,
 ) -> StereoTracker:
     """Return the tracker that a run uses.
 
@@ -207,6 +229,7 @@ def make_stereo_tracker(
         cameras: of the recording, the reference first.
         known: what another tracker has exported.
         clicked: table of points in the first frame; without it the face is found there, too.
+        landmarks: of the reference camera's images, from elsewhere.
 
     Raises:
         UsageError: a face detector without its model, or no such table.
@@ -214,10 +237,12 @@ def make_stereo_tracker(
         ResultError: ``known`` is not what such a tracker exports.
     """
     settings = config.start
+    told = None if landmarks is None else Landmarks(landmarks, cameras[0])
     if clicked is None:
-        initialiser = StereoInitialiser(settings, cameras)
+        initialiser = StereoInitialiser(settings, cameras, told)
     else:
-        initialiser = ClickedInitialiser(settings, cameras, ClickedPoints.read(clicked, cameras))
+        points = ClickedPoints.read(clicked, cameras)
+        initialiser = ClickedInitialiser(settings, cameras, points, told)
     return HeadTracker(StereoFace(config, cameras, initialiser, known))
 
 

@@ -8,10 +8,10 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 
 _D = np.pi / 180.0
-_STRAIGHT_THUMB, _OUT_THUMB = (-5.0, 5.0, 0.0), (-18.0, 2.0, 10.0)
+_STRAIGHT_THUMB, _OUT_THUMB = (-5.0, 5.0, 0.0), (-18.0, 2.0, 6.0)
 _CURLED = (80.0, 0.0, 95.0)
 
-# Degrees: thumb (CMC flexion, MCP flexion, MCP abduction), then index, middle, ring, little
+# Degrees: thumb (CMC flexion, MCP flexion, CMC abduction), then index, middle, ring, little
 # (MCP flexion, MCP abduction, PIP flexion). Thumbs that touch a finger were solved for with the average
 # anatomy, so that the skins meet and do not pass through each other.
 _DEGREES: dict[str, tuple[tuple[float, float, float], ...]] = {
@@ -24,26 +24,26 @@ _DEGREES: dict[str, tuple[tuple[float, float, float], ...]] = {
         (32.0, -2.0, 34.0),
         (34.0, -5.0, 34.0),
     ),
-    "fist": ((15.0, 45.0, -28.0), _CURLED, _CURLED, _CURLED, _CURLED),
-    "one": ((30.0, 34.0, -29.0), (2.0, 2.0, 4.0), _CURLED, _CURLED, _CURLED),
-    "two": ((43.0, 35.0, -29.0), (2.0, 12.0, 4.0), (2.0, -8.0, 4.0), _CURLED, _CURLED),
+    "fist": ((14.0, 48.0, -13.0), _CURLED, _CURLED, _CURLED, _CURLED),
+    "one": ((28.0, 38.0, -15.0), (2.0, 2.0, 4.0), _CURLED, _CURLED, _CURLED),
+    "two": ((41.0, 39.0, -15.0), (2.0, 12.0, 4.0), (2.0, -8.0, 4.0), _CURLED, _CURLED),
     "three": (
-        (62.0, 20.0, -29.0),
+        (58.0, 26.0, -17.0),
         (2.0, 10.0, 4.0),
         (2.0, 0.0, 4.0),
         (3.0, -10.0, 5.0),
         (72.0, 0.0, 90.0),
     ),
-    "four": ((32.0, 38.0, -29.0), (2.0, 7.0, 4.0), (2.0, 1.0, 4.0), (2.0, -5.0, 4.0), (3.0, -12.0, 5.0)),
+    "four": ((30.0, 42.0, -15.0), (2.0, 7.0, 4.0), (2.0, 1.0, 4.0), (2.0, -5.0, 4.0), (3.0, -12.0, 5.0)),
     "pinch": (
-        (18.0, 32.0, -15.0),
+        (17.0, 33.0, -8.0),
         (53.0, 0.0, 51.0),
         (38.0, 0.0, 45.0),
         (42.0, 0.0, 48.0),
         (44.0, 0.0, 48.0),
     ),
-    "ok": ((18.0, 32.0, -15.0), (53.0, 0.0, 51.0), (12.0, 0.0, 14.0), (6.0, -5.0, 8.0), (2.0, -14.0, 5.0)),
-    "point": ((31.0, 31.0, -29.0), (4.0, 0.0, 6.0), (78.0, 0.0, 92.0), _CURLED, _CURLED),
+    "ok": ((17.0, 33.0, -8.0), (53.0, 0.0, 51.0), (12.0, 0.0, 14.0), (6.0, -5.0, 8.0), (2.0, -14.0, 5.0)),
+    "point": ((28.0, 36.0, -16.0), (4.0, 0.0, 6.0), (78.0, 0.0, 92.0), _CURLED, _CURLED),
     "thumb": (_OUT_THUMB, _CURLED, _CURLED, _CURLED, _CURLED),
     "claw": ((5.0, 25.0, 0.0), (8.0, 6.0, 62.0), (8.0, 0.0, 64.0), (8.0, -5.0, 64.0), (8.0, -10.0, 60.0)),
 }

@@ -256,7 +256,7 @@ def test_starts_are_the_expected_pose_others_and_scattered_ones() -> None:
     assert len({row.tobytes() for row in alone}) == 4
 
 
-def test_scattered_starts_spread_as_stated_and_half_the_fingers_fold_anew() -> None:
+def test_scattered_starts_spread_as_stated_and_fold_fingers_together_or_each_alone() -> None:
     count, expected = 20_000, open_hand()
     none = np.empty((0, POSE_SIZE))
     starts = fit_starts(expected, none, count + 1, SPACE, np.random.default_rng(3))[1:]
@@ -264,14 +264,17 @@ def test_scattered_starts_spread_as_stated_and_half_the_fingers_fold_anew() -> N
     # position, rotation, thumb, and the abductions, which no fold changes
     free = [*range(9), *range(10, 21, 3)]
     np.testing.assert_allclose(delta[:, free].std(axis=0), SCATTER[free], rtol=4.0 / np.sqrt(2 * count))
+    bends = starts[:, [[7 + 3 * finger, 9 + 3 * finger] for finger in range(1, 5)]]
+    together, alone = bends[::2], bends[1::2]
+    folds = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
+    assert {tuple(bend) for bend in together[:, 0]} == folds
+    np.testing.assert_array_equal(together, np.repeat(together[:, :1], 4, axis=1))
     for finger in range(1, 5):
-        folds = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
-        bends = starts[:, [7 + 3 * finger, 9 + 3 * finger]]
-        refolded = np.array([tuple(bend) in folds for bend in bends])
-        assert refolded.mean() == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(count))
-        assert {tuple(bend) for bend in bends[refolded]} == folds
-        kept = delta[~refolded][:, [6 + 3 * finger, 8 + 3 * finger]]
-        assert np.abs(kept.mean(axis=0)).max() < 4.0 * 0.36 / np.sqrt(0.5 * count)
+        refolded = np.array([tuple(bend) in folds for bend in alone[:, finger - 1]])
+        assert refolded.mean() == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(0.5 * count))
+        assert {tuple(bend) for bend in alone[refolded, finger - 1]} == folds
+        kept = delta[1::2][~refolded][:, [6 + 3 * finger, 8 + 3 * finger]]
+        assert np.abs(kept.mean(axis=0)).max() < 4.0 * 0.36 / np.sqrt(0.25 * count)
 
 
 def test_a_prior_about_another_place_keeps_all_else() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,9 @@ from scipy.spatial.transform import Rotation
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.initialisation import stereo
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.initialisation.stereo import StereoAttempt, StereoInitialisation, pose_and_shape
@@ -143,6 +146,25 @@ def test_exchanged_images_of_people_are_noticed(person: Person) -> None:
     ]
     orders = [one.order for one in failures if isinstance(one, InitFailure)]
     assert orders == [(1, 0)] * 3
+
+
+def test_right_images_are_not_refused_whatever_single_faces_say(
+    person: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a wide baseline, where ten points found in each image by itself fit the other order better."""
+    monkeypatch.setattr(stereo, "exchanged_order", lambda cameras, faces: (1, 0))
+    attempts = [StereoAttempt(RigImages(person.cameras, person.images(index))) for index in (0, 40)]
+    starts = [attempt.find(FaceDetector()) for attempt in attempts]
+    assert [one.doubt for one in starts if isinstance(one, StereoInitialisation)] == [(1, 0)] * 2
+
+
+def test_what_matches_more_points_and_is_more_like_a_face_is_surer() -> None:
+    pose, known = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0])), np.arange(10) < 8
+    face = StereoInitialisation(pose, FEATURES, np.zeros((2, 10, 2)), np.ones(10, dtype=bool), 0.9)
+    hollow = replace(face, shape=FEATURES * [1.0, 1.0, -1.0], matched=known)
+    assert face.is_surer_than(hollow) and not hollow.is_surer_than(face)
+    assert not face.is_surer_than(replace(hollow, matched=face.matched))
+    assert not face.is_surer_than(replace(face, matched=known))
 
 
 def test_clicked_points_start_where_found_ones_do(person: Person) -> None:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError, nearest_name
-from posetrack_cli.hand.anatomy import JOINT_NAMES
-from posetrack_cli.hand.keypoints.sets import POINTS, SCORE, KeypointSets, X, Y, Z
+from posetrack_cli.recording.keypoints.kind import PointKind
+from posetrack_cli.recording.keypoints.sets import SCORE, KeypointSets, X, Y, Z
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.units import NS_PER_S
 
@@ -54,11 +54,13 @@ class Parsed(NamedTuple):
         sets: its points.
         unit: that it names; None where it does not.
         side_field: which field tells sides, one of ``SIDE_FIELDS``; None where none does.
+        first: what the first frame's number is.
     """
 
     sets: KeypointSets
     unit: str | None
     side_field: str | None
+    first: int = 0
 
 
 class PointColumn(NamedTuple):
@@ -69,30 +71,22 @@ class PointColumn(NamedTuple):
     unit: str | None
 
 
-def joint_of(name: str) -> int | None:
-    """Return the number of a joint by ours or MediaPipe's name of it; None for any other."""
-    plain = name.strip().lower().replace("-", "_").replace(" ", "_")
-    plain = plain.removeprefix("handlandmark.").replace("_finger", "").replace("pinky", "little")
-    return JOINT_NAMES.index(plain) if plain in JOINT_NAMES else None
-
-
-def point_of(value: Any, where: object) -> int:
+def point_of(kind: PointKind, value: Any, where: object) -> int:
     """Return the number of a point that is told by number or by name.
 
     Raises:
         UsageError: it is none.
     """
     text = str(value).strip()
-    number = int(text) if text.isdecimal() and len(text) < 4 else joint_of(text)
+    number = int(text) if text.isdecimal() and len(text) < 4 else kind.number(text)
     if number is None:
-        raise UsageError("unknown point", where=where, found=repr(text), hint=nearest_name(text, JOINT_NAMES))
-    if not 0 <= number < POINTS:
-        expected = f"0 (wrist) to {POINTS - 1} (tip of the little finger)"
-        raise UsageError("no such point", where=where, found=number, expected=expected)
+        raise UsageError("unknown point", where=where, found=repr(text), hint=nearest_name(text, kind.names))
+    if not 0 <= number < kind.size:
+        raise UsageError("no such point", where=where, found=number, expected=kind.range)
     return number
 
 
-def point_column(name: str) -> PointColumn | None:
+def point_column(kind: PointKind, name: str) -> PointColumn | None:
     """Return what a column of a wide table is of: ``x0``, ``landmark_0_x``, ``thumb_tip_x_mm`` ..."""
     plain, unit = name.strip().lower(), None
     for ending in UNIT_NAMES:
@@ -103,8 +97,8 @@ def point_column(name: str) -> PointColumn | None:
         point, axis = int(found[1]), found[2]
     elif found := _AXIS_FIRST.fullmatch(plain):
         point, axis = int(found[2]), found[1]
-    elif (found := _NAMED.fullmatch(plain)) and (joint := joint_of(found[1])) is not None:
-        point, axis = joint, found[2]
+    elif (found := _NAMED.fullmatch(plain)) and (named := kind.number(found[1])) is not None:
+        point, axis = named, found[2]
     else:
         return None
     return PointColumn(point, _AXES[axis], unit) if axis in _AXES else None

@@ -12,7 +12,8 @@ from textwrap import shorten
 from posetrack_cli import limits
 from posetrack_cli.csv_rows import Row, csv_rows
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand.keypoints.layout import (
+from posetrack_cli.recording.keypoints.kind import PointKind
+from posetrack_cli.recording.keypoints.layout import (
     FRAME_FIELDS,
     KEYS,
     LOST,
@@ -31,18 +32,21 @@ from posetrack_cli.hand.keypoints.layout import (
     right_of,
     score_of,
 )
-from posetrack_cli.hand.keypoints.sets import POINTS, SCORE, SetCollector, X, Y, Z
+from posetrack_cli.recording.keypoints.sets import SCORE, SetCollector, X, Y, Z
 
 KIND = "keypoints are a CSV or JSON file in UTF-8"
 EXPECTED = (
     "columns of points (x0, y0 ... or wrist_x, wrist_y ..., or a row per point with landmark, x, y), "
     "and of frames or stamps"
 )
-_HAND = "hand"
+_SUBJECTS = ("hand", "face", "face_id")
+"""Columns that count the subjects of a frame."""
+_SUCCESS = "success"
+"""A column of OpenFace: 0 where it lost the face. Its frames count from 1."""
 _OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
 
-def read_csv(path: Path) -> Parsed:
+def read_csv(path: Path, kind: PointKind) -> Parsed:
     """Read a table of keypoints.
 
     Raises:
@@ -50,14 +54,15 @@ def read_csv(path: Path) -> Parsed:
     """
     rows = csv_rows(path, UsageError, KIND)
     line, names = next(rows, (0, []))
-    return parse_table(path, [name.strip() for name in names], rows, f"{path} line {line}")
+    return parse_table(path, kind, [name.strip() for name in names], rows, f"{path} line {line}")
 
 
-def parse_table(path: Path, names: Sequence[str], rows: Iterator[Row], where: str) -> Parsed:
+def parse_table(path: Path, kind: PointKind, names: Sequence[str], rows: Iterator[Row], where: str) -> Parsed:
     """Return what a table says.
 
     Args:
         path: of the file.
+        kind: of the points.
         names: of the columns.
         rows: with their lines.
         where: the names are.
@@ -65,8 +70,8 @@ def parse_table(path: Path, names: Sequence[str], rows: Iterator[Row], where: st
     Raises:
         UsageError: as of ``read_csv``.
     """
-    table = _Table.of(path, names, where)
-    collector = SetCollector(path, table.ns_per_unit is not None)
+    table = _Table.of(path, kind, names, where)
+    collector = SetCollector(path, kind, table.ns_per_unit is not None)
     for line, row in rows:
         if len(row) != len(names):
             what = "row does not fit the header"
@@ -74,7 +79,7 @@ def parse_table(path: Path, names: Sequence[str], rows: Iterator[Row], where: st
                 what, where=f"{path} line {line}", found=f"{len(row)} cells", expected=len(names)
             )
         table.take(row, collector, f"{path} line {line}")
-    return Parsed(collector.sets(), table.unit, table.side_field)
+    return Parsed(collector.sets(), table.unit, table.side_field, int(table.success >= 0))
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,7 @@ class _Table:
         points: columns of a row per frame; none where each row is a point.
         values: columns of point, x, y, z of a row per point, -1 for none.
         score: of the row, -1 for none.
-        side, side_score, hand, status: columns, -1 for none.
+        side, side_score, hand, status, success: columns, -1 for none.
         side_field: name of the column of sides.
         unit: that the columns name.
     """
@@ -100,11 +105,12 @@ class _Table:
     side_score: int
     hand: int
     status: int
+    success: int
     side_field: str | None
     unit: str | None
 
     @classmethod
-    def of(cls, path: Path, names: Sequence[str], where: str) -> _Table:
+    def of(cls, path: Path, kind: PointKind, names: Sequence[str], where: str) -> _Table:
         """Find the columns.
 
         Raises:
@@ -115,7 +121,9 @@ class _Table:
         stamp = next((name for name in NS_PER_UNIT if name in plain), None)
         frame = next((name for name in FRAME_FIELDS if name in plain), None)
         points = tuple(
-            (k, found) for k, name in enumerate(names) if (found := point_column(name)) is not None
+            (k, found)
+            for k, name in enumerate(names)
+            if not _is_in_space(name, names) and (found := point_column(kind, name)) is not None
         )
         point = next((name for name in POINT_FIELDS if name in plain), None)
         long_names = {axis: _axis_column(plain, axis) for axis in "xyz"}
@@ -123,7 +131,7 @@ class _Table:
             raise UsageError("no column tells the frame", where=where, found=_some(names), expected=KEYS)
         is_wide = bool(points) or point is None or min(long_names["x"], long_names["y"]) < 0
         if is_wide:
-            _check_points(points, names, where)
+            points = _ours(kind, points, names, where)
         side = next((name for name in SIDE_FIELDS if name in plain), None)
         key = str(stamp if stamp is not None else frame)
         own = (
@@ -137,8 +145,9 @@ class _Table:
             next((plain.index(name) for name in SCORE_FIELDS if name in plain), -1),
             _place(plain, side),
             next((_place(plain, f"{side}_{name}") for name in SCORE_FIELDS if f"{side}_{name}" in plain), -1),
-            _place(plain, _HAND),
+            _place(plain, next((name for name in _SUBJECTS if name in plain), None)),
             _place(plain, STATUS),
+            _place(plain, _SUCCESS),
             side,
             _one_unit(own, where),
         )
@@ -146,6 +155,8 @@ class _Table:
     def take(self, row: Sequence[str], collector: SetCollector, where: str) -> None:
         """Add a row to the sets."""
         if self.status >= 0 and row[self.status].strip().lower() == LOST:
+            return
+        if self.success >= 0 and not number_of(row[self.success], f"{where}, {_SUCCESS}") > 0.0:
             return
         key = key_of(row[self.key], self.ns_per_unit, where)
         label = row[self.side] if self.side >= 0 else ""
@@ -165,7 +176,7 @@ class _Table:
                 for n, k in enumerate(places)
             )
             x, y, z = said
-            collector.put(values, point_of(row[point], where), (x, y, z, score), where)
+            collector.put(values, point_of(collector.kind, row[point], where), (x, y, z, score), where)
         if label:
             sure = score_of(row[self.side_score], where) if self.side_score >= 0 else math.nan
             collector.tell_side(key, hand, right_of(label, sure, where))
@@ -178,6 +189,11 @@ class _Table:
         for k, column in self.points:
             read = score_of if column.value == SCORE else number_of
             values[column.point, column.value] = read(row[k], f"{where}, column {k + 1}")
+
+
+def _is_in_space(name: str, names: Sequence[str]) -> bool:
+    """Whether a column is one of OpenFace's X_0, Y_0 and Z_0, mm, beside x_0 and y_0, pixels."""
+    return name[:1] in ("X", "Y", "Z") and f"x{name[1:]}" in names
 
 
 def _check_names(path: Path, names: Sequence[str], where: str) -> None:
@@ -197,27 +213,35 @@ def _check_names(path: Path, names: Sequence[str], where: str) -> None:
         raise UsageError("column occurs twice", where=where, found=twice)
 
 
-def _check_points(points: Sequence[tuple[int, PointColumn]], names: Sequence[str], where: str) -> None:
-    """Raise unless columns of points are those of 21 points with x and y."""
+def _ours(
+    kind: PointKind, points: Sequence[tuple[int, PointColumn]], names: Sequence[str], where: str
+) -> tuple[tuple[int, PointColumn], ...]:
+    """Return the columns of our points, by our numbers, of each of which x and y are there."""
     if not points:
         raise UsageError("no column is of a keypoint", where=where, found=_some(names), expected=EXPECTED)
     there = {(column.point, column.value) for _, column in points}
     if len(there) < len(points):
         raise UsageError("two columns are of the same point", where=where, found=_some(names))
-    beyond = sorted({point for point, _ in there if point >= POINTS})
-    if beyond:
-        expected = f"{POINTS} points, 0 (wrist) to {POINTS - 1} (tip of the little finger)"
-        raise UsageError("has other points", where=where, found=f"point {beyond[-1]}", expected=expected)
-    lacking = [(k, axis) for k in range(POINTS) for axis in (X, Y) if (k, axis) not in there]
+    count = max(point for point, _ in there) + 1
+    places = kind.places(count) if count > kind.size else kind.places(kind.size)
+    if places is None:
+        expected = (
+            f"{kind.counts} points, {kind.range}" if len(kind.counted) == 1 else f"{kind.counts} points"
+        )
+        raise UsageError("has other points", where=where, found=f"point {count - 1}", expected=expected)
+    lacking = [(k, axis) for k in places for axis in (X, Y) if (k, axis) not in there]
     if lacking:
         point, axis = lacking[0]
         found = f"{len({point for point, _ in there})} points, no {'xy'[axis]} of point {point}"
-        raise UsageError("columns of points are missing", where=where, found=found, expected="x and y of 21")
-    depths = sum(1 for _, value in there if value == Z)
-    if depths not in (0, POINTS):
+        expected = f"x and y of {kind.counts}"
+        raise UsageError("columns of points are missing", where=where, found=found, expected=expected)
+    depths = sum(1 for point, value in there if value == Z and point in places)
+    if depths not in (0, kind.size):
+        expected = f"0 or {kind.size}"
         raise UsageError(
-            "columns of points are missing", where=where, found=f"{depths} of z", expected="0 or 21"
+            "columns of points are missing", where=where, found=f"{depths} of z", expected=expected
         )
+    return tuple((k, one._replace(point=places[one.point])) for k, one in points if one.point in places)
 
 
 def _hand_of(cell: str, where: str) -> tuple[int, str]:
@@ -225,7 +249,7 @@ def _hand_of(cell: str, where: str) -> tuple[int, str]:
     plain = cell.strip().lower()
     if plain in ("right", "left", "r", "l"):
         return int(plain[0] == "l"), plain
-    return key_of(plain or 0, None, f"{where}, column {_HAND}"), ""
+    return key_of(plain or 0, None, f"{where}, column {_SUBJECTS[0]}"), ""
 
 
 def _axis_column(names: Sequence[str], axis: str) -> int:

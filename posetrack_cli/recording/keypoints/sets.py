@@ -1,4 +1,4 @@
-"""What a file of keypoints says, whatever its layout: sets of 21 points, by frame or by time."""
+"""What a file of keypoints says, whatever its layout: sets of points, by frame or by time."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import UsageError
+from posetrack_cli.recording.keypoints.kind import PointKind
 
-POINTS = 21
 X, Y, Z, SCORE = range(4)
 """Columns of a set's values."""
 NS_TOLERANCE = 10_000_000
@@ -23,10 +23,10 @@ class KeypointSets:
     """The sets of a file, sorted by their keys.
 
     Attributes:
-        keys: (N,) frame numbers, or stamps, ns; a frame with several hands has several sets.
+        keys: (N,) frame numbers, or stamps, ns; a frame with several subjects has several sets.
         by_stamp: which of the two.
-        points: (N, 21, 3) x, y, z in the file's unit; NaN where unknown, z everywhere for points in images.
-        scores: (N, 21) 0 to 1; NaN where none is stated.
+        points: (N, P, 3) x, y, z in the file's unit; NaN where unknown, z everywhere for points in images.
+        scores: (N, P) 0 to 1; NaN where none is stated.
         right: (N,) the stated probability that the hand is a right one; NaN where none is stated.
     """
 
@@ -58,17 +58,19 @@ class SetCollector:
 
     Attributes:
         path: of the file.
+        kind: whose points they are.
         by_stamp: whether keys are stamps.
     """
 
     path: Path
+    kind: PointKind
     by_stamp: bool
     _values: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     _right: dict[tuple[int, int], float] = field(default_factory=dict)
     _after: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def set_of(self, key: int, hand: int, where: object) -> FloatArray:
-        """Return the values (21, 4) of a set, to be written to; a new one is NaN.
+        """Return the values (P, 4) of a set, to be written to; a new one is NaN.
 
         Args:
             key: frame number or stamp.
@@ -82,7 +84,7 @@ class SetCollector:
             if len(self._values) >= limits.KEYPOINT_SETS:
                 expected = f"{limits.KEYPOINT_SETS} at most"
                 raise UsageError("too many sets of keypoints", where=where, found="more", expected=expected)
-            self._values[key, hand] = np.full((POINTS, 4), np.nan)
+            self._values[key, hand] = np.full((self.kind.size, 4), np.nan)
         return self._values[key, hand]
 
     def new_hand(self, key: int, hand: int = 0) -> int:
@@ -121,7 +123,9 @@ class SetCollector:
         known = [key for key in order if np.isfinite(self._values[key][:, :Z]).all(axis=1).any()]
         if not known:
             raise UsageError(
-                "holds no keypoint", where=self.path, expected="21 points a frame; posetrack hand run --help"
+                "holds no keypoint",
+                where=self.path,
+                expected=f"{self.kind.counts} points a frame; {self.kind.command}",
             )
         values = np.stack([self._values[key] for key in known])
         values[~np.isfinite(values[..., :Z]).all(axis=2)] = np.nan

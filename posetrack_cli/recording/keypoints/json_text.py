@@ -1,4 +1,4 @@
-"""Keypoints in JSON: frames with hands as MediaPipe gives them, COCO's annotations, exports of ours."""
+"""Keypoints in JSON: frames as MediaPipe gives them, COCO's annotations, exports of ours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from posetrack_cli import limits
 from posetrack_cli.csv_rows import text_lines
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text
-from posetrack_cli.hand.keypoints.layout import (
+from posetrack_cli.recording.keypoints.kind import PointKind
+from posetrack_cli.recording.keypoints.layout import (
     FRAME_FIELDS,
     HANDEDNESS,
     KEYS,
@@ -23,7 +24,6 @@ from posetrack_cli.hand.keypoints.layout import (
     SCORE_FIELDS,
     SIDE,
     Parsed,
-    joint_of,
     key_of,
     number_of,
     point_of,
@@ -31,12 +31,10 @@ from posetrack_cli.hand.keypoints.layout import (
     score_of,
     unit_of,
 )
-from posetrack_cli.hand.keypoints.sets import POINTS, SetCollector
-from posetrack_cli.hand.keypoints.tables import KIND, parse_table
+from posetrack_cli.recording.keypoints.sets import SetCollector
+from posetrack_cli.recording.keypoints.tables import KIND, parse_table
 
-EXPECTED = "a list of frames, each with landmarks: 21 of [x, y], [x, y, z] or {x, y, z}"
 _ONE = ("landmarks", "keypoints", "points", "landmark")
-_HANDS = ("hands", "multi_hand_landmarks", "hand_landmarks", "handLandmarks")
 _LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
 """Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
 _LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
@@ -44,7 +42,7 @@ _VISIBILITY = {0: 0.0, 1: 0.5, 2: 1.0}
 """Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
 
 
-def read_json(path: Path) -> Parsed:
+def read_json(path: Path, kind: PointKind) -> Parsed:
     """Read one JSON value.
 
     Raises:
@@ -59,12 +57,14 @@ def read_json(path: Path) -> Parsed:
     except (ValueError, RecursionError) as error:
         found = "values nested too deeply" if isinstance(error, RecursionError) else error
         raise UsageError("is no JSON", where=path, found=found, hint=KIND) from error
-    return _parsed(path, said)
+    return _parsed(path, kind, said)
 
 
-def read_json_lines(path: Path) -> Parsed:
+def read_json_lines(path: Path, kind: PointKind) -> Parsed:
     """Read a frame per line; see ``read_json``."""
-    return _parsed(path, (_line(path, number, line) for number, line in text_lines(path, UsageError, KIND)))
+    return _parsed(
+        path, kind, (_line(path, number, line) for number, line in text_lines(path, UsageError, KIND))
+    )
 
 
 def _line(path: Path, number: int, line: str) -> Any:
@@ -79,29 +79,29 @@ def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant}, which JSON does not have: null is for what is unknown")
 
 
-def _parsed(path: Path, said: Any) -> Parsed:
+def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
     """What a file's value says, by what it has."""
     if isinstance(said, Mapping):
         unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
         if isinstance(said.get("columns"), Mapping):
-            return _exported(path, said["columns"])
+            return _exported(path, kind, said["columns"])
         if isinstance(said.get("annotations"), list):
-            return _coco(path, said, unit)
+            return _coco(path, kind, said, unit)
         if isinstance(said.get("frames"), (list, Mapping)):
-            return _frames(path, said["frames"], unit)
+            return _frames(path, kind, said["frames"], unit)
         if said and all(str(key).isdecimal() for key in said):
-            return _frames(path, said, unit)
+            return _frames(path, kind, said, unit)
         found = ", ".join(map(str, list(said)[:5]))[:80] or "an empty object"
-        raise UsageError("holds no frames", where=path, found=found, expected=EXPECTED)
+        raise UsageError("holds no frames", where=path, found=found, expected=kind.expected)
     if isinstance(said, (list, Iterator)):
-        return _frames(path, said, None)
-    raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=EXPECTED)
+        return _frames(path, kind, said, None)
+    raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=kind.expected)
 
 
 # Frames
 
 
-def _frames(path: Path, frames: Any, unit: str | None) -> Parsed:
+def _frames(path: Path, kind: PointKind, frames: Any, unit: str | None) -> Parsed:
     """A list of frames, which count where they do not say their number, or an object of them by number."""
     entries = frames.items() if isinstance(frames, Mapping) else enumerate(frames)
     collector: SetCollector | None = None
@@ -116,11 +116,11 @@ def _frames(path: Path, frames: Any, unit: str | None) -> Parsed:
             frame = {_ONE[0]: frame}
         if collector is None:
             stamp = next((name for name in NS_PER_UNIT if name in frame), None)
-            collector = SetCollector(path, stamp is not None)
+            collector = SetCollector(path, kind, stamp is not None)
         key = _key(frame, stamp, place, where)
         sides |= _take_frame(collector, key, frame, where)
     if collector is None:
-        raise UsageError("holds no frames", where=path, found="none", expected=EXPECTED)
+        raise UsageError("holds no frames", where=path, found="none", expected=kind.expected)
     if len(sides) > 1:
         raise UsageError("sides are told in two ways", where=path, found=" and ".join(sorted(sides)))
     return Parsed(collector.sets(), unit, next(iter(sides), None))
@@ -147,7 +147,7 @@ def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], whe
     """Add a frame's hands; return which fields told their sides."""
     first = collector.new_hand(key)  # entries of one frame: a hand each
     told: set[str] = set()
-    hands, labels = _hands(frame, where), _labels(frame)
+    hands, labels = _hands(collector.kind, frame, where), _labels(frame)
     for n, hand in enumerate(hands):
         points, own = (hand, {}) if not isinstance(hand, Mapping) else (_of(hand, _ONE, hand), hand)
         own_labels = _labels(own)
@@ -156,23 +156,30 @@ def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], whe
             field, label = labels[0], [labels[1][n]]
         if not points:
             continue
-        _take_points(collector, key, first + n, points, f"{where}, hand {n}" if len(hands) > 1 else where)
+        _take_points(
+            collector,
+            key,
+            first + n,
+            points,
+            f"{where}, {collector.kind.subject} {n}" if len(hands) > 1 else where,
+        )
         if label:
             told.add(field)
             collector.tell_side(key, first + n, _right(label[0], where))
     return told
 
 
-def _hands(frame: Mapping[str, Any], where: str) -> Sequence[Any]:
-    """What a frame says of its hands, each as points or as an object with them."""
-    hands = _of(frame, _HANDS, None)
+def _hands(kind: PointKind, frame: Mapping[str, Any], where: str) -> Sequence[Any]:
+    """What a frame says of its hands or faces, each as points or as an object with them."""
+    hands = _of(frame, kind.several, None)
     if hands is None:
         one = _of(frame, _ONE, None)
         if one is None:
             return ()
         return one if _is_list_of_hands(one) else (one,)
     if not isinstance(hands, list):
-        raise UsageError("hands are no list", where=where, found=type(hands).__name__, expected=EXPECTED)
+        what = f"{kind.subject}s are no list"
+        raise UsageError(what, where=where, found=type(hands).__name__, expected=kind.expected)
     return hands
 
 
@@ -206,30 +213,37 @@ def _right(label: Any, where: str) -> float:
 
 
 def _take_points(collector: SetCollector, key: int, hand: int, points: Any, where: str) -> None:
-    """Add 21 points: a list, an object by name or number, or x, y, score one after the other."""
+    """Add a set's points: a list, an object by name or number, or x, y, score one after the other."""
+    kind = collector.kind
     values = collector.set_of(key, hand, where)
     if isinstance(points, Mapping):
         named = [
-            (name, point) for name, point in points.items() if joint_of(name) is not None or name.isdecimal()
+            (name, point)
+            for name, point in points.items()
+            if kind.number(name) is not None or name.isdecimal()
         ]
         if not named:
             found = ", ".join(map(str, list(points)[:5]))[:80]
-            raise UsageError("holds no points", where=where, found=found, expected=EXPECTED)
-        listed = [(point_of(name, where), point) for name, point in named]
+            raise UsageError("holds no points", where=where, found=found, expected=kind.expected)
+        listed = [(point_of(kind, name, where), point) for name, point in named]
     elif isinstance(points, list):
-        listed = [(_named(point, k, where), point) for k, point in enumerate(points)]
-        if len(points) != POINTS:
-            raise UsageError("has another number of points", where=where, found=len(points), expected=POINTS)
+        places = kind.places(len(points))
+        if places is None:
+            what = "has another number of points"
+            raise UsageError(what, where=where, found=len(points), expected=kind.counts)
+        ours = ((places[k], points[k]) for k in places)
+        listed = [(_named(kind, point, k, where), point) for k, point in ours]
     else:
-        raise UsageError("points are no list", where=where, found=type(points).__name__, expected=EXPECTED)
+        what = "points are no list"
+        raise UsageError(what, where=where, found=type(points).__name__, expected=kind.expected)
     for number, point in listed:
         collector.put(values, number, _values(point, f"{where}, point {number}"), where)
 
 
-def _named(point: Any, place: int, where: str) -> int:
+def _named(kind: PointKind, point: Any, place: int, where: str) -> int:
     """Which point an entry of a list is: by its own name where it has one, else by its place."""
     name = _of(point, POINT_FIELDS, None) if isinstance(point, Mapping) else None
-    return place if name is None else point_of(name, where)
+    return place if name is None else point_of(kind, name, where)
 
 
 def _values(point: Any, where: str) -> tuple[float, float, float, float]:
@@ -255,7 +269,7 @@ def _of(said: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
 # Exports of others and of ours
 
 
-def _exported(path: Path, columns: Mapping[str, Any]) -> Parsed:
+def _exported(path: Path, kind: PointKind, columns: Mapping[str, Any]) -> Parsed:
     """What ``posetrack export --format json`` writes: lists by the names of a table's columns."""
     names, lists = list(columns), list(columns.values())
     if not names or not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
@@ -263,14 +277,14 @@ def _exported(path: Path, columns: Mapping[str, Any]) -> Parsed:
     cells = (
         (k, ["" if v is None else str(v) for v in row]) for k, row in enumerate(zip(*lists, strict=True))
     )
-    return parse_table(path, names, cells, str(path))
+    return parse_table(path, kind, names, cells, str(path))
 
 
-def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
+def _coco(path: Path, kind: PointKind, said: Mapping[str, Any], unit: str | None) -> Parsed:
     """COCO's keypoint annotations, as label tools export them; an image's name numbers its frame."""
     frames = _coco_frames(path, said.get("images"))
-    order = _coco_order(path, said.get("categories"))
-    collector = SetCollector(path, by_stamp=False)
+    order = _coco_order(path, kind, said.get("categories"))
+    collector = SetCollector(path, kind, by_stamp=False)
     for n, annotation in enumerate(said["annotations"]):
         _check_count(n, path)
         where = f"{path}, annotation {n}"
@@ -280,9 +294,11 @@ def _coco(path: Path, said: Mapping[str, Any], unit: str | None) -> Parsed:
         image = annotation.get("image_id")
         if isinstance(image, (list, dict)) or image not in frames:
             raise UsageError("image is not listed", where=where, found=image, expected="an id in images")
-        if not isinstance(points, list) or len(points) != 3 * POINTS:
+        if not isinstance(points, list) or len(points) != 3 * kind.size:
             found = f"{len(points)} numbers" if isinstance(points, list) else type(points).__name__
-            raise UsageError("has other points", where=where, found=found, expected=f"{POINTS} times x, y, v")
+            raise UsageError(
+                "has other points", where=where, found=found, expected=f"{kind.size} times x, y, v"
+            )
         hand = collector.new_hand(frames[image])
         values = collector.set_of(frames[image], hand, where)
         for k, point in enumerate(order):
@@ -313,13 +329,14 @@ def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
     return frames
 
 
-def _coco_order(path: Path, categories: Any) -> Sequence[int]:
-    """The number of each annotated point: by the category's names, where these are joints of a hand."""
+def _coco_order(path: Path, kind: PointKind, categories: Any) -> Sequence[int]:
+    """The number of each annotated point: by the category's names, where these are ours."""
     first = categories[0] if isinstance(categories, list) and categories else {}
     names = first.get("keypoints") if isinstance(first, Mapping) else None
-    if not isinstance(names, list) or any(joint_of(str(name)) is None for name in names):
-        return range(POINTS)
-    order = [point_of(name, f"{path}, categories") for name in names]
-    if sorted(order) != list(range(POINTS)):
-        raise UsageError("has other points", where=f"{path}, categories", found=len(names), expected=POINTS)
+    if not isinstance(names, list) or any(kind.number(str(name)) is None for name in names):
+        return range(kind.size)
+    order = [point_of(kind, name, f"{path}, categories") for name in names]
+    if sorted(order) != list(range(kind.size)):
+        where = f"{path}, categories"
+        raise UsageError("has other points", where=where, found=len(names), expected=kind.size)
     return order
