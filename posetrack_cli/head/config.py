@@ -315,5 +315,5 @@ class HeadMonoConfig(Settings):
     refinement: RefinementSettings = RefinementSettings(previous_likeness=1.0)
     adjustment: AdjustmentSettings = AdjustmentSettings()
     status: MonoStatusSettings = MonoStatusSettings()
-    smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
+    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0)
     output: HeadOutputSettings = HeadOutputSettings()
