@@ -38,7 +38,7 @@ class DetectionSettings(Settings):
     features: str | None = None
     least_face_score: Fraction = 0.5
     least_point_score: Fraction = 0.3
-    least_face_px: Annotated[int, Field(ge=24, le=10_000)] = 80
+    least_face_px: Annotated[int, Field(ge=24, le=10_000)] = 50
 
 
 class StereoInitialisationSettings(Settings):
@@ -228,7 +228,7 @@ class MonoInitialisationSettings(Settings):
     adjusted of the person's **[ours]**.
     """
 
-    detection: DetectionSettings = DetectionSettings(points="learned")
+    detection: DetectionSettings = DetectionSettings(points="learned", least_point_score=0.6)
     frames: Annotated[int, Field(ge=1, le=30)] = 5
     slope_deg: Positive = 4.0
     span_s: Positive = 2.0
