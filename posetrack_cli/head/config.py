@@ -331,5 +331,5 @@ class HeadMonoConfig(Settings):
     adjustment: AdjustmentSettings = AdjustmentSettings()
     status: MonoStatusSettings = MonoStatusSettings()
     accuracy: AccuracySettings = AccuracySettings()
-    smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
+    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0)
     output: HeadOutputSettings = HeadOutputSettings()

@@ -11,6 +11,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig
@@ -313,6 +314,7 @@ class MonoPeople:
             unknown = np.full(self._model.identity_size, np.nan)
             return MonoDiagnostics(unknown, unknown, len(state.people), score=score, weights=weights)
         known = state.person
+        neutral = known.shape.mean - MEAN_DISPLACEMENTS
         return MonoDiagnostics(
             known.history.mean,
             known.history.spread,
@@ -321,6 +323,7 @@ class MonoPeople:
             known.rms_px / (state.scale or WHOLE),
             score,
             weights,
+            None if fit is None else fit.track.shape - neutral,
         )
 
     def _at(self, state: MonoState) -> _Reduction:

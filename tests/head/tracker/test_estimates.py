@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.head.actions import ACTION_NAMES
 from posetrack_cli.head.config import AccuracySettings
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.face.pose import HeadPose
@@ -32,7 +33,7 @@ def numbers(size: int) -> MonoDiagnostics:
 def test_every_number_stands_under_its_name(size: int) -> None:
     one, names = numbers(size), mono_diagnostic_names(size)
     found = dict(zip(names, one.numbers(), strict=True))
-    assert len(found) == len(names) == 2 * size + 4 + len(POINT_NAMES)
+    assert len(found) == len(names) == 2 * size + 4 + len(POINT_NAMES) + len(ACTION_NAMES)
     np.testing.assert_array_equal([found[f"identity_{s + 1}"] for s in range(size)], one.identity)
     np.testing.assert_array_equal([found[f"identity_spread_{s + 1}"] for s in range(size)], one.spread)
     np.testing.assert_array_equal([found[f"weight_{name}"] for name in POINT_NAMES], one.weights)
