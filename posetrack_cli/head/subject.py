@@ -5,7 +5,7 @@ the adjusted face of one. In the head's own axes they are the 3K numbers of its 
 exported. ``Estimate.shape`` holds the deformation: of several cameras the B coefficients a of the learnt
 model, mm along orthonormal directions (3.1), of one camera the A' parameters a of (4.15), without unit.
 ``Estimate.numbers`` tell how far the model has been learnt, or who the person is taken for: the identity
-parameters s, and how far they moved over the last adjustments.
+parameters s, and how far they moved over the last adjustments; and what the face does (``head.actions``).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.actions import ACTION_NAMES, action_numbers
 from posetrack_cli.head.face.points import LINES, POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
@@ -45,13 +46,14 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
 
 
 def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
-    """Return the names of the M = B + 3 + K numbers, in the order of ``StereoDiagnostics.numbers``."""
+    """Return the names of the M = B + 3 + K + 2 E numbers, in the order of ``StereoDiagnostics.numbers``."""
     return (
         *(f"eigenvalue_{b + 1}_mm2" for b in range(components)),
         "contribution_ratio",
         "learnt_frames",
         "score",
         *(f"{WEIGHT}{name}" for name in POINT_NAMES),
+        *ACTION_NAMES,
     )
 
 
@@ -66,6 +68,7 @@ class StereoDiagnostics:
         learnt_frames: how many frames the model was learnt from.
         score: mean correlation of the visible points, -1 to 1.
         weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
+        moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
     """
 
     eigenvalues: FloatArray
@@ -73,6 +76,7 @@ class StereoDiagnostics:
     learnt_frames: int = 0
     score: float = np.nan
     weights: FloatArray | None = None
+    moved: FloatArray | None = None
 
     def numbers(self, components: int) -> FloatArray:
         """Return the (M,) numbers for B components, in the order of ``stereo_diagnostic_names``."""
@@ -80,7 +84,7 @@ class StereoDiagnostics:
         eigenvalues = np.pad(known, (0, components - len(known)), constant_values=np.nan)
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
         single = (self.contribution_ratio, float(self.learnt_frames), self.score)
-        return np.concatenate([eigenvalues, single, weights])
+        return np.concatenate([eigenvalues, single, weights, action_numbers(self.moved)])
 
 
 def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
@@ -89,7 +93,7 @@ def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
 
 
 def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
-    """Return the names of the M = 2 S' + 4 + K numbers, in the order of ``MonoDiagnostics.numbers``."""
+    """Return the names of the M = 2 S' + 4 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
     return (
         *(f"identity_{s + 1}" for s in range(identities)),
         *(f"identity_spread_{s + 1}" for s in range(identities)),
@@ -98,6 +102,7 @@ def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
         "adjustment_rms_px",
         "score",
         *(f"{WEIGHT}{name}" for name in POINT_NAMES),
+        *ACTION_NAMES,
     )
 
 
@@ -113,6 +118,7 @@ class MonoDiagnostics:
         rms_px: root mean square distance of the points from the adjusted face, pixels.
         score: mean correlation of the visible points, -1 to 1.
         weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
+        moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
     """
 
     identity: FloatArray
@@ -122,9 +128,10 @@ class MonoDiagnostics:
     rms_px: float = np.nan
     score: float = np.nan
     weights: FloatArray | None = None
+    moved: FloatArray | None = None
 
     def numbers(self) -> FloatArray:
         """Return the (M,) numbers, in the order of ``mono_diagnostic_names``."""
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
         single = (float(self.person), float(self.adjusted_frames), self.rms_px, self.score)
-        return np.concatenate([self.identity, self.spread, single, weights])
+        return np.concatenate([self.identity, self.spread, single, weights, action_numbers(self.moved)])

@@ -50,7 +50,7 @@ class Told:
     there: bool = True
     asked: int = 0
 
-    def detect(self, image: object) -> Detection:
+    def detect(self, image: object, *, wanted: int = 1, roll: float | None = None) -> Detection:
         self.asked += 1
         if not self.there:
             return Detection((), 0.3)

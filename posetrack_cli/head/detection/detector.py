@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +10,18 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.appearance import SHIPPED, Appearance, load_appearance
-from posetrack_cli.head.detection.finders import FaceFinder, HaarFaces, YunetFaces
+from posetrack_cli.head.detection.finders import (
+    TURNS,
+    FaceFinder,
+    FaceGuess,
+    HaarFaces,
+    YunetFaces,
+    find_turned,
+)
 from posetrack_cli.head.detection.points import FacePoints, find_points
+
+UPRIGHT = 0.25
+"""Rad: a face turned less in the image is found as it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +53,27 @@ class FaceDetector:
         self._finder = _finder(settings)
         self._looks = _looks(settings)
 
-    def detect(self, image: ImageArray) -> Detection:
-        """Return the faces in a (height, width) uint8 image."""
-        guesses = self._finder.find(image)
-        sure = [guess for guess in guesses if guess.score >= self._settings.least_face_score]
+    def detect(self, image: ImageArray, *, wanted: int = 1, roll: float | None = None) -> Detection:
+        """Return the faces in a (height, width) uint8 image.
+
+        Args:
+            image: grey.
+            wanted: so many faces are looked for: where fewer are upright, turned ones are, too.
+            roll: rad, clockwise, how the face is turned that is looked for; None where that is not known.
+        """
+        if roll is not None and abs(roll) > UPRIGHT:
+            guesses = find_turned(self._finder, image, (roll,))
+        else:
+            guesses = self._finder.find(image)
+        if roll is None and len(self._sure(guesses)) < wanted:
+            guesses = find_turned(self._finder, image, (0.0, *TURNS))
+        sure = self._sure(guesses)
         found = [find_points(image, guess, self._looks) for guess in sure]
         faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
         return Detection(faces, max((guess.score for guess in guesses), default=0.0))
+
+    def _sure(self, guesses: Sequence[FaceGuess]) -> list[FaceGuess]:
+        return [guess for guess in guesses if guess.score >= self._settings.least_face_score]
 
 
 def _looks(settings: DetectionSettings) -> Appearance | None:

@@ -135,7 +135,8 @@ class MonoInitialiser:
         told = self.told(frame, near)
         if told is not None:
             return face_at(told.pixels, frame.stamp_ns, self._camera, told.responses)
-        detection = self._detector.detect(image)
+        roll = None if near is None else _roll(near)
+        detection = self._detector.detect(image, wanted=self._choice + 1 if near is None else 1, roll=roll)
         faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
         face = self._chosen(faces) if near is None else _same(faces, near)
         if isinstance(face, str):
@@ -217,6 +218,12 @@ class MonoInitialiser:
             noise = self._landmarks.noise_px / point_values(self._config.adjustment.pixel_sd)
         weights = np.minimum(noise**-2, 1.0) * (face.responses > 0.0)
         return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
+
+
+def _roll(pixels: FloatArray) -> float:
+    """Rad, clockwise, of the line through the eyes of a face with points (K, 2)."""
+    across = pixels[2:4].mean(axis=0) - pixels[:2].mean(axis=0)
+    return float(np.arctan2(across[1], across[0]))
 
 
 def _same(faces: Sequence[Face], near: FloatArray) -> Face | str:

@@ -93,6 +93,7 @@ class FrameFit:
         score: mean correlation of the points, weighted by their visibility; 0 if none is visible.
         pixels: (C, K, 2) where the points are on the images.
         effective_sample_size: of the particles.
+        is_anchored: whether the points were found anew, not compared with what they looked like before.
     """
 
     track: TrackState
@@ -105,6 +106,7 @@ class FrameFit:
     score: float
     pixels: FloatArray
     effective_sample_size: float
+    is_anchored: bool = False
 
 
 LONG_AGO_NS = -(2**62)

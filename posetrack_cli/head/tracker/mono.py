@@ -11,10 +11,12 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
-from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.initialisation.mono import (
@@ -42,12 +44,19 @@ from posetrack_cli.results.layouts import Arrays
 from posetrack_cli.tracking.state_codec import Codec
 from posetrack_cli.tracking.two_pass import Learned
 
-STRANGER_FRAMES = 10
+STRANGER_FRAMES = 45
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
-STRANGER_FRAMES_AFTER_CUT = 3
-"""The same after a cut: another scene is reason enough to expect another person."""
+STRANGER_FRAMES_AFTER_CUT = 6
+"""The same after a cut to a face elsewhere, or of another size: reason enough to expect another person."""
+OTHER_PLACE, OTHER_SIZE = 1.2, 1.35
+"""A face is elsewhere if it is so many eye distances away, and of another size if the ratio is so large. A
+quick head near the camera changes an image as a cut does, but stays where it was."""
 RECOGNISED = 0.85
-"""After a cut a face is a known person's if its score is so much of the usual one."""
+"""After a cut a face is surely a known person's if its score is so much of the usual one. Until it is, the
+person is followed, but nothing is learnt: a quick head near the camera changes an image as a cut does."""
+LEAST_LIKE = 0.2
+"""A face where the last one was, of its size and at least so much like it, is followed by what it looks like
+now: turned or blurred it looks like no template."""
 STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
 CLEARLY_BETTER = 0.03
@@ -166,27 +175,52 @@ class MonoPeople:
     ) -> Iterator[tuple[MonoState, FrameFit]]:
         """Follow a face for one frame as each of the known people, the last one first."""
         fitter, last_seen_ns = self._at(state).fitter, state.last_seen_ns(frame)
+        last: FrameFit | None = None
         for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
             fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame)
+            last = fit if last is None else last
             yield state.switch_person(index, frame.index), fit
+        if last is not None and last.score > LEAST_LIKE and not self._is_elsewhere(state, found):
+            yield state, self._at(state).fitter.fit_anchored(state.person, found, last_seen_ns, frame)
 
     def least_score(self, state: MonoState) -> float:
-        """Return the score of a tracked face; after a cut it must look as the person usually does."""
+        """Return the score of a tracked face; long after a cut it must look as the person usually does."""
         least = self._config.status.tracking_above
-        return max(least, RECOGNISED * state.person.usual_score) if state.cut else least
+        if not state.cut or state.strange < self._patience(state):
+            return least
+        return max(least, RECOGNISED * state.person.usual_score)
 
     def not_recognised(self, state: MonoState, found: DetectedFace) -> tuple[MonoState, bool]:
         """Count a face that looks like none of the known ones: after some frames it is another person's."""
         if off_axis_deg(found.pose) > STRANGER_OFF_AXIS_DEG:
             return state, False
-        state = replace(state, strange=state.strange + 1)
-        return state, state.strange >= (STRANGER_FRAMES_AFTER_CUT if state.cut else STRANGER_FRAMES)
+        state = replace(state, strange=state.strange + 1, elsewhere=self._is_elsewhere(state, found))
+        return state, state.strange >= self._patience(state)
+
+    def _patience(self, state: MonoState) -> int:
+        """In how many frames a face must look like nobody to be another person's."""
+        return STRANGER_FRAMES_AFTER_CUT if state.cut and state.elsewhere else STRANGER_FRAMES
+
+    def _is_elsewhere(self, state: MonoState, found: DetectedFace) -> bool:
+        """Whether a face is not where the head was last, or not as large."""
+        track = state.track
+        if track is None or state.elsewhere:
+            return True
+        camera = self._at(state).adjuster.camera
+        last = project((camera,), track.pose.points(track.shape)).pixels[0]
+        away = float(np.linalg.norm(found.pixels.mean(axis=0) - last.mean(axis=0))) / found.eye_distance
+        ratio = found.eye_distance / eye_distance_px(track.pose, camera)
+        return not (away < OTHER_PLACE and 1.0 / OTHER_SIZE < ratio < OTHER_SIZE)
 
     def learn(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
-        """Adjust the person by a frame in which the head was tracked."""
+        """Adjust the person by a frame in which the head was tracked; not by a doubtful one."""
+        if fit.is_anchored:
+            return replace(state, strange=state.strange + 1), fit
+        if state.cut and fit.score < RECOGNISED * state.person.usual_score:
+            return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
         person, fit = self._at(state).fitter.update_person(state.person, state.track, frame, fit)
         state = state.update_person(person).clear_candidates()
-        return replace(state, strange=0, cut=False), fit
+        return replace(state, strange=0, cut=False, elsewhere=False), fit
 
     def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
@@ -195,6 +229,7 @@ class MonoPeople:
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
+            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy),
         )
 
     def export_model(self, state: MonoState) -> Learned:
@@ -279,6 +314,7 @@ class MonoPeople:
             unknown = np.full(self._model.identity_size, np.nan)
             return MonoDiagnostics(unknown, unknown, len(state.people), score=score, weights=weights)
         known = state.person
+        neutral = known.shape.mean - MEAN_DISPLACEMENTS
         return MonoDiagnostics(
             known.history.mean,
             known.history.spread,
@@ -287,6 +323,7 @@ class MonoPeople:
             known.rms_px / (state.scale or WHOLE),
             score,
             weights,
+            None if fit is None else fit.track.shape - neutral,
         )
 
     def _at(self, state: MonoState) -> _Reduction:
@@ -321,6 +358,15 @@ class MonoPeople:
         """The state that begins with people whom another tracker has learned."""
         scale = _known_scale(known, self._recorded)
         return MonoState(people=known_people(known, self._people), scale=scale)
+
+
+def systematic_variance(pose: HeadPose, settings: AccuracySettings) -> FloatArray:
+    """Return (6,) what a track is wrong by in all frames alike: (scale t)^2 + position^2, rotation^2.
+
+    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2.
+    """
+    place = (settings.scale * pose.position) ** 2 + np.square(settings.position_mm)
+    return np.concatenate([place, np.square(np.radians(settings.rotation_deg))])
 
 
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]

@@ -45,6 +45,7 @@ class MonoState(HeadState):
         checked_ns: when a poor fit was last compared with a detection.
         scene: thumbnail of the last frame; None before the first.
         cut: whether the scene changed since a head was last tracked.
+        elsewhere: whether a face that looks like nobody was then found at another place, or of another size.
         changes: (frame, and index of the person) of every change to another person.
         scale: that images are reduced by, 1 for none; None before a face is first found.
     """
@@ -57,6 +58,7 @@ class MonoState(HeadState):
     checked_ns: int = LONG_AGO_NS
     scene: FloatArray | None = None
     cut: bool = False
+    elsewhere: bool = False
     changes: tuple[tuple[int, int], ...] = ()
     scale: float | None = None
 
@@ -105,6 +107,7 @@ class MonoState(HeadState):
             strange=0,
             checked_ns=LONG_AGO_NS,
             cut=False,
+            elsewhere=False,
             changes=(*self.changes, (frame_index, index)) if index else self.changes,
         )
 
@@ -168,6 +171,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         checked_ns=stamp(),
         scene=(lambda state: np.zeros(0) if state.scene is None else state.scene, scene),
         cut=flag(),
+        elsewhere=flag(),
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
         scale=Maybe(real(floats(least=_LEAST_SCALE, most=WHOLE))),
     )

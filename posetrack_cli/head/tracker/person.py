@@ -12,7 +12,8 @@ from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView, choose_views
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel
-from posetrack_cli.head.face.templates import TemplateSet, is_new_direction
+from posetrack_cli.head.face.rig_images import RigImages
+from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialisation
 from posetrack_cli.head.initialisation.single_view import pose_of
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -203,6 +204,19 @@ class PersonFitter:
         track = self._frame_tracker.start(frame, pose, mean, person.shape)
         fit = self.fit(person, replace(track, stamp_ns=last_seen_ns), frame)
         return replace(fit, track=fit.track.at_rest(), coefficient_rate=np.zeros_like(fit.coefficient_rate))
+
+    def fit_anchored(
+        self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
+    ) -> FrameFit:
+        """Return what a frame says of a face that is a person's, but looks like none of its templates.
+
+        The points are held by what they look like in this very frame; its score is the detection's.
+        """
+        mean = person.shape.mean
+        pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
+        seen = take_templates(RigImages((self._camera,), frame.frame.images), pose, mean, found.pixels[None])
+        fit = self.fit_detection(replace(person, templates=(seen,)), found, last_seen_ns, frame)
+        return replace(fit, score=min(fit.score, found.score), is_anchored=True)
 
     def initial_fit(
         self, frame: SeededFrame, found: DetectedFace, start: MonoInitialisation, seen: TemplateSet

@@ -256,11 +256,12 @@ def components_of(config: HeadStereoConfig) -> int:
 
 def _diagnostics(face: FaceLearning | None, fit: FrameFit | None) -> StereoDiagnostics:
     score, weights = (np.nan, None) if fit is None else (fit.score, fit.weights)
+    moved = None if face is None or fit is None else fit.track.shape - face.model.mean
     if face is None or face.statistics.learnt == 0:
-        return StereoDiagnostics(np.zeros(0), score=score, weights=weights)
+        return StereoDiagnostics(np.zeros(0), score=score, weights=weights, moved=moved)
     statistics = face.statistics
     ratio = float(statistics.contribution[-1])
-    return StereoDiagnostics(statistics.eigenvalues, ratio, statistics.learnt, score, weights)
+    return StereoDiagnostics(statistics.eigenvalues, ratio, statistics.learnt, score, weights, moved)
 
 
 class StereoCodecs:

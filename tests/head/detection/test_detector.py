@@ -11,6 +11,7 @@ import pytest
 from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.finders import TURNS, FaceGuess, find_turned
 from posetrack_cli.head.face.points import EYES, MIRRORED
 
 # The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is
@@ -103,3 +104,27 @@ def test_a_missing_model_and_a_file_that_is_none_are_refused(tmp_path: Path) -> 
     wrong.write_bytes(b"no network")
     with pytest.raises(UsageError, match="not a model of YuNet"):
         FaceDetector(DetectionSettings(detector="yunet", model=str(wrong)))
+
+
+class Upright:
+    """Finds a drawn face by the dark square above the bright one, where these stand upright."""
+
+    def find(self, image: np.ndarray) -> tuple[FaceGuess, ...]:
+        dark, bright = (np.argwhere(mask).mean(axis=0)[::-1] for mask in (image < 40, image > 215))
+        upright = bright[1] - dark[1] > 0.95 * np.linalg.norm(bright - dark)
+        return (FaceGuess(dark, 20.0, 0.0, 0.9, (dark[None], dark[None])),) if upright else ()
+
+
+@pytest.mark.parametrize("degrees", [-60.0, -35.0, 30.0, 58.0])
+def test_a_rolled_face_is_found_where_it_is(degrees: float) -> None:
+    image, roll = np.full((160, 220), 128, np.uint8), np.radians(degrees)
+    dark = np.array([90.0, 70.0])
+    bright = dark + 40.0 * np.array([-np.sin(roll), np.cos(roll)])
+    for place, value in ((dark, 0), (bright, 255)):
+        x, y = np.rint(place).astype(int)
+        image[y - 6 : y + 7, x - 6 : x + 7] = value
+    (found,) = find_turned(Upright(), image, (0.0, *TURNS))
+    np.testing.assert_allclose(found.middle, dark, atol=1.0)
+    np.testing.assert_allclose(found.eyes[0][0], dark, atol=1.0)
+    assert abs(np.degrees(found.roll) - degrees) < 17.0 + 1.2
+    assert not find_turned(Upright(), image, (roll + np.pi,))

@@ -41,7 +41,7 @@ STATES = {
         KNOWN, people=(ONE, TWO, random_known(7, MODEL)), current=2, track=TRACK, changes=((7, 1), (16, 2))
     ),
     "after a cut": replace(
-        KNOWN, track=TRACK, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True
+        KNOWN, track=TRACK, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True, elsewhere=True
     ),
     "lost, a stranger comes": replace(
         KNOWN,

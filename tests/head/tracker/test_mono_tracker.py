@@ -245,9 +245,9 @@ def test_another_face_is_another_person_and_the_first_is_known_again() -> None:
     scene = Scene()
     first = [numbers_of(scene, scene.step(index))["person"] for index in range(12)]
     scene.face = textured_face(seed=7)
-    other = [scene.step(index) for index in range(12, 40)]
+    other = [scene.step(index) for index in range(12, 75)]
     scene.face = FACE
-    again = [scene.step(index) for index in range(40, 55)]
+    again = [scene.step(index) for index in range(75, 90)]
     assert set(first) == {0.0} and other[0].status is Status.LOST
     assert other[-1].status is again[-1].status is Status.TRACKING
     assert numbers_of(scene, other[-1])["person"] == 1.0 and numbers_of(scene, again[-1])["person"] == 0.0

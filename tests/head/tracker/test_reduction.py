@@ -62,7 +62,7 @@ class Told:
         self.sizes: list[tuple[int, ...]] = []
         self.there, self.index = True, 0
 
-    def detect(self, image: np.ndarray) -> Detection:
+    def detect(self, image: np.ndarray, *, wanted: int = 1, roll: float | None = None) -> Detection:
         self.sizes.append(image.shape)
         if not self.there:
             return Detection((), 0.3)
