@@ -32,7 +32,11 @@ def _head(options: Options) -> Iterable[str]:
     yield "# What the head trackers do on strangers"
     yield ""
     names = ", ".join(folder.name for folder in options.strangers)
-    yield f"posetrack {__version__}; strangers: {names}; {os.cpu_count()} cores."
+    told = "what is shipped" if options.left_out is None else "what was learned from the others"
+    yield (
+        f"posetrack {__version__}; strangers: {names}, with one camera tracked with {told}; "
+        f"{os.cpu_count()} cores."
+    )
     yield ""
 
 
@@ -49,10 +53,23 @@ STUDY = Study(
     help="Folder of strangers' recordings: left/, right/, calibration.json and truth.csv in each.",
 )
 @click.option("--tuned", type=FOLDER, help="Folder of recordings of the people that defaults were tuned on.")
+@click.option(
+    "--left-out",
+    type=FOLDER,
+    help="Folder of what was learned without each stranger, for one camera: NAME-features.npz of "
+    "scripts/build-face-features --without NAME, NAME-model.npz of scripts/build-face-model --without NAME.  "
+    "[default: what is shipped, which has learned from some]",
+)
 @click.option("--person", "only", multiple=True, metavar="NAME", help="Track this person alone; repeatable.")
 @STUDY.choosing_options
 def main(
-    output: Path, heads: Path, tuned: Path | None, only: tuple[str, ...], jobs: int, chosen: tuple[str, ...]
+    output: Path,
+    heads: Path,
+    tuned: Path | None,
+    left_out: Path | None,
+    only: tuple[str, ...],
+    jobs: int,
+    chosen: tuple[str, ...],
 ) -> None:
     """Measure the head trackers on people that nothing was tuned on, with defaults.
 
@@ -60,7 +77,7 @@ def main(
     stopped. Written are heads-strangers.md and heads-strangers.json.
     """
     try:
-        STUDY.run(Options(output, heads, tuned, only), chosen, jobs)
+        STUDY.run(Options(output, heads, tuned, only, left_out), chosen, jobs)
     except PosetrackError as error:
         raise click.ClickException(str(error)) from error
 

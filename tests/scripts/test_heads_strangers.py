@@ -85,6 +85,10 @@ def test_every_step_is_a_command_that_is_understood_and_tracks_everybody(tmp_pat
         assert subject == "head"
         commands[name].make_context(name, rest)
     assert len({step.output for step in steps}) == len(steps) == 4
+    left_out = replace(options, left_out=tmp_path)
+    (step, *_) = next(chain for chain in mono.Mono().chains(left_out) if "person-d" in chain.name).steps
+    assert step.arguments[-2:] == ("--face-model", str(tmp_path / "person-d-model.npz"))
+    assert f"start.detection.features={tmp_path / 'person-d-features.npz'}" in step.arguments
     alone = replace(options, only=("person-d",))
     assert [one.name for one in alone.everybody] == ["person-d"]
 

@@ -28,11 +28,14 @@ class Description:
         coefficients: (B,) deformation; where a fit has fewer, the rest of its variances and rates is 0.
         deviations: (B,) standard deviations of the coefficients while the face is not seen.
         diagnostics: (M,) what ``head.subject`` names.
+        systematic: (6,) variances of what the whole track is wrong by, mm^2 in camera axes and rad^2 in the
+            head's, beside those of a frame; None where nothing is known.
     """
 
     coefficients: FloatArray
     deviations: FloatArray
     diagnostics: FloatArray
+    systematic: FloatArray | None = None
 
 
 def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Description) -> Estimate:
@@ -44,6 +47,9 @@ def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Descript
     rotation = now.pose.rotation
     variance = in_body_axes(padded(fit.variance, POSE_SIZE + count), rotation)
     rate = padded(fit.coefficient_rate, count)
+    stated = variance.copy()
+    if face.systematic is not None:
+        stated[:POSE_SIZE] += face.systematic
     twist = np.concatenate([now.velocity[:3], rotation.T @ now.velocity[3:], rate])
     return Estimate(
         frame_index=frame.index,
@@ -55,7 +61,7 @@ def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Descript
         shape=face.coefficients,
         pose_rate=np.concatenate([twist[:3], quaternion_rate(now.pose.quaternion, twist[3:6]), rate]),
         twist=twist,
-        pose_variance=variance,
+        pose_variance=stated,
         twist_variance=2.0 * variance / fit.dt**2,
         points=now.pose.points(now.shape),
         effective_sample_size=fit.effective_sample_size,

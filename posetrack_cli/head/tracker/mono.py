@@ -14,8 +14,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
-from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.initialisation.mono import (
@@ -228,6 +229,7 @@ class MonoPeople:
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
+            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy),
         )
 
     def export_model(self, state: MonoState) -> Learned:
@@ -356,6 +358,15 @@ class MonoPeople:
         """The state that begins with people whom another tracker has learned."""
         scale = _known_scale(known, self._recorded)
         return MonoState(people=known_people(known, self._people), scale=scale)
+
+
+def systematic_variance(pose: HeadPose, settings: AccuracySettings) -> FloatArray:
+    """Return (6,) what a track is wrong by in all frames alike: (scale t)^2 + position^2, rotation^2.
+
+    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2.
+    """
+    place = (settings.scale * pose.position) ** 2 + np.square(settings.position_mm)
+    return np.concatenate([place, np.square(np.radians(settings.rotation_deg))])
 
 
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]

@@ -53,7 +53,10 @@ class Mono:
 
     def chains(self, options: Options) -> list[Chain]:
         """One for each person."""
-        return [mono_chain(options, folder, f"{folder.name}-{self.name}", ()) for folder in options.everybody]
+        return [
+            mono_chain(options, folder, f"{folder.name}-{self.name}", options.learned_without(folder))
+            for folder in options.everybody
+        ]
 
     def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
         """A row per person, what was asked for, and the points of the first frame."""

@@ -22,12 +22,23 @@ class Options:
         heads: folder of recordings of strangers: left, right, calibration.json and truth.csv each.
         tuned: folder of such recordings on which the defaults were tuned; None leaves them out.
         only: names of those that are tracked; empty for all.
+        left_out: folder of what was learned without each stranger, NAME-features.npz and NAME-model.npz; None
+            tracks with what is shipped.
     """
 
     output: Path
     heads: Path
     tuned: Path | None = None
     only: Sequence[str] = ()
+    left_out: Path | None = None
+
+    def learned_without(self, person: Path) -> tuple[str, ...]:
+        """Arguments of ``posetrack head mono``: what was learned without a person."""
+        if self.left_out is None or person.parent != self.heads:
+            return ()
+        features = self.left_out / f"{person.name}-features.npz"
+        model = self.left_out / f"{person.name}-model.npz"
+        return ("--set", f"start.detection.features={features}", "--face-model", str(model))
 
     @property
     def strangers(self) -> list[Path]:
