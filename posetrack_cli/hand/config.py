@@ -297,7 +297,7 @@ class SmoothingSettings(Settings):
     velocity: ComponentSettings = ComponentSettings(
         position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
     )
-    believed_mm: NotNegative = 3.0
+    believed_mm: NotNegative = 2.0
     refit_iterations: Annotated[int, Field(ge=0, le=100)] = 4
     sharpening: Positive = 3.5
     height_share: Fraction = 0.3
