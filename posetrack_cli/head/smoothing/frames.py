@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +11,10 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.config import HeadSmoothingSettings, ParticleSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose, rigid_model
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, rigid_model
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.subject import WEIGHT
+from posetrack_cli.head.tracker.estimates import in_body_axes
 from posetrack_cli.head.tracker.frame_tracker import HeadState
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.layouts import Layout, counts, floats, stamps, units
@@ -42,6 +43,8 @@ class HeadFrame:
         mean: (K, 3) mm, the neutral face as the tracker then knew it,
         basis: (K, 3, B) how it deforms; zeros for components that it did not know yet, and
         deviations: (B,) by how much.
+        systematic: (6,) variances that its estimate states beyond the frame's own: what the whole track is
+            wrong by, which no smoothing takes away.
     """
 
     frame_index: int
@@ -56,6 +59,7 @@ class HeadFrame:
     mean: FloatArray
     basis: FloatArray
     deviations: FloatArray
+    systematic: FloatArray = field(default_factory=lambda: np.zeros(POSE_SIZE))
 
     @property
     def is_lost(self) -> bool:
@@ -122,6 +126,7 @@ class FrameKeeper:
             model.mean,
             np.pad(model.basis, ((0, 0), (0, 0), (0, missing))),
             np.pad(model.deviations, (0, missing)),
+            _systematic(state, estimate),
         )
 
     def layouts(self) -> dict[str, Layout]:
@@ -140,11 +145,20 @@ class FrameKeeper:
             "mean": floats(K, 3),
             "basis": floats(K, 3, B),
             "deviations": floats(B, least=0.0),
+            "systematic": floats(POSE_SIZE, least=0.0),
         }
 
     def blank(self) -> Record:
         """Return a record such as all others are: of the same names, types and shapes."""
         return {name: np.zeros(layout.shape, layout.dtype) for name, layout in self.layouts().items()}
+
+
+def _systematic(state: HeadState, estimate: Estimate) -> FloatArray:
+    """What an estimate's variances (6,) have beyond those of the frame; nothing where the head is lost."""
+    if state.track is None or estimate.status is Status.LOST or estimate.pose_variance is None:
+        return np.zeros(POSE_SIZE)
+    own = in_body_axes(state.track.particles.variance(), state.track.pose.rotation)[:POSE_SIZE]
+    return np.maximum(estimate.pose_variance[:POSE_SIZE] - own, 0.0)
 
 
 class Link(NamedTuple):

@@ -72,7 +72,7 @@ def posed_frame(smoothed: Smoothed, facts: FrameFacts, memory: Memory, cameras: 
     return PosedFrame(
         facts,
         pose,
-        smoothed.pose_variance,
+        smoothed.pose_variance + memory["systematic"],
         -smoothed.velocity,
         smoothed.velocity_variance,
         in_object(points, pose[:3], pose[3:7]) - neutral,

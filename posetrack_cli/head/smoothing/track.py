@@ -124,6 +124,7 @@ def _memory(link: Link, end: HeadFrame, chain: int) -> Memory:
         "seen": int(not frame.is_lost),
         "chain": chain,
         "speed": link.speed,
+        "systematic": frame.systematic,
         "neutral": end.mean,
         "basis": end.basis,
         "deviations": end.deviations,

@@ -45,7 +45,7 @@ def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Descript
     """
     count, now = len(face.coefficients), fit.track
     rotation = now.pose.rotation
-    variance = _in_body_axes(padded(fit.variance, POSE_SIZE + count), rotation)
+    variance = in_body_axes(padded(fit.variance, POSE_SIZE + count), rotation)
     rate = padded(fit.coefficient_rate, count)
     stated = variance.copy()
     if face.systematic is not None:
@@ -102,7 +102,7 @@ def padded(values: FloatArray, count: int) -> FloatArray:
     return filled
 
 
-def _in_body_axes(variance: FloatArray, rotation: FloatArray) -> FloatArray:
+def in_body_axes(variance: FloatArray, rotation: FloatArray) -> FloatArray:
     """Variances (6 + B,) whose rotation part is about the head's axes instead of the camera's."""
     turned = variance.copy()
     turned[3:6] = np.square(rotation.T) @ variance[3:6]

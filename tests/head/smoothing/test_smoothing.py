@@ -172,6 +172,15 @@ def test_one_wild_frame_is_not_believed(tmp_path) -> None:
     assert errors.max() < 1.0
 
 
+def test_what_the_whole_track_is_wrong_by_stays_in_its_variances(tmp_path) -> None:
+    unknown = np.array([9.0, 9.0, 400.0, 0.0, 0.01, 0.0])
+    stated = []
+    for more in (0.0, 1.0):
+        frames = [frame(index, HERE, systematic=more * unknown) for index in range(5)]
+        stated.append(smoothed(tmp_path, frames)[2].pose_variance[:6])
+    np.testing.assert_allclose(stated[1] - stated[0], unknown, rtol=1e-6, atol=1e-12)
+
+
 def test_frames_that_no_run_wrote_are_refused(tmp_path) -> None:
     wrong = replace(frame(1, np.zeros(3)), quaternion=np.zeros(4))
     with pytest.raises(ResultError, match="spool cannot be used, found 'quaternion' with vectors"):
