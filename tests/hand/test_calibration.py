@@ -64,7 +64,7 @@ from support.hand import KINECT
 
 TILE = 96
 HALF_A_STEP = 0.077  # 1.16^(1/2) - 1, of the sizes that are tried
-MOST_OFF_MM = 8.0
+MOST_OFF_MM = 7.0
 """A length of a hand of which nine perfect images are given: where in it a knuckle lies they hardly tell."""
 FEW = {"fitted": 16, "refined": 2, "scattered": 4}
 """Hypotheses of a search; ten hands are searched for, and the one hand in the image is easily found."""
@@ -197,10 +197,10 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     assert np.sqrt((in_sd**2).mean()) < 2.0 and np.abs(in_sd).max() < 4.0
     made = average_hand("right", found.shape)
     joints = [joint_positions(model.anatomy, p) for model, p in ((made, found.poses), (hand, poses))]
-    assert np.median(np.linalg.norm(joints[0] - joints[1], axis=2)) < 3.0
+    assert np.median(np.linalg.norm(joints[0] - joints[1], axis=2)) < 3.5
     # never less sure than before, of the scale and of the strongest modes far surer
     sd = np.sqrt(np.diag(found.covariance))
-    assert (sd < SPACE.sd + 1e-12).all() and (sd[:3] < 0.6 * SPACE.sd[:3]).all()
+    assert (sd < SPACE.sd + 1e-12).all() and (sd[:3] < 0.5 * SPACE.sd[:3]).all()
 
 
 def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) -> None:
