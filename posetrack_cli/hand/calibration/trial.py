@@ -40,11 +40,11 @@ CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
 _RATIO, _STEPS = 1.16, range(-5, 6)
 """Of sizes that are tried, and how many such steps from the one that is configured: 0.48 to 2.1 of it."""
-_STRANGE_MM, _FAR_STEPS = 8.0, (-4, -2, 2, 4)
+_STRANGE_MM, _FAR_STEPS = 8.0, (-4, -3, -2, 2, 3, 4)
 """Where a hand costs more, sizes far from it are tried, too: between them costs need not fall."""
 _FRAMES_FOR_SIZE, _OWN_MM, _SAME_SIZE = 3, 4.0, 0.03
 """Frames that tell a size; at what cost a hand is of the size that is configured, or how near to it."""
-_SIZE_SD, _ANOTHER_UNIT_MM = (0.12, 0.15), 4.0
+_SIZE_SD, _ANOTHER_UNIT_MM = (0.12, 0.15), 2.5
 """Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
 larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
 sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4). Nothing weighs more than that the
@@ -165,8 +165,11 @@ class Trial:
         costs[0, own], likely = of(0, own, places)
 
         def appraise(side: int, k: int) -> None:
-            if (side, k) != (0, own):
-                costs[side, k] = of(side, k, likely)[0]
+            if (side, k) == (0, own):
+                return
+            # a palm is as large as the hand: where it is looked for depends on it
+            there = likely if abs(k - own) <= 1 else self._finder(side, k).detect(frame.depth)
+            costs[side, k] = of(side, k, there)[0]
 
         for side in range(len(self.sides)):
             appraise(side, own)
@@ -181,7 +184,7 @@ class Trial:
                 appraise(side, k)
         self._costs += costs
         self.asked += 1
-        self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
+        self._tried = [k for k in {*self._tried, self._best[1]} if abs(k - self._best[1]) <= 1]
         if len(self.sides) > 1:
             most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else _MOST_A_FRAME
             self._log_odds += log_odds_of(float(costs[1].min() - costs[0].min()), most)
