@@ -266,9 +266,10 @@ class AdjustmentSettings(Settings):
     **[ours]** ``prior`` weighs the squares of whitened s and a beside the boxes, ``offsets`` adds the
     constant offsets of points with the deviations ``offset_mm``, ``huber`` bounds the influence of a point
     in units of its ``pixel_sd``, which is twice what a point errs by in a frame: points err alike in like
-    frames. A frame is adjusted with if the face is turned from the camera by less than
-    ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the length
-    of its 3K numbers): an expression that the model does not know would be taken for the person.
+    frames. Over a whole recording, and of a person whom that has told, it is ``whole_share`` of that: frames
+    of many directions err less alike. A frame is adjusted with if the face is turned from the camera by less
+    than ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the
+    length of its 3K numbers): an expression that the model does not know would be taken for the person.
     """
 
     when: Literal["always", "start", "never"] = "always"
@@ -286,6 +287,7 @@ class AdjustmentSettings(Settings):
     offset_mm: OffsetSettings = OffsetSettings()
     huber: Positive = 1.5
     pixel_sd: PointSettings = PointSettings(eyes=1.4, mouth=3.0, nostrils=2.4, brows=4.0)
+    whole_share: Annotated[float, Field(ge=0.05, le=1.0)] = 0.35
     facing_deg: Positive = 45.0
     score: Fraction = 0.6
     neutral_mm: Positive = 6.0

@@ -91,7 +91,7 @@ class KnownPerson:
 
     def _seen_again(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
         """Return the same person after a frame: its pose and deformation alone are adjusted."""
-        adjusted = adjuster.adjust(
+        adjusted = adjuster.over_recording.adjust(
             (view,),
             self.person,
             iterations=adjuster.settings.iterations,
@@ -112,7 +112,8 @@ class KnownPerson:
         views, settings = self.album.views, adjuster.settings
         if settings.when != "always" or len(views) < 2:
             return self
-        adjusted = adjuster.adjust(views, self.person, iterations=settings.start_iterations, wide=True)
+        closely = adjuster.over_recording
+        adjusted = closely.adjust(views, self.person, iterations=settings.start_iterations, wide=True)
         return replace(
             self,
             person=adjusted.person,
