@@ -321,6 +321,19 @@ class AccuracySettings(Settings):
     rotation_deg: Triple = (2.2, 1.5, 0.6)
 
 
+class PersonSettings(Settings):
+    """What is known of the person before anything is seen; of the first, if there are several **[ours]**.
+
+    ``interpupillary_mm`` is the distance of the pupils of somebody who looks far away, measured with the
+    standard deviation ``interpupillary_sd_mm``; the middles of eyes' corners, where they are followed, tell
+    the same distance to ``corners_sd_mm``, by nine of ten people of the study. See ``head.tracker.size``.
+    """
+
+    interpupillary_mm: Annotated[float, Field(ge=40.0, le=90.0)] | None = None
+    interpupillary_sd_mm: NotNegative = 0.5
+    corners_sd_mm: Positive = 1.1
+
+
 class HeadMonoConfig(Settings):
     """Everything that a one-camera run depends on besides its recording and its seed."""
 
@@ -332,6 +345,7 @@ class HeadMonoConfig(Settings):
     refinement: RefinementSettings = RefinementSettings(previous_likeness=1.0)
     adjustment: AdjustmentSettings = AdjustmentSettings()
     status: MonoStatusSettings = MonoStatusSettings()
+    person: PersonSettings = PersonSettings()
     accuracy: AccuracySettings = AccuracySettings()
     smoothing: HeadSmoothingSettings = HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0)
     output: HeadOutputSettings = HeadOutputSettings()

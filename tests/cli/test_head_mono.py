@@ -84,6 +84,13 @@ def test_no_face_is_one_line_with_frames_and_score(
         (["--landmarks", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
         (["--landmarks-unit", "px"], 2, "--landmarks-unit is about landmarks, and none are given"),
         (["--set", "adjustment.view=3"], 2, "views"),
+        (["--interpupillary-mm", "6.3"], 2, "'person.interpupillary_mm' cannot be used, found 6.3"),
+        (["--person", "nowhere.mcap"], 2, "nowhere.mcap: no such model file"),
+        (
+            ["--person", "p.mcap", "--load-model", "m.npz"],
+            2,
+            "--person and --load-model both say how to begin",
+        ),
         (["--face-model", "nowhere.npz"], 2, "no such face model"),
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
         (["--init", "nowhere.csv"], 2, "nowhere.csv: clicked points not found"),

@@ -14,7 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
-from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig
+from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig, PersonSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
@@ -31,14 +31,15 @@ from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
-from posetrack_cli.head.tracker.codecs import known_people, people_codec, unusable_people
+from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
 from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
-from posetrack_cli.head.tracker.person import PersonFitter, new_person
+from posetrack_cli.head.tracker.person import PersonFitter, new_person, person_shape
 from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
+from posetrack_cli.head.tracker.size import PupilDistance, Size
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
 from posetrack_cli.tracking.state_codec import Codec
@@ -63,8 +64,6 @@ CLEARLY_BETTER = 0.03
 """Minimum score gain for a new detection to replace the track."""
 FORGOTTEN_S = 1.0
 """A face that was gone for so long may come back elsewhere in the image."""
-FOCAL_PX = "focal_px"
-"""Name of the array that says at which focal length people were seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +107,7 @@ class MonoPeople:
         landmarks: LandmarkFile | None = None,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
-        self._landmarks = landmarks
+        self._landmarks, self._told = landmarks, told_distance(config.person, config.accuracy)
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._reductions: dict[float, _Reduction] = {}
@@ -218,24 +217,29 @@ class MonoPeople:
             return replace(state, strange=state.strange + 1), fit
         if state.cut and fit.score < RECOGNISED * state.person.usual_score:
             return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
-        person, fit = self._at(state).fitter.update_person(state.person, state.track, frame, fit)
+        fitter, told = self._at(state).fitter, self._told_of(state.current)
+        person, fit = fitter.update_person(state.person, state.track, frame, fit, told)
         state = state.update_person(person).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
 
     def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
+        size = state.person.size if state.people else None
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy),
+            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
         )
 
     def export_model(self, state: MonoState) -> Learned:
         """Return what was learned of the people seen, and how large they were seen."""
         adjuster = self._at(state).adjuster
-        people = tuple(one.over_album(adjuster) for one in state.people)
+        people = tuple(
+            one.over_album(adjuster).with_size(self._told_of(index), self._model)
+            for index, one in enumerate(state.people)
+        )
         focal = (state.scale or WHOLE) * self._recorded.fx
         return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}
 
@@ -243,7 +247,13 @@ class MonoPeople:
         """Say when another person was seen, and whether the camera seems to be another one."""
         people = (f"from frame {frame} on it is person {who}; the first is 0" for frame, who in state.changes)
         check = focal_length_check(state.person, self._at(state).adjuster, state.scale or WHOLE)
-        return (*people, *check)
+        return (*people, *check, *self._size_doubt(state))
+
+    def _size_doubt(self, state: MonoState) -> tuple[str, ...]:
+        """Say whether the first person would be of a size that hardly anybody has."""
+        if self._told is None:
+            return ()
+        return self._told.doubt(person_shape(self._model, state.people[0].person).mean)
 
     def _begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Collect n frames with the face, then adjust them together (4.4.1).
@@ -263,7 +273,8 @@ class MonoPeople:
         seen = initialiser.templates(frame.frame, found, alone)
         state = state.with_candidate(found, seen)
         if len(state.candidates) < self._config.start.frames:
-            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen)
+            told = self._told_of(len(state.people))
+            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen, told)
         start = initialiser.initialise(state.candidates)
         if isinstance(start, InitFailure):
             return state.clear_candidates(), start
@@ -288,9 +299,10 @@ class MonoPeople:
         """Begin to know a person, whose reference is what the first of the frames showed."""
         at, last = self._at(state), state.candidates[-1]
         reference = at.initialiser.reference(state.first_templates, start)
-        person = new_person(start.person, reference, at.adjuster)
+        told = self._told_of(len(state.people))
+        person = new_person(start.person, reference, at.adjuster).with_size(told, self._model)
         seen = at.initialiser.templates(frame.frame, last, start)
-        fit = at.fitter.initial_fit(frame, last, start, seen)
+        fit = at.fitter.initial_fit(frame, last, start, seen, told)
         return state.with_new_person(person, fit.track, frame.index), fit
 
     def _has_slid(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> bool:
@@ -319,6 +331,8 @@ class MonoPeople:
             known.history.mean,
             known.history.spread,
             state.current,
+            known.factor,
+            self._config.accuracy.scale if known.size is None else known.size.sd,
             known.adjusted_frames,
             known.rms_px / (state.scale or WHOLE),
             score,
@@ -357,15 +371,31 @@ class MonoPeople:
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
         scale = _known_scale(known, self._recorded)
-        return MonoState(people=known_people(known, self._people), scale=scale)
+        people = known_people(known, self._people)
+        sized = (one.with_size(self._told_of(who), self._model) for who, one in enumerate(people))
+        return MonoState(people=tuple(sized), scale=scale)
+
+    def _told_of(self, who: int) -> PupilDistance | None:
+        """What was told of a person's size: of the first alone."""
+        return self._told if who == 0 else None
 
 
-def systematic_variance(pose: HeadPose, settings: AccuracySettings) -> FloatArray:
-    """Return (6,) what a track is wrong by in all frames alike: (scale t)^2 + position^2, rotation^2.
+def told_distance(person: PersonSettings, accuracy: AccuracySettings) -> PupilDistance | None:
+    """Return the distance of the pupils that a configuration tells; None where it tells none."""
+    if person.interpupillary_mm is None:
+        return None
+    sd = float(np.hypot(person.interpupillary_sd_mm, person.corners_sd_mm))
+    return PupilDistance(person.interpupillary_mm, sd, accuracy.scale)
 
-    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2.
+
+def systematic_variance(pose: HeadPose, settings: AccuracySettings, size: Size | None) -> FloatArray:
+    """Return (6,) what a track is wrong by in all frames alike: (sd t)^2 + position^2, rotation^2.
+
+    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2, with the deviation of
+    the size that was told or, without, ``scale``.
     """
-    place = (settings.scale * pose.position) ** 2 + np.square(settings.position_mm)
+    sd = settings.scale if size is None else size.sd
+    place = (sd * pose.position) ** 2 + np.square(settings.position_mm)
     return np.concatenate([place, np.square(np.radians(settings.rotation_deg))])
 
 
