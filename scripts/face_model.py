@@ -17,8 +17,9 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.geometry.rigid import in_object
+from posetrack_cli.head.actions import USUAL, displacement
 from posetrack_cli.head.face.points import EYES, POINT_NAMES
-from posetrack_cli.head.multilinear.build import BuiltModel, build_model, mirrored
+from posetrack_cli.head.multilinear.build import BuiltModel, add_deformation, build_model, mirrored
 from posetrack_cli.head.multilinear.face_model import SHIPPED, FaceModel, save_face_model
 from posetrack_cli.head.subject import head_subject
 from reproduction.heads_data import TRUTH
@@ -154,12 +155,18 @@ def measured_offsets(statistics: Statistics, people: Sequence[Path]) -> FloatArr
 
 
 def build(statistics: Statistics, offsets: FloatArray = FEATURE_OFFSETS) -> BuiltModel:
-    """Build the model of people who each do everything; expressions grow with the width of the face."""
+    """Build the model of people who each do everything; expressions grow with the width of the face.
+
+    Halves of faces make symmetric ones, which move their mouths to neither side: that is added. Without it a
+    mouth that goes aside, and the nose with it, is taken for a head that turns.
+    """
     people = statistics.people(PEOPLE, np.random.default_rng(SEED))
     actions = [motion(statistics, knots, rate) for knots in (SIDEWAYS, VERTICAL) for rate in RATES]
     widths = _width(people) / _width(statistics.mean)
     features = people + offsets
-    return build_model(features[:, None] + widths[:, None, None, None] * np.stack(actions))
+    built = build_model(features[:, None] + widths[:, None, None, None] * np.stack(actions))
+    sizes = np.tile(widths, 2)  # of the right halves, then of the left
+    return add_deformation(built, displacement("mouth_left"), sizes, USUAL)
 
 
 def motion(statistics: Statistics, knots: Mapping[float, Expression], rate: float) -> FloatArray:

@@ -28,12 +28,18 @@ from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadMonoConfig
+    from posetrack_cli.head.multilinear.face_model import FaceModel
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
+    from posetrack_cli.head.tracker.given_person import GivenPerson
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
-OWN_CONFIGURED = {"adjust": "adjustment.when", "face_model": "model.file"}
+OWN_CONFIGURED = {
+    "adjust": "adjustment.when",
+    "face_model": "model.file",
+    "interpupillary_mm": "person.interpupillary_mm",
+}
 
 
 @click.command("mono", short_help="Track a head in the images of one camera.")
@@ -50,6 +56,19 @@ OWN_CONFIGURED = {"adjust": "adjustment.when", "face_model": "model.file"}
     "--face-model",
     metavar="FILE.npz",
     help="Faces that there are, as head build-model writes it.  [default: shipped]",
+)
+@click.option(
+    "--interpupillary-mm",
+    metavar="MM",
+    type=float,
+    help="Distance of the person's pupils when looking far away: it tells how large and how far the head is.",
+)
+@click.option(
+    "--person",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Who it is: another result of posetrack head of the same person, with one camera or several, whose "
+    "shape and size are held.",
 )
 @learning_options(passes=2)
 @click.option(
@@ -145,9 +164,13 @@ def _run(
     model = load_face_model(file)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
+        if known is None and given is not None:
+            known = given.learned
         return make_mono_tracker(
             config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks
         )
+
+    given = _given_person(options, config, model)
 
     return HeadRun(
         source,
@@ -159,16 +182,49 @@ def _run(
         make_tracker=make_tracker,
         origin=model.deformation_mean,
         first_pass=first_pass,
-        stated=_stated(source, file, face),
+        stated=_stated(source, file, face, _scale_from(config, given)),
     )
 
 
-def _stated(source: Recording, face_model: Path | None, face: int) -> dict[str, str]:
+def _given_person(options: HeadRunOptions, config: HeadMonoConfig, model: FaceModel) -> GivenPerson | None:
+    """Who it is, where a result says that.
+
+    Raises:
+        UsageError: other options say something else of it.
+    """
+    from posetrack_cli.head.tracker.given_person import read_person
+
+    if options.person is None:
+        return None
+    others = {"--load-model": options.load_model, "--init": options.init}
+    for name, given in others.items():
+        if given is not None:
+            what = f"--person and {name} both say how to begin"
+            raise UsageError(what, found=given, hint="leave one of them out")
+    person = read_person(options.person, model, config.adjustment)
+    if person.size is not None and config.person.interpupillary_mm is not None:
+        raise UsageError(
+            "--person says how large the person is, and so does --interpupillary-mm",
+            where=options.person,
+            found=f"{config.person.interpupillary_mm:g} mm",
+            hint="leave one of them out",
+        )
+    return person
+
+
+def _scale_from(config: HeadMonoConfig, given: GivenPerson | None) -> str:
+    """What the size of the head rests on."""
+    if config.person.interpupillary_mm is not None:
+        return "interpupillary"
+    return "prior" if given is None or given.size is None else "person"
+
+
+def _stated(source: Recording, face_model: Path | None, face: int, scale: str) -> dict[str, str]:
     """What the run record says besides: what the result rests on that is not in the images."""
     from posetrack_cli.recording.identity import file_digest, shown_name
 
     stated = {
-        "scale": "prior",
+        "scale": scale,
         "intrinsics": "guessed" if source.is_guessed else "given",
         "face": str(face),
         "face_model": "shipped",

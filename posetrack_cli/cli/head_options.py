@@ -133,7 +133,8 @@ def head_run_options(options: Mapping[str, Any], camera: Camera) -> HeadRunOptio
 
     init = None if options["init"] == "auto" else options["init"]
     own = {name: options[name] for name in HEAD_RUN_OPTIONS}
-    return HeadRunOptions(**own, init=init, landmarks=_landmarks(options, camera))
+    person = options.get("person")
+    return HeadRunOptions(**own, init=init, person=person, landmarks=_landmarks(options, camera))
 
 
 def _landmarks(options: Mapping[str, Any], camera: Camera) -> LandmarkFile | None:

@@ -34,7 +34,7 @@ _ONE_SIDED = "mouth_left"
 """Its left side is not the mirror image of its right, but the opposite of it."""
 ACTIONS = tuple(_RIGHT_SIDE)
 _RIGHT = (0, 1, 4, 6, 8)
-_USUAL = 0.5
+USUAL = 0.5
 """p, a strength."""
 _NAMES = tuple(f"action_{name}" for name in ACTIONS)
 ACTION_NAMES = (*_NAMES, *(f"{name}_sd" for name in _NAMES))
@@ -64,6 +64,12 @@ def displacements() -> FloatArray:
     return found
 
 
+def displacement(action: str) -> FloatArray:
+    """Return D_e (K, 3), mm, of one of ``ACTIONS``."""
+    found: FloatArray = displacements()[ACTIONS.index(action)]
+    return found
+
+
 def _deviations_mm() -> FloatArray:
     deviations = np.empty(POINT_COUNT)
     deviations[EYES], deviations[MOUTH], deviations[NOSTRILS], deviations[BROWS] = 1.0, 2.0, 1.5, 1.5
@@ -75,7 +81,7 @@ MEAN_STRENGTHS = np.array([0.15, 0.15, 0.15, 0.0, 0.2])
 round to wide, five of brows from down to up with a jaw that opens (4.2)."""
 _PRECISIONS = np.repeat(_deviations_mm() ** -2, 3)
 _DIRECTIONS = displacements().reshape(len(ACTIONS), -1)
-_COVARIANCE = np.linalg.inv(_DIRECTIONS * _PRECISIONS @ _DIRECTIONS.T + np.eye(len(ACTIONS)) / _USUAL**2)
+_COVARIANCE = np.linalg.inv(_DIRECTIONS * _PRECISIONS @ _DIRECTIONS.T + np.eye(len(ACTIONS)) / USUAL**2)
 _ONTO = _COVARIANCE @ (_DIRECTIONS * _PRECISIONS)
 
 

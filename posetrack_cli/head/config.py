@@ -177,16 +177,18 @@ class HeadSmoothingSettings(Settings):
     """The smoothed track of ``--smooth`` **[ours]**; see ``head.smoothing``.
 
     A head's velocity wanders by ``velocity_mm`` and ``velocity_rad`` in the square root of a second, and by
-    ``gain`` times its speed. In expressions points move about the neutral face by ``expression_mm``; they are
-    found to ``noise_mm`` across the ray and, by several cameras, to ``depth_noise_mm`` along it. What they
-    leave is Student-t with ``freedom``, and what a frame says counts by ``share``, as the errors of its
-    neighbours are like its own. Places of points in the face are smoothed over ``places_s`` (standard
+    ``gain`` times its speed. Deformations are explained as far as ``deformation`` times their standard
+    deviations go, 0 not at all; beside that points move in expressions by ``expression_mm``. They are found
+    to ``noise_mm`` across the ray and, by several cameras, to ``depth_noise_mm`` along it. What they leave is
+    Student-t with ``freedom``, and what a frame says counts by ``share``, as the errors of its neighbours are
+    like its own. Places of points in the face are smoothed over ``places_s`` (standard
     deviation). A head that is lost for no longer than ``bridge_s`` is bridged.
     """
 
     velocity_mm: Positive = 100.0
     velocity_rad: Positive = 0.3
     gain: NotNegative = 1.0
+    deformation: NotNegative = 0.0
     expression_mm: PointSettings = PointSettings(eyes=0.3, mouth=5.0, nostrils=1.0, brows=2.0)
     noise_mm: Positive = 0.25
     depth_noise_mm: Positive = 0.5
@@ -266,9 +268,10 @@ class AdjustmentSettings(Settings):
     **[ours]** ``prior`` weighs the squares of whitened s and a beside the boxes, ``offsets`` adds the
     constant offsets of points with the deviations ``offset_mm``, ``huber`` bounds the influence of a point
     in units of its ``pixel_sd``, which is twice what a point errs by in a frame: points err alike in like
-    frames. A frame is adjusted with if the face is turned from the camera by less than
-    ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the length
-    of its 3K numbers): an expression that the model does not know would be taken for the person.
+    frames. Over a whole recording, and of a person whom that has told, it is ``whole_share`` of that: frames
+    of many directions err less alike. A frame is adjusted with if the face is turned from the camera by less
+    than ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the
+    length of its 3K numbers): an expression that the model does not know would be taken for the person.
     """
 
     when: Literal["always", "start", "never"] = "always"
@@ -286,6 +289,7 @@ class AdjustmentSettings(Settings):
     offset_mm: OffsetSettings = OffsetSettings()
     huber: Positive = 1.5
     pixel_sd: PointSettings = PointSettings(eyes=1.4, mouth=3.0, nostrils=2.4, brows=4.0)
+    whole_share: Annotated[float, Field(ge=0.05, le=1.0)] = 0.35
     facing_deg: Positive = 45.0
     score: Fraction = 0.6
     neutral_mm: Positive = 6.0
@@ -319,6 +323,19 @@ class AccuracySettings(Settings):
     rotation_deg: Triple = (2.2, 1.5, 0.6)
 
 
+class PersonSettings(Settings):
+    """What is known of the person before anything is seen; of the first, if there are several **[ours]**.
+
+    ``interpupillary_mm`` is the distance of the pupils of somebody who looks far away, measured with the
+    standard deviation ``interpupillary_sd_mm``; the middles of eyes' corners, where they are followed, tell
+    the same distance to ``corners_sd_mm``, by nine of ten people of the study. See ``head.tracker.size``.
+    """
+
+    interpupillary_mm: Annotated[float, Field(ge=40.0, le=90.0)] | None = None
+    interpupillary_sd_mm: NotNegative = 0.5
+    corners_sd_mm: Positive = 1.1
+
+
 class HeadMonoConfig(Settings):
     """Everything that a one-camera run depends on besides its recording and its seed."""
 
@@ -330,6 +347,12 @@ class HeadMonoConfig(Settings):
     refinement: RefinementSettings = RefinementSettings(previous_likeness=1.0)
     adjustment: AdjustmentSettings = AdjustmentSettings()
     status: MonoStatusSettings = MonoStatusSettings()
+    person: PersonSettings = PersonSettings()
     accuracy: AccuracySettings = AccuracySettings()
-    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0)
+    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(
+        velocity_mm=300.0,
+        velocity_rad=2.0,
+        deformation=1.0,
+        expression_mm=PointSettings(eyes=0.5, mouth=1.2, nostrils=0.9, brows=1.5),
+    )
     output: HeadOutputSettings = HeadOutputSettings()

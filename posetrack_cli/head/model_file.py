@@ -57,9 +57,7 @@ def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
         UsageError: it does not exist, or is of another tracker or number of cameras.
         ResultError: it is neither, or damaged.
     """
-    if not path.is_file():
-        raise UsageError("no such model file", where=path)
-    header, learned = _parsed(path)
+    header, learned = read_model(path)
     if header["tracker"] != tracker:
         what = "model was learned by another tracker"
         raise UsageError(what, where=path, found=header["tracker"], expected=tracker)
@@ -75,9 +73,17 @@ def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
     return learned
 
 
-def _parsed(path: Path) -> tuple[dict[str, Any], Learned]:
+def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
+    """Read what any tracker learned of a face: the header, with ``tracker`` and ``cameras``, and the arrays.
+
+    Raises:
+        UsageError: there is no such file.
+        ResultError: it is neither a model file nor a result that carries one, or damaged.
+    """
     from posetrack_cli.results.reader import read_result
 
+    if not path.is_file():
+        raise UsageError("no such model file", where=path)
     try:
         is_result = is_mcap(path)
         data = read_result(path).attachment(ATTACHMENT) if is_result else read_input(path, limits.MODEL_BYTES)

@@ -49,12 +49,14 @@ class HeadRunOptions(tracking_options.RunOptions):
             learned, and is the result (thesis, 4.5).
         load_model: begin with what an earlier run of the same person has learned.
         save_model: write what this one has.
+        person: a result that says who it is, for one camera.
         landmarks: from elsewhere.
     """
 
     passes: int = 1
     load_model: Path | None = None
     save_model: Path | None = None
+    person: Path | None = None
     landmarks: LandmarkFile | None = None
 
 
@@ -192,7 +194,7 @@ def head_record(
         options: frames, seed, passes; of files their names and contents, as these may change.
     """
     init = None if options.init is None else Path(options.init)
-    files = {"init": init, "load_model": options.load_model}
+    files = {"init": init, "load_model": options.load_model, "person": options.person}
     given = {key: path for key, path in files.items() if path is not None}
     return {
         **common_record(tracker, recording, recording.cameras[0], config, options),

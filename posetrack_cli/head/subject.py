@@ -93,11 +93,13 @@ def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
 
 
 def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
-    """Return the names of the M = 2 S' + 4 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
+    """Return the names of the M = 2 S' + 6 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
     return (
         *(f"identity_{s + 1}" for s in range(identities)),
         *(f"identity_spread_{s + 1}" for s in range(identities)),
         "person",
+        "size",
+        "size_sd",
         "adjusted_frames",
         "adjustment_rms_px",
         "score",
@@ -114,6 +116,8 @@ class MonoDiagnostics:
         identity: (S,) s, the mean of the last adjustments, (4.36).
         spread: (S,) standard deviation of s over them.
         person: how many other people were seen before this one.
+        size, size_sd: what the lengths of the likeliest such person are multiplied by, 1 where nothing tells,
+            and the standard deviation of its logarithm.
         adjusted_frames: how many frames this person was adjusted from.
         rms_px: root mean square distance of the points from the adjusted face, pixels.
         score: mean correlation of the visible points, -1 to 1.
@@ -124,6 +128,8 @@ class MonoDiagnostics:
     identity: FloatArray
     spread: FloatArray
     person: int = 0
+    size: float = np.nan
+    size_sd: float = np.nan
     adjusted_frames: int = 0
     rms_px: float = np.nan
     score: float = np.nan
@@ -133,5 +139,12 @@ class MonoDiagnostics:
     def numbers(self) -> FloatArray:
         """Return the (M,) numbers, in the order of ``mono_diagnostic_names``."""
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
-        single = (float(self.person), float(self.adjusted_frames), self.rms_px, self.score)
+        single = (
+            float(self.person),
+            self.size,
+            self.size_sd,
+            float(self.adjusted_frames),
+            self.rms_px,
+            self.score,
+        )
         return np.concatenate([self.identity, self.spread, single, weights, action_numbers(self.moved)])

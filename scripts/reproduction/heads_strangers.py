@@ -16,12 +16,13 @@ from posetrack_cli.errors import PosetrackError
 from reproduction.head_strangers.measuring import Measured
 from reproduction.head_strangers.mono import Mono
 from reproduction.head_strangers.options import Options, Part
+from reproduction.head_strangers.size import Told
 from reproduction.head_strangers.stereo import Stereo
 from reproduction.running import FOLDER, Study
 from reproduction.steps import run_chains
 
 NAME = "heads-strangers"
-PARTS: tuple[Part, ...] = (Mono(), Stereo())
+PARTS: tuple[Part, ...] = (Mono(), Told(), Stereo())
 
 
 def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:

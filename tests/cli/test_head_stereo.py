@@ -114,6 +114,26 @@ def tracked(made: Path) -> Path:
     return path
 
 
+def test_a_person_whom_two_cameras_measured_is_held_with_one(
+    made: Path, tracked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In true size, though the tracker of one camera would take the likeliest."""
+    output, few = made.with_name("person.mcap"), ("--particles", "100", "--passes", "1", "--end", "4")
+    asked = ["head", "mono", str(made), "--cameras", "left", *few, "--person", str(tracked)]
+    assert run([*asked, "-o", str(output)]) == 0
+    mine, theirs = load_arrays(output), load_arrays(tracked)
+    np.testing.assert_allclose(mine["position"], theirs["position"][:4], atol=4.0)  # of 700: half a per cent
+    assert not np.any(mine["status"] == "lost")
+    record = read_result(output).run
+    assert (record["scale"], record["person"]) == ("person", tracked.name) and record["person.sha256"]
+    numbers = read_result(output).numbers()
+    names = ("size", "size_sd", "adjusted_frames")
+    np.testing.assert_allclose([numbers[name][-1] for name in names][:2], [1.0, 0.005])
+    capsys.readouterr()
+    assert run([*asked, "-o", str(output), "--overwrite", "--interpupillary-mm", "63"]) == 2
+    assert "--person says how large the person is, and so does --interpupillary-mm" in line(capsys)
+
+
 def stereo(recording: Path, output: Path, *arguments: object) -> int:
     asked = ["head", "stereo", str(recording), "-o", str(output), "--particles", "100"]
     return run([*asked, *map(str, arguments)])

@@ -84,7 +84,9 @@ def test_every_step_is_a_command_that_is_understood_and_tracks_everybody(tmp_pat
         subject, name, *rest = step.command(tmp_path)
         assert subject == "head"
         commands[name].make_context(name, rest)
-    assert len({step.output for step in steps}) == len(steps) == 4
+    assert len({step.output for step in steps}) == len(steps) == 2 * (1 + 1 + 2 + 1)
+    told = next(step for step in steps if "--interpupillary-mm" in step.arguments)
+    assert told.arguments[-1] == "63.00"  # of the mean face
     left_out = replace(options, left_out=tmp_path)
     (step, *_) = next(chain for chain in mono.Mono().chains(left_out) if "person-d" in chain.name).steps
     assert step.arguments[-2:] == ("--face-model", str(tmp_path / "person-d-model.npz"))

@@ -9,6 +9,7 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.head.face.pose import HeadPose
 from reproduction.running import Targets
 
@@ -28,6 +29,13 @@ CAMERAS = (
 )
 
 
+_COLUMNS = ["t_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"]
+_COLUMNS += [f"{name}_{axis}_mm" for name in POINT_NAMES for axis in "xyz"]
+_FIRST = [0.0, 10.0, -20.0, 700.0, 1.0, 0.0, 0.0, 0.0, *MEAN_SHAPE.ravel()]
+TRUTH = "\n".join([",".join(_COLUMNS), ",".join(map(str, _FIRST)), ""])
+"""Of a mean face that looks at the camera, one frame."""
+
+
 def pose(index: int) -> HeadPose:
     turn = np.radians([3.0 * np.sin(index), 5.0 * np.cos(2 * index), 10.0 * np.sin(0.5 * index)])
     return HeadPose(np.array([2.0 * index, -index, 700.0 + index]), head_quaternion_from_roll_pitch_yaw(turn))
@@ -45,5 +53,5 @@ def heads_folder(tmp_path: Path, *names: str) -> Path:
         folder.mkdir(parents=True)
         calibration = {"fps": 25, "cameras": {"left": placed, "right": placed}}
         (folder / "calibration.json").write_text(json.dumps(calibration))
-        (folder / "truth.csv").write_text("t_s\n")
+        (folder / "truth.csv").write_text(TRUTH)
     return tmp_path / "heads"

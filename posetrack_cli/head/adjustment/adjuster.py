@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from posetrack_cli.geometry.rotations import canonical, exponential, matrices_fr
 from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
 from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns, cost
 from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
-from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings
+from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings, PointSettings
 from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -42,6 +42,14 @@ class Adjuster:
     model: FaceModel
     camera: Camera
     settings: AdjustmentSettings
+
+    @cached_property
+    def over_recording(self) -> Adjuster:
+        """The adjuster of frames of a whole recording, whose points err less alike."""
+        sd = self.settings.pixel_sd
+        share = {name: value * self.settings.whole_share for name, value in sd.model_dump().items()}
+        closer = self.settings.model_copy(update={"pixel_sd": PointSettings(**share)})
+        return replace(self, settings=closer)
 
     def adjust(
         self,

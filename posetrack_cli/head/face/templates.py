@@ -9,7 +9,7 @@ Templates of further directions, the keyframes, are kept beside the reference.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -44,6 +44,10 @@ class TemplateSet:
     tangents: FloatArray
     seen: BoolArray
     facing: FloatArray
+
+    def of_size(self, factor: float) -> TemplateSet:
+        """Return the templates of a head that is so many times as large, as far away, and looks the same."""
+        return self if factor == 1.0 else replace(self, tangents=self.tangents / factor)
 
 
 def take_templates(

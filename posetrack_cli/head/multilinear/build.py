@@ -7,7 +7,7 @@ index of that axis; its columns run over the other axes in their order, the last
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -163,6 +163,32 @@ def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) ->
     )
     spectra = (singular_values(tensor, PEOPLE), singular_values(tensor, ACTIONS))
     return BuiltModel(model, samples, identities, deformations, spectra)
+
+
+def add_deformation(
+    built: BuiltModel, displacement: FloatArray, sizes: FloatArray, deviation: float
+) -> BuiltModel:
+    """Return the model with one more deformation parameter a, which halves of faces do not show **[ours]**.
+
+    M = ... + a (c^T s) D, where c^T s is the size of the person as nearly as s tells it. No sample does any
+    of it: abar and the rows of U_action are 0 there.
+
+    Args:
+        built: without it.
+        displacement: D (K, 3), mm, for a = 1 of a face of size 1.
+        sizes: (2S,) of the samples' people, 1 on average.
+        deviation: sigma_a.
+    """
+    model = built.model
+    grows = np.linalg.lstsq(built.identities, sizes)[0]
+    core = np.concatenate([model.core, (displacement[:, :, None] * grows)[..., None]], axis=-1)
+    wider = replace(
+        model,
+        core=core,
+        deformation_mean=np.append(model.deformation_mean, 0.0),
+        deformation_deviations=np.append(model.deformation_deviations, deviation),
+    )
+    return replace(built, model=wider, deformations=np.pad(built.deformations, ((0, 0), (0, 1))))
 
 
 def possible_ranks(shapes: FloatArray) -> tuple[int, int]:

@@ -21,6 +21,7 @@ from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
+from posetrack_cli.head.tracker.size import LARGEST_SIZE, SMALLEST_SIZE, Size
 from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, units
 from posetrack_cli.tracking.state_codec import (
     Array,
@@ -38,6 +39,8 @@ from posetrack_cli.tracking.state_codec import (
 
 PEOPLE = "people"
 """Name of the array that says how many there are."""
+FOCAL_PX = "focal_px"
+"""Name of the array that says at which focal length people were seen."""
 _ScoredView: TypeAlias = tuple[float, PointView]
 POSE: Codec[HeadPose] = Fields(HeadPose, position=Value(floats(3)), quaternion=Value(units(4)))
 _COEFFICIENTS = "coefficients?"
@@ -118,13 +121,15 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
         counts: int,
         single: Array,
         sets: tuple[TemplateSet, ...],
+        size: Size | None,
         **parts: Any,
     ) -> KnownPerson:
         person = PersonParameters(identity, offsets)
         return KnownPerson(
             person=person,
             history=IdentityHistory(history, settings.average),
-            shape=person_shape(model, person),
+            shape=person_shape(model, person, size),
+            size=size,
             templates=sets,
             adjusted_frames=counts,
             rms_px=float(single[0]),
@@ -140,6 +145,14 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
         counts=("adjusted_frames", whole()),
         single=(lambda known: [known.rms_px, known.usual_score], Value(floats(2, missing=True))),
         is_settled=flag(),
+        is_held=flag(),
+        size=Maybe(
+            Fields(
+                Size,
+                factor=real(floats(least=SMALLEST_SIZE, most=LARGEST_SIZE)),
+                sd=real(floats(least=0.0, most=1.0)),
+            )
+        ),
         album=_AlbumCodec(model),
         views=Stacked(Fields(_view, **_view_parts(model)), "views"),
         sets=("templates", Stacked(template_codec(1), "sets", least=1)),

@@ -9,12 +9,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
-from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig
+from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig, PersonSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
@@ -31,14 +31,16 @@ from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
-from posetrack_cli.head.tracker.codecs import known_people, people_codec, unusable_people
+from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
 from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
-from posetrack_cli.head.tracker.person import PersonFitter, new_person
+from posetrack_cli.head.tracker.person import PersonFitter, new_person, person_shape
 from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
+from posetrack_cli.head.tracker.size import PupilDistance, Size
+from posetrack_cli.head.tracker.whole_face import shift_of
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
 from posetrack_cli.tracking.state_codec import Codec
@@ -59,12 +61,14 @@ LEAST_LIKE = 0.2
 now: turned or blurred it looks like no template."""
 STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
+WHOLE_FACE_LIKE = 0.4
+"""Mean correlation of a face's windows from which on it is the same face a moment later."""
+KEPT = 0.98
+"""What is left of a score after a frame that only looks like the one before, were they equal."""
 CLEARLY_BETTER = 0.03
 """Minimum score gain for a new detection to replace the track."""
 FORGOTTEN_S = 1.0
 """A face that was gone for so long may come back elsewhere in the image."""
-FOCAL_PX = "focal_px"
-"""Name of the array that says at which focal length people were seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +112,7 @@ class MonoPeople:
         landmarks: LandmarkFile | None = None,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
-        self._landmarks = landmarks
+        self._landmarks, self._told = landmarks, told_distance(config.person, config.accuracy)
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._reductions: dict[float, _Reduction] = {}
@@ -155,13 +159,13 @@ class MonoPeople:
     def fit(self, state: MonoState, track: TrackState, frame: SeededFrame) -> tuple[MonoState, FrameFit]:
         """Follow the person into a frame; where the fit is poor, compare it with a detection **[ours]**.
 
-        After a blink or a smile points may have slid to places that they do not come back from. Landmarks
-        from elsewhere tell that in any frame.
+        After a blink or a smile points may have slid to places that they do not come back from; landmarks
+        from elsewhere tell that where the fit does not.
         """
         fitter, settings = self._at(state).fitter, self._config.status
-        fit = fitter.fit(state.person, track, frame)
+        fit = self._or_followed(state, track, frame, fitter.fit(state.person, track, frame))
         recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
-        if not self._has_slid(state, frame, fit) and (recent or fit.score >= settings.check_below):
+        if recent or (fit.score >= settings.check_below and not self._has_slid(state, frame, fit)):
             return state, fit
         state = replace(state, checked_ns=frame.stamp_ns)
         found = self.detect(state, frame)
@@ -169,6 +173,40 @@ class MonoPeople:
             return state, fit
         again = fitter.fit_detection(state.person, found, track.stamp_ns, frame)
         return state, again if again.score > fit.score + CLEARLY_BETTER else fit
+
+    def _or_followed(
+        self, state: MonoState, track: TrackState, frame: SeededFrame, fit: FrameFit
+    ) -> FrameFit:
+        """Return a fit, or where it is none one that begins where the whole face went **[ours]**.
+
+        A face that is blurred, or looks where it never was seen to, then looks like no template but as a
+        moment ago: the score is that of the frame before times how alike they are; what slides is soon
+        doubted.
+        """
+        if fit.score >= self.least_score(state) or track.templates is None:
+            return fit
+        (image,), fitter = frame.frame.images, self._at(state).fitter
+        there = None if image is None else self._moved_as_a_whole(state, track, image)
+        if there is None:
+            return fit
+        again = fitter.fit_from(state.person, track, there, frame)
+        best = again if again.score > fit.score else fit
+        if best.score >= self.least_score(state):
+            return best
+        as_before = replace(state.person, templates=(track.templates,))
+        followed = fitter.fit_from(as_before, track, there, frame)
+        score = KEPT * state.trust * max(followed.score, 0.0)
+        return replace(followed, score=score, is_anchored=True) if score > best.score else best
+
+    def _moved_as_a_whole(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
+        """Return a track's pose where its whole face went in an image, None where that is not seen."""
+        camera, templates = self._at(state).adjuster.camera, track.templates
+        before = project((camera,), track.pose.points(track.shape)).pixels[0]
+        shift = None if templates is None else shift_of(image, templates, before)
+        if shift is None or shift.likeness < WHOLE_FACE_LIKE:
+            return None
+        aside = shift.pixels / np.array([camera.fx, camera.fy]) * track.pose.position[2]
+        return replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
 
     def recognise(
         self, state: MonoState, found: DetectedFace, frame: SeededFrame
@@ -214,28 +252,34 @@ class MonoPeople:
 
     def learn(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
         """Adjust the person by a frame in which the head was tracked; not by a doubtful one."""
+        state = replace(state, trust=min(fit.score, 1.0))
         if fit.is_anchored:
             return replace(state, strange=state.strange + 1), fit
         if state.cut and fit.score < RECOGNISED * state.person.usual_score:
             return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
-        person, fit = self._at(state).fitter.update_person(state.person, state.track, frame, fit)
+        fitter, told = self._at(state).fitter, self._told_of(state.current)
+        person, fit = fitter.update_person(state.person, state.track, frame, fit, told)
         state = state.update_person(person).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
 
     def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
+        size = state.person.size if state.people else None
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy),
+            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
         )
 
     def export_model(self, state: MonoState) -> Learned:
         """Return what was learned of the people seen, and how large they were seen."""
         adjuster = self._at(state).adjuster
-        people = tuple(one.over_album(adjuster) for one in state.people)
+        people = tuple(
+            one.over_album(adjuster).with_size(self._told_of(index), self._model)
+            for index, one in enumerate(state.people)
+        )
         focal = (state.scale or WHOLE) * self._recorded.fx
         return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}
 
@@ -243,7 +287,13 @@ class MonoPeople:
         """Say when another person was seen, and whether the camera seems to be another one."""
         people = (f"from frame {frame} on it is person {who}; the first is 0" for frame, who in state.changes)
         check = focal_length_check(state.person, self._at(state).adjuster, state.scale or WHOLE)
-        return (*people, *check)
+        return (*people, *check, *self._size_doubt(state))
+
+    def _size_doubt(self, state: MonoState) -> tuple[str, ...]:
+        """Say whether the first person would be of a size that hardly anybody has."""
+        if self._told is None:
+            return ()
+        return self._told.doubt(person_shape(self._model, state.people[0].person).mean)
 
     def _begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Collect n frames with the face, then adjust them together (4.4.1).
@@ -263,7 +313,8 @@ class MonoPeople:
         seen = initialiser.templates(frame.frame, found, alone)
         state = state.with_candidate(found, seen)
         if len(state.candidates) < self._config.start.frames:
-            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen)
+            told = self._told_of(len(state.people))
+            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen, told)
         start = initialiser.initialise(state.candidates)
         if isinstance(start, InitFailure):
             return state.clear_candidates(), start
@@ -288,9 +339,10 @@ class MonoPeople:
         """Begin to know a person, whose reference is what the first of the frames showed."""
         at, last = self._at(state), state.candidates[-1]
         reference = at.initialiser.reference(state.first_templates, start)
-        person = new_person(start.person, reference, at.adjuster)
+        told = self._told_of(len(state.people))
+        person = new_person(start.person, reference, at.adjuster).with_size(told, self._model)
         seen = at.initialiser.templates(frame.frame, last, start)
-        fit = at.fitter.initial_fit(frame, last, start, seen)
+        fit = at.fitter.initial_fit(frame, last, start, seen, told)
         return state.with_new_person(person, fit.track, frame.index), fit
 
     def _has_slid(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> bool:
@@ -319,6 +371,8 @@ class MonoPeople:
             known.history.mean,
             known.history.spread,
             state.current,
+            known.factor,
+            self._config.accuracy.scale if known.size is None else known.size.sd,
             known.adjusted_frames,
             known.rms_px / (state.scale or WHOLE),
             score,
@@ -357,15 +411,31 @@ class MonoPeople:
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
         scale = _known_scale(known, self._recorded)
-        return MonoState(people=known_people(known, self._people), scale=scale)
+        people = known_people(known, self._people)
+        sized = (one.with_size(self._told_of(who), self._model) for who, one in enumerate(people))
+        return MonoState(people=tuple(sized), scale=scale)
+
+    def _told_of(self, who: int) -> PupilDistance | None:
+        """What was told of a person's size: of the first alone."""
+        return self._told if who == 0 else None
 
 
-def systematic_variance(pose: HeadPose, settings: AccuracySettings) -> FloatArray:
-    """Return (6,) what a track is wrong by in all frames alike: (scale t)^2 + position^2, rotation^2.
+def told_distance(person: PersonSettings, accuracy: AccuracySettings) -> PupilDistance | None:
+    """Return the distance of the pupils that a configuration tells; None where it tells none."""
+    if person.interpupillary_mm is None:
+        return None
+    sd = float(np.hypot(person.interpupillary_sd_mm, person.corners_sd_mm))
+    return PupilDistance(person.interpupillary_mm, sd, accuracy.scale)
 
-    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2.
+
+def systematic_variance(pose: HeadPose, settings: AccuracySettings, size: Size | None) -> FloatArray:
+    """Return (6,) what a track is wrong by in all frames alike: (sd t)^2 + position^2, rotation^2.
+
+    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2, with the deviation of
+    the size that was told or, without, ``scale``.
     """
-    place = (settings.scale * pose.position) ** 2 + np.square(settings.position_mm)
+    sd = settings.scale if size is None else size.sd
+    place = (sd * pose.position) ** 2 + np.square(settings.position_mm)
     return np.concatenate([place, np.square(np.radians(settings.rotation_deg))])
 
 

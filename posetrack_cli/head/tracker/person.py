@@ -26,6 +26,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
+from posetrack_cli.head.tracker.size import Size, SizeMeasurement
 
 USUAL_RATE = 0.05
 """Share of a frame in the running mean of scores: twenty frames, longer than a blink or a word, count."""
@@ -36,16 +37,18 @@ class KnownPerson:
     """One person as far as frames have told.
 
     Attributes:
-        person: identity and offsets.
+        person: identity and offsets; the views, too, are as large as these make the face.
         history: of identities, (4.36).
         views: n frames that are adjusted together.
         album: frames that show the face from all sides, for an adjustment over the whole recording.
-        shape: how this person's face deforms.
-        sets: templates, reference first.
+        shape: how this person's face deforms, in true size.
+        templates: reference first.
         adjusted_frames: how many frames the person was adjusted from.
         rms_px: of the last adjustment, root mean square.
         usual_score: running mean of the scores of tracked frames; NaN before the first.
         is_settled: whether a whole recording has said who it is; single frames then do no more **[ours]**.
+        is_held: whether a user has said who it is: nothing is adjusted.
+        size: what was told of it; None where nothing was.
     """
 
     person: PersonParameters
@@ -58,6 +61,21 @@ class KnownPerson:
     rms_px: float = np.nan
     usual_score: float = np.nan
     is_settled: bool = False
+    is_held: bool = False
+    size: Size | None = None
+
+    @property
+    def factor(self) -> float:
+        """What lengths of the views are multiplied by to be true ones."""
+        return 1.0 if self.size is None else self.size.factor
+
+    def with_size(self, told: SizeMeasurement | None, model: FaceModel) -> KnownPerson:
+        """Return the person as large as a measurement tells; without one unchanged."""
+        if told is None:
+            return self
+        size = told.size_of(person_shape(model, self.person).mean)
+        templates = tuple(one.of_size(size.factor / self.factor) for one in self.templates)
+        return replace(self, size=size, shape=person_shape(model, self.person, size), templates=templates)
 
     def with_score(self, score: float) -> KnownPerson:
         """Return what is known after a frame with a score."""
@@ -84,14 +102,14 @@ class KnownPerson:
             history=self.history.with_identity(adjusted.person.identity),
             views=adjusted.views,
             album=self.album.with_view(adjusted.views[-1], score),
-            shape=person_shape(adjuster.model, adjusted.person),
+            shape=person_shape(adjuster.model, adjusted.person, self.size),
             adjusted_frames=self.adjusted_frames + 1,
             rms_px=rms(adjusted.residuals),
         )
 
     def _seen_again(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
         """Return the same person after a frame: its pose and deformation alone are adjusted."""
-        adjusted = adjuster.adjust(
+        adjusted = adjuster.over_recording.adjust(
             (view,),
             self.person,
             iterations=adjuster.settings.iterations,
@@ -109,17 +127,20 @@ class KnownPerson:
 
     def over_album(self, adjuster: Adjuster) -> KnownPerson:
         """Return the person adjusted from the whole album, for a second pass **[ours]**."""
+        if self.is_held:
+            return replace(self, views=(), album=Album())
         views, settings = self.album.views, adjuster.settings
         if settings.when != "always" or len(views) < 2:
             return self
-        adjusted = adjuster.adjust(views, self.person, iterations=settings.start_iterations, wide=True)
+        closely = adjuster.over_recording
+        adjusted = closely.adjust(views, self.person, iterations=settings.start_iterations, wide=True)
         return replace(
             self,
             person=adjusted.person,
             history=IdentityHistory.starting_with(adjusted.person.identity, settings.average),
             views=(),
             album=Album(),
-            shape=person_shape(adjuster.model, adjusted.person),
+            shape=person_shape(adjuster.model, adjusted.person, self.size),
             rms_px=rms(adjusted.residuals),
             is_settled=True,
         )
@@ -131,9 +152,10 @@ def new_person(person: PersonParameters, reference: TemplateSet, adjuster: Adjus
     return KnownPerson(person, history, (), Album(), person_shape(adjuster.model, person), (reference,))
 
 
-def person_shape(model: FaceModel, person: PersonParameters) -> ShapeModel:
-    """Return how a person's face deforms."""
-    return model.of_person(person.identity, person.offsets)
+def person_shape(model: FaceModel, person: PersonParameters, size: Size | None = None) -> ShapeModel:
+    """Return how a person's face deforms, in the size that was told or, without, in the likeliest."""
+    shape = model.of_person(person.identity, person.offsets)
+    return shape if size is None else size.of_shape(shape)
 
 
 def rms(residuals: FloatArray) -> float:
@@ -195,6 +217,15 @@ class PersonFitter:
         before = replace(track, particles=now)
         return self._frame_tracker.step(before, frame, person.templates, person.shape)
 
+    def fit_from(
+        self, person: KnownPerson, track: TrackState, there: HeadPose, frame: SeededFrame
+    ) -> FrameFit:
+        """Return what a frame says of a person who was tracked before and now is about elsewhere."""
+        about = replace(track.at_rest(), pose=there, particles=replace(track.particles, pose=there))
+        fit = self.fit(person, about, frame)
+        velocity = velocity_between(track.pose, fit.track.pose, fit.dt)
+        return replace(fit, track=replace(fit.track, velocity=velocity))
+
     def fit_detection(
         self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:
@@ -219,21 +250,38 @@ class PersonFitter:
         return replace(fit, score=min(fit.score, found.score), is_anchored=True)
 
     def initial_fit(
-        self, frame: SeededFrame, found: DetectedFace, start: MonoInitialisation, seen: TemplateSet
+        self,
+        frame: SeededFrame,
+        found: DetectedFace,
+        start: MonoInitialisation,
+        seen: TemplateSet,
+        told: SizeMeasurement | None,
     ) -> FrameFit:
         """Return what a frame says in which a face was detected that is not tracked yet."""
-        view, shape = start.views[-1], person_shape(self._model, start.person)
-        own = self._on_rays(view.pose, shape.mean, found.pixels)
-        track = self._frame_tracker.start(frame, view.pose, own, shape, seen)
+        shape = person_shape(self._model, start.person)
+        pose = start.views[-1].pose
+        if told is not None:
+            size = told.size_of(shape.mean)
+            pose, shape, seen = farther(pose, size.factor), size.of_shape(shape), seen.of_size(size.factor)
+        own = self._on_rays(pose, shape.mean, found.pixels)
+        track = self._frame_tracker.start(frame, pose, own, shape, seen)
         return initial_fit(track, found.score, found.pixels[None])
 
     def update_person(
-        self, person: KnownPerson, before: TrackState | None, frame: SeededFrame, fit: FrameFit
+        self,
+        person: KnownPerson,
+        before: TrackState | None,
+        frame: SeededFrame,
+        fit: FrameFit,
+        told: SizeMeasurement | None = None,
     ) -> tuple[KnownPerson, FrameFit]:
         """Adjust the person by a frame in which it was found; return it and what the frame then says."""
         person = person.with_score(fit.score)
         if self._shows_person(person, fit):
-            person = person.after(self._view(frame, fit), fit.score, self._adjuster)
+            person = person.after(self._view(person, frame, fit), fit.score, self._adjuster)
+            if not person.is_settled:
+                before_size, person = person.factor, person.with_size(told, self._model)
+                fit = _of_size(fit, person.factor / before_size)
             fit = self._adjusted(before, person, fit)
         if fit.track.templates is not None and self._is_keyframe(person, fit):
             keyframe = self._keyframe(fit.track.templates, fit.correlations)
@@ -250,25 +298,29 @@ class PersonFitter:
         harmless = person.is_settled or _deformed_mm(person, fit) < settings.neutral_mm
         return settings.when == "always" and clear and harmless
 
-    def _view(self, frame: SeededFrame, fit: FrameFit) -> PointView:
+    def _view(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> PointView:
         a = fit.coefficients + self._model.deformation_mean
         weights = np.where(np.isfinite(fit.pixels[0, :, 0]), fit.weights, 0.0)
-        return PointView(frame.stamp_ns, fit.pixels[0], weights, fit.track.pose, a)
+        pose = farther(fit.track.pose, 1.0 / person.factor)
+        return PointView(frame.stamp_ns, fit.pixels[0], weights, pose, a)
 
     def _adjusted(self, before: TrackState | None, person: KnownPerson, fit: FrameFit) -> FrameFit:
         """Return what a frame says after the adjustment that it took part in."""
         view, now = person.views[-1], fit.track
-        coefficients = view.deformation - self._model.deformation_mean
+        coefficients, pose = (
+            view.deformation - self._model.deformation_mean,
+            farther(view.pose, person.factor),
+        )
         velocity, rate = now.velocity, fit.coefficient_rate
         if before is not None and np.any(velocity):
-            velocity = velocity_between(before.pose, view.pose, fit.dt)
+            velocity = velocity_between(before.pose, pose, fit.dt)
             rate = rate + (coefficients - fit.coefficients) / fit.dt
         track = replace(
             now,
-            pose=view.pose,
+            pose=pose,
             velocity=velocity,
-            particles=now.particles.moved_to(view.pose, coefficients),
-            shape=self._on_rays(view.pose, person.shape.shapes(coefficients), fit.pixels[0]),
+            particles=now.particles.moved_to(pose, coefficients),
+            shape=self._on_rays(pose, person.shape.shapes(coefficients), fit.pixels[0]),
         )
         return replace(fit, track=track, coefficients=coefficients, coefficient_rate=rate)
 
@@ -289,6 +341,18 @@ class PersonFitter:
         """A frame's templates without the points that do not look like themselves: they may have left."""
         alike = np.nan_to_num(correlations) > self._config.refinement.keyframe_correlation
         return replace(templates, seen=templates.seen & alike)
+
+
+def farther(pose: HeadPose, factor: float) -> HeadPose:
+    """Return where a head so many times as large looks the same."""
+    return pose if factor == 1.0 else HeadPose(factor * pose.position, pose.quaternion)
+
+
+def _of_size(fit: FrameFit, factor: float) -> FrameFit:
+    """Return a fit whose frame's templates are of a head so many times as large."""
+    if fit.track.templates is None:
+        return fit
+    return replace(fit, track=replace(fit.track, templates=fit.track.templates.of_size(factor)))
 
 
 def _deformed_mm(person: KnownPerson, fit: FrameFit) -> float:

@@ -11,11 +11,15 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
+from posetrack_cli.geometry.euler import head_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.head.actions import displacement
 from posetrack_cli.head.adjustment.adjuster import Adjuster, clipped
 from posetrack_cli.head.adjustment.solver.problem import cost
-from posetrack_cli.head.adjustment.views import PersonParameters
+from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.multilinear.face_model import load_face_model
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
 from support.bundles import FREE, LENSES, moved_away, noisy, random_bundle
 
@@ -282,3 +286,23 @@ def test_more_iterations_are_taken_only_while_they_help():
     assert run(case, 1).iterations == 2
     assert run(case, MANY).iterations < 2 * MANY
     assert run(case, MANY).cost <= run(case, 5).cost
+
+
+def test_a_mouth_that_goes_aside_turns_no_head():
+    """With deformations that only symmetric faces show it was taken for 9 degrees of yaw."""
+    model, camera = load_face_model(), LENSES["no lens"]
+    person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
+    neutral = model.shapes(model.identity_mean, model.deformation_mean)
+    pose = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+    pixels, _ = pixels_from_points(camera, pose.points(neutral + 0.7 * displacement("mouth_left")))
+    view = PointView(0, pixels, np.ones(len(pixels)), pose, model.deformation_mean)
+    closely = Adjuster(model, camera, AdjustmentSettings()).over_recording
+    found = closely.adjust([view], person, iterations=20, hold_person=True, wide=True).views[0]
+    yaw = np.degrees(head_roll_pitch_yaw(found.pose.quaternion)[2] - head_roll_pitch_yaw(pose.quaternion)[2])
+    assert abs(yaw) < 1.0  # the prior of the mouth leaves some of it
+
+
+def test_over_a_recording_points_err_less_alike():
+    case = case_of(0)
+    closely, share = case.adjuster.over_recording, case.adjuster.settings.whole_share
+    np.testing.assert_allclose(closely.problem(case.views).scales * share, case.problem.scales)

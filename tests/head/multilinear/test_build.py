@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.multilinear.build import (
     BuiltModel,
+    add_deformation,
     build_model,
     mirrored,
     possible_ranks,
@@ -42,6 +43,18 @@ def test_halves_are_symmetric_and_keep_their_half(shape: np.ndarray) -> None:
     np.testing.assert_array_equal(mirrored(halves), halves)
     for half, side in zip(halves, (MEAN_SHAPE[:, 0] < 0.0, MEAN_SHAPE[:, 0] > 0.0), strict=True):
         np.testing.assert_array_equal(half[side], shape[side])
+
+
+def test_an_added_deformation_grows_with_the_person_and_changes_nothing_else(built: BuiltModel) -> None:
+    moved = np.random.default_rng(0).normal(size=(POINT_COUNT, 3))
+    sizes = 1.0 + 0.1 * np.random.default_rng(1).normal(size=len(built.identities))
+    wider = add_deformation(built, moved, sizes, 0.5)
+    np.testing.assert_allclose(wider.approximations(), built.approximations(), atol=ROUNDING_MM)
+    some = np.append(built.deformations[3], 0.7)
+    shown = wider.model.shapes(wider.identities, some) - built.model.shapes(built.identities, some[:-1])
+    grows = built.identities @ np.linalg.lstsq(built.identities, sizes)[0]
+    np.testing.assert_allclose(shown, 0.7 * grows[:, None, None] * moved, atol=ROUNDING_MM)
+    assert wider.model.deformation_mean[-1] == 0.0 and wider.model.deformation_deviations[-1] == 0.5
 
 
 @given(SHAPES)

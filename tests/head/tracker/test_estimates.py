@@ -17,6 +17,7 @@ from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate
 from posetrack_cli.head.tracker.mono import systematic_variance
+from posetrack_cli.head.tracker.size import Size
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.fields import check_estimate
 from support.bundles import random_model
@@ -25,7 +26,15 @@ from support.bundles import random_model
 def numbers(size: int) -> MonoDiagnostics:
     """All of them different."""
     return MonoDiagnostics(
-        np.arange(size) + 0.1, np.arange(size) + 0.2, 2, 17, 0.75, 0.875, 0.01 * np.arange(len(POINT_NAMES))
+        np.arange(size) + 0.1,
+        np.arange(size) + 0.2,
+        2,
+        1.125,
+        0.03125,
+        17,
+        0.75,
+        0.875,
+        0.01 * np.arange(len(POINT_NAMES)),
     )
 
 
@@ -33,11 +42,12 @@ def numbers(size: int) -> MonoDiagnostics:
 def test_every_number_stands_under_its_name(size: int) -> None:
     one, names = numbers(size), mono_diagnostic_names(size)
     found = dict(zip(names, one.numbers(), strict=True))
-    assert len(found) == len(names) == 2 * size + 4 + len(POINT_NAMES) + len(ACTION_NAMES)
+    assert len(found) == len(names) == 2 * size + 6 + len(POINT_NAMES) + len(ACTION_NAMES)
     np.testing.assert_array_equal([found[f"identity_{s + 1}"] for s in range(size)], one.identity)
     np.testing.assert_array_equal([found[f"identity_spread_{s + 1}"] for s in range(size)], one.spread)
     np.testing.assert_array_equal([found[f"weight_{name}"] for name in POINT_NAMES], one.weights)
-    single = {"person": 2, "adjusted_frames": 17, "adjustment_rms_px": 0.75, "score": 0.875}
+    single = {"person": 2, "size": 1.125, "size_sd": 0.03125, "adjusted_frames": 17}
+    single |= {"adjustment_rms_px": 0.75, "score": 0.875}
     assert {name: found[name] for name in single} == single
 
 
@@ -64,6 +74,8 @@ def test_a_subject_fits_what_the_tracker_says(identities: int, deformations: int
 def test_what_a_whole_track_is_wrong_by_grows_with_the_distance() -> None:
     settings = AccuracySettings(scale=0.1, position_mm=(1.0, 2.0, 3.0), rotation_deg=(2.0, 1.0, 0.5))
     pose = HeadPose(np.array([10.0, -20.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-    variance = systematic_variance(pose, settings)
+    variance = systematic_variance(pose, settings, None)
     np.testing.assert_allclose(np.sqrt(variance[:3]), np.hypot([1.0, 2.0, 70.0], [1.0, 2.0, 3.0]))
     np.testing.assert_allclose(np.degrees(np.sqrt(variance[3:])), [2.0, 1.0, 0.5])
+    told = systematic_variance(pose, settings, Size(1.2, 0.01))
+    np.testing.assert_allclose(np.sqrt(told[:3]), np.hypot([0.1, 0.2, 7.0], [1.0, 2.0, 3.0]))
