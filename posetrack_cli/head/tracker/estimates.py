@@ -38,7 +38,9 @@ class Description:
     systematic: FloatArray | None = None
 
 
-def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Description) -> Estimate:
+def tracked_estimate(
+    frame: Frame, fit: FrameFit, status: Status, confidence: float, face: Description
+) -> Estimate:
     """Return the estimate of a frame in which the head was tracked.
 
     Velocities are differences of two frames' estimates, whose errors are taken for independent.
@@ -55,7 +57,7 @@ def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Descript
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
         status=status,
-        confidence=float(np.clip(fit.score, 0.0, 1.0)),
+        confidence=confidence,
         position=now.pose.position,
         quaternion=now.pose.quaternion,
         shape=face.coefficients,

@@ -13,13 +13,16 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.tracker.confidence import NO_SIGNS, doubts, signs_of, unsteadiness
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate, tracked_estimate
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, HeadState, SeededFrame, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from posetrack_cli.tracking.state_codec import Codec
 from posetrack_cli.tracking.two_pass import Learned, NothingFoundError
 
@@ -72,8 +75,18 @@ class Faces(Protocol[State, Found]):
     def learn(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
         """Learn from a frame in which the head was tracked; return what the frame then says."""
 
-    def describe(self, state: State, fit: FrameFit | None) -> Description:
-        """Return the face as the result of a frame states it; without a fit, of one without a head."""
+    @property
+    def regression(self) -> Regression:
+        """How probable it is that a frame is right, by its signs."""
+
+    def describe(self, state: State, fit: FrameFit | None, signs: FloatArray) -> Description:
+        """Return the face as the result of a frame states it; without a fit, of one without a head.
+
+        Args:
+            state: after the frame.
+            fit: of it.
+            signs: (S,) of how right it is; NaN without a fit.
+        """
 
     def export_model(self, state: State) -> Learned:
         """Return what was learned of a known face, as arrays by name."""
@@ -126,7 +139,9 @@ class HeadTracker(Generic[State, Found]):
 
     def remarks(self, state: State) -> tuple[str, ...]:
         """Say what a user should know about a finished run beside its numbers; each is one line."""
-        return self._faces.remarks(state) if self._faces.is_known(state) else ()
+        if not self._faces.is_known(state):
+            return ()
+        return (*self._faces.remarks(state), *doubts(state.record))
 
     def _accepts(self, state: State, fit: FrameFit) -> bool:
         """Whether a frame shows the face that is known."""
@@ -142,21 +157,25 @@ class HeadTracker(Generic[State, Found]):
         state, fit = self._faces.begin(state, frame)
         if isinstance(fit, InitFailure):
             return self._coast(self._failed(state, fit), frame)
-        return state, self._tracked(state, frame, fit, found_anew=is_another)
+        return self._tracked(state, frame, fit, found_anew=is_another)
 
     def _update(
         self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
     ) -> tuple[State, Estimate]:
         """Learn from a frame in which the head was tracked."""
+        before = state.track
         state, fit = self._faces.learn(state, frame, fit)
-        state = replace(state, track=fit.track, lost=0)
-        return state, self._tracked(state, frame, fit, found_anew=found_anew)
+        steady = state.steady.after(unsteadiness(before, fit))
+        state = replace(state, track=fit.track, lost=0, steady=steady)
+        return self._tracked(state, frame, fit, found_anew=found_anew)
 
     def _coast(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Miss the head: nothing is learnt, and it is looked for where it was last."""
         track = None if state.track is None else state.track.at_rest()
         state = replace(state, track=track, lost=state.lost + 1)
-        return state, lost_estimate(frame.frame, track, self._faces.describe(state, None))
+        if track is not None:
+            state = replace(state, record=state.record.missed(frame.stamp_ns - track.stamp_ns))
+        return state, lost_estimate(frame.frame, track, self._faces.describe(state, None, NO_SIGNS))
 
     def _reacquire(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Look for a face that is known; it must then look as it did."""
@@ -188,6 +207,16 @@ class HeadTracker(Generic[State, Found]):
             )
         return replace(state, search=search)
 
-    def _tracked(self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool) -> Estimate:
+    def _tracked(
+        self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
+    ) -> tuple[State, Estimate]:
+        """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
+        signs = signs_of(fit, self._faces.cameras[0].fx, state.steady)
+        confidence = self._faces.regression.probability(signs)
+        doubtful = confidence < PROBABLY
         status = Status.REINITIALISED if found_anew else Status.TRACKING
-        return tracked_estimate(frame.frame, fit, status, self._faces.describe(state, fit))
+        state = replace(state, record=state.record.tracked(frame.index, doubtful=doubtful))
+        face = self._faces.describe(state, fit, signs)
+        return state, tracked_estimate(
+            frame.frame, fit, Status.LOST if doubtful else status, confidence, face
+        )
