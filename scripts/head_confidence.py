@@ -88,7 +88,8 @@ def harden(recording: Path, output: Path, kind: str) -> None:
     calibration = json.loads((recording / CALIBRATION).read_text())
     for name, camera in calibration["cameras"].items():
         images = [
-            cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted((recording / name).iterdir())
+            _grey(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+            for path in sorted((recording / name).iterdir())
         ]
         (output / name).mkdir(parents=True, exist_ok=True)
         rng = np.random.default_rng(len(name))

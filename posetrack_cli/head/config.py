@@ -258,6 +258,8 @@ class AdjustmentSettings(Settings):
     """The bundle adjustment (thesis, 4.3).
 
     ``when``: after every frame that faces the camera, only at the start, or never (the mean person).
+    ``whole``: the first of two passes ends with an adjustment of the person over the whole recording, which
+    the second one holds; without, the second one goes on adjusting **[ours]**.
     ``views`` is n; ``iterations`` of each of the two stages, ``start_iterations`` at the start. Boxes:
     ``pose_mm`` (camera x, y, z) and ``pose_rad`` (about camera x, y, z), lambda_p; ``deformation`` and
     ``identity``, lambda_a and lambda_s in standard deviations about the start, and ``bound`` standard
@@ -273,6 +275,7 @@ class AdjustmentSettings(Settings):
     """
 
     when: Literal["always", "start", "never"] = "always"
+    whole: bool = True
     views: Annotated[int, Field(ge=2, le=200)] = 20
     iterations: Count = 5
     start_iterations: Count = 10
