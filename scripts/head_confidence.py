@@ -128,7 +128,7 @@ class Frames:
 def read_frames(person: str, result: Path, truth: Path | None, weight: float) -> Frames:
     """Read a result, and compare it with a truth; None for the truth that it carries.
 
-    Errors are those beside one constant rigid offset, over the frames that do not say that they are lost.
+    Errors are those beside constant offsets: of the head's frame, and of each point in it.
     """
     one, numbers = compare(result, truth), read_result(result).numbers()
     signs = np.stack([np.asarray(numbers[name]) for name in SIGN_NAMES], axis=1)
@@ -136,7 +136,7 @@ def read_frames(person: str, result: Path, truth: Path | None, weight: float) ->
     signs = signs[np.searchsorted(stamps, np.asarray(one.track.stamp_ns))]
     seen = np.isfinite(signs).all(axis=1)
     turned = one.rotation_deg <= RIGHT_DEG
-    right = turned & (one.points_mm.mean(axis=1) <= RIGHT_MM)
+    right = turned & (one.shapes_mm.mean(axis=1) <= RIGHT_MM)
     return Frames(person, weight, signs[seen], right[seen], turned[seen], (one.rotation_deg > 10.0)[seen])
 
 

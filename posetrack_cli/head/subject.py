@@ -24,7 +24,7 @@ HEAD = "head"
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
 SIGN = "sign_"
-SIGNS = ("misfit", "smallness", "unsteadiness", "unlikeness")
+SIGNS = ("misfit", "smallness", "unsteadiness", "unseen", "expression")
 """Of what confidence is made, in the order of ``head.tracker.confidence``."""
 SIGN_NAMES = tuple(f"{SIGN}{name}" for name in SIGNS)
 
@@ -35,7 +35,7 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
     Args:
         camera_frame: that its pose is relative to.
         components: B.
-        numbers: names of the further numbers; those of the stereo tracker without.
+        numbers: names of the diagnostics; those of the stereo tracker without. The signs follow them.
     """
     return Subject(
         HEAD,
@@ -45,12 +45,12 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
         point_parents=(-1,) * POINT_COUNT,
         colour=COLOUR,
         lines=LINES,
-        number_names=stereo_diagnostic_names(components) if numbers is None else numbers,
+        number_names=(*(stereo_diagnostic_names(components) if numbers is None else numbers), *SIGN_NAMES),
     )
 
 
 def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
-    """Return the names of the M = B + 7 + K + 2 E numbers, in the order of ``StereoDiagnostics.numbers``."""
+    """Return the names of the M = B + 3 + K + 2 E numbers, in the order of ``StereoDiagnostics.numbers``."""
     return (
         *(f"eigenvalue_{b + 1}_mm2" for b in range(components)),
         "contribution_ratio",
@@ -58,7 +58,6 @@ def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
         "score",
         *(f"{WEIGHT}{name}" for name in POINT_NAMES),
         *ACTION_NAMES,
-        *SIGN_NAMES,
     )
 
 
@@ -74,7 +73,6 @@ class StereoDiagnostics:
         score: mean correlation of the visible points, -1 to 1.
         weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
         moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
-        signs: (4,) of how right the frame is.
     """
 
     eigenvalues: FloatArray
@@ -83,7 +81,6 @@ class StereoDiagnostics:
     score: float = np.nan
     weights: FloatArray | None = None
     moved: FloatArray | None = None
-    signs: FloatArray | None = None
 
     def numbers(self, components: int) -> FloatArray:
         """Return the (M,) numbers for B components, in the order of ``stereo_diagnostic_names``."""
@@ -91,7 +88,7 @@ class StereoDiagnostics:
         eigenvalues = np.pad(known, (0, components - len(known)), constant_values=np.nan)
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
         single = (self.contribution_ratio, float(self.learnt_frames), self.score)
-        return np.concatenate([eigenvalues, single, weights, action_numbers(self.moved), _known(self.signs)])
+        return np.concatenate([eigenvalues, single, weights, action_numbers(self.moved)])
 
 
 def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
@@ -100,7 +97,7 @@ def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
 
 
 def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
-    """Return the names of the 2 S' + 10 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
+    """Return the names of the M = 2 S' + 6 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
     return (
         *(f"identity_{s + 1}" for s in range(identities)),
         *(f"identity_spread_{s + 1}" for s in range(identities)),
@@ -112,7 +109,6 @@ def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
         "score",
         *(f"{WEIGHT}{name}" for name in POINT_NAMES),
         *ACTION_NAMES,
-        *SIGN_NAMES,
     )
 
 
@@ -131,7 +127,6 @@ class MonoDiagnostics:
         score: mean correlation of the visible points, -1 to 1.
         weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
         moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
-        signs: (4,) of how right the frame is.
     """
 
     identity: FloatArray
@@ -144,7 +139,6 @@ class MonoDiagnostics:
     score: float = np.nan
     weights: FloatArray | None = None
     moved: FloatArray | None = None
-    signs: FloatArray | None = None
 
     def numbers(self) -> FloatArray:
         """Return the (M,) numbers, in the order of ``mono_diagnostic_names``."""
@@ -157,10 +151,4 @@ class MonoDiagnostics:
             self.rms_px,
             self.score,
         )
-        return np.concatenate(
-            [self.identity, self.spread, single, weights, action_numbers(self.moved), _known(self.signs)]
-        )
-
-
-def _known(signs: FloatArray | None) -> FloatArray:
-    return np.full(len(SIGNS), np.nan) if signs is None else signs
+        return np.concatenate([self.identity, self.spread, single, weights, action_numbers(self.moved)])

@@ -19,6 +19,7 @@ from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import HeadParticles
+from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import TrackRecord, TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 from posetrack_cli.head.tracker.size import LARGEST_SIZE, SMALLEST_SIZE, Size
@@ -108,7 +109,7 @@ def track_codec(cameras: int) -> Codec[TrackState]:
 def history_codecs() -> dict[str, Codec[Any]]:
     """Return how it is kept what a track's past frames tell of it, by the state's attributes."""
     record = Fields(TrackRecord, **{name: whole() for name in TrackRecord._fields})
-    return {"steady": signs_codec(1), "record": record}
+    return {"evidence": signs_codec(len(SIGNS)), "record": record}
 
 
 def _particles(deviations: np.ndarray[Any, Any], coefficients: Array, **parts: Any) -> HeadParticles:

@@ -1,14 +1,16 @@
 """How probable it is that a head's estimate is right **[ours]**.
 
 Confidence is the probability that the head's rotation is right to ``RIGHT_DEG`` and its points, on average,
-to ``RIGHT_MM`` in the head, each beside one constant rigid offset of the head's frame, which is a convention:
-logistic regression (``tracking.confidence``) on
+to ``RIGHT_MM`` in the head. Where the head's frame sits and which places its points mark are conventions: the
+errors meant are those beside their constant offsets. It is a logistic regression on running means
+(``tracking.confidence``) of
 
-    sqrt(r phi)         r the root mean square distance of the points from where the adjusted face has them, %
-                        of the eyes' distance; phi the face's angle to the camera, tens of degrees
-    80 / e              e the eyes' distance on the image, pixels, as if the face looked at the camera
-    mean log (u + .2)   u how many degrees off the head is from where its velocity led; a running mean
-    max(l - .25, 0)     l what the points' mean correlation lacks of 1
+    misfit          log (r + .4)    r the root mean square distance of the points from where the face's model
+                                    has them, % of the eyes' distance
+    smallness       log (80 / e)    e the eyes' distance, pixels, of a face that looks at the camera
+    unsteadiness    log (u + .2)    u how many degrees off the head is from where its velocity led
+    unseen          1 - W           W how much the points counted on average, 0 (hidden or unlike) to 1
+    expression      |g|             g the strengths of the face's actions (``head.actions``)
 """
 
 from __future__ import annotations
@@ -16,18 +18,19 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.actions import strengths
 from posetrack_cli.head.subject import SIGNS
-from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackRecord, TrackState
-from posetrack_cli.tracking.confidence import PROBABLY, Regression, RunningSigns
+from posetrack_cli.tracking.confidence import PROBABLY, Regression
 
 RIGHT_DEG, RIGHT_MM = 3.0, 5.0
 """As ``posetrack eval`` has them."""
-MONO = Regression(6.0, np.array([-2.0, -1.0, -1.0, -5.0]))
+MONO = Regression(4.44, np.array([-1.03, -2.15, -0.72, -9.65, -2.72]))
 STEREO = MONO
 EYES_MM = 63.0
-_USUAL_PX, _STEADY_DEG, _LIKE, _LONGEST_S = 80.0, 0.2, 0.25, 0.2
-"""The last: a gap counts for no longer, as velocities do not last."""
+_USUAL_PX, _STEADY_DEG, _EXACT, _NEAREST_MM = 80.0, 0.2, 0.4, 1.0
+_LONGEST_S = 0.2
+"""A gap counts for no longer, as velocities do not last."""
 
 
 NO_SIGNS: FloatArray = np.full(len(SIGNS), np.nan)
@@ -52,31 +55,35 @@ def doubts(record: TrackRecord) -> tuple[str, ...]:
     return (f"{'; '.join(found)}: {help_}",)
 
 
-def unsteadiness(before: TrackState | None, fit: FrameFit) -> FloatArray:
-    """Return (1,) log (u + .2) of a frame, given the head in the frame before."""
-    velocity = np.zeros(6) if before is None else before.velocity
-    turned = np.linalg.norm(fit.track.velocity[3:] - velocity[3:]) * min(fit.dt, _LONGEST_S)
-    return np.array([np.log(np.degrees(turned) + _STEADY_DEG)])
-
-
-def signs_of(fit: FrameFit, focal_px: float, steady: RunningSigns) -> FloatArray:
-    """Return the signs (4,) of a frame in which a head was tracked.
+def signs_of(
+    before: TrackState | None, fit: FrameFit, focal_px: float, moved: FloatArray | None
+) -> FloatArray:
+    """Return the signs (5,) of a frame in which a head was followed.
 
     Args:
+        before: the head after the frame before; None without.
         fit: of the frame.
         focal_px: of the recorded image.
-        steady: running mean of the unsteadiness, with this frame's.
+        moved: (K, 3) mm, the points' displacements from the neutral face; None of a face that is not known.
     """
     track = fit.track
     beside = track.shape - track.particles.model.shapes(fit.coefficients)
     seen = (fit.weights > 0.0) & np.isfinite(fit.pixels).all(axis=2).any(axis=0)
     rms = float(np.sqrt(np.mean(np.sum(beside[seen] ** 2, axis=1)))) if seen.any() else EYES_MM
-    turned = off_axis_deg(track.pose) / 10.0
+    distance_px = EYES_MM * focal_px / max(float(track.pose.position[2]), _NEAREST_MM)
     return np.array(
         [
-            np.sqrt(100.0 * rms / EYES_MM * turned),
-            _USUAL_PX * max(float(track.pose.position[2]), 1.0) / (EYES_MM * focal_px),
-            float(steady.signs[0]) if steady.frames else np.log(_STEADY_DEG),
-            max(1.0 - fit.score - _LIKE, 0.0),
+            np.log(100.0 * rms / EYES_MM + _EXACT),
+            np.log(_USUAL_PX / distance_px),
+            np.log(_off_deg(before, fit) + _STEADY_DEG),
+            1.0 - float(fit.weights.mean()),
+            0.0 if moved is None else float(np.linalg.norm(strengths(moved).values)),
         ]
     )
+
+
+def _off_deg(before: TrackState | None, fit: FrameFit) -> float:
+    """By how much the head turned otherwise than in the frame before."""
+    velocity = np.zeros(3) if before is None else before.velocity[3:]
+    turned = np.linalg.norm(fit.track.velocity[3:] - velocity) * min(fit.dt, _LONGEST_S)
+    return float(np.degrees(turned))

@@ -28,6 +28,7 @@ from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, HeadPart
 from posetrack_cli.head.particles.scores import PatchObservation
 from posetrack_cli.head.refinement.refine import recalculate, refine
 from posetrack_cli.head.refinement.scene import ComparedFrame
+from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.tracking.confidence import RunningSigns
 
@@ -144,7 +145,7 @@ class TrackRecord(NamedTuple):
         return counted._replace(gap_ns=gone_ns, gap_frame=self.last_frame)
 
 
-UNSTEADINESS, NO_RECORD = RunningSigns.before(1), TrackRecord()
+NO_EVIDENCE, NO_RECORD = RunningSigns.before(len(SIGNS)), TrackRecord()
 """Before any frame."""
 
 
@@ -157,7 +158,7 @@ class HeadState:
         lost: frames in a row, up to the last one, in which it was not.
         search: what looking for a head came to before one was first found.
         first_ns: stamp of the first frame, the one that points were clicked in.
-        steady: running mean of the unsteadiness (``head.tracker.confidence``).
+        evidence: of whether the track is right (``head.tracker.confidence``).
         record: how the track went.
     """
 
@@ -165,7 +166,7 @@ class HeadState:
     lost: int = 0
     search: Search = field(default_factory=Search)
     first_ns: int = LONG_AGO_NS
-    steady: RunningSigns = UNSTEADINESS
+    evidence: RunningSigns = NO_EVIDENCE
     record: TrackRecord = NO_RECORD
 
     @property

@@ -13,11 +13,10 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.initialisation.search import InitFailure
-from posetrack_cli.head.tracker.confidence import NO_SIGNS, doubts, signs_of, unsteadiness
+from posetrack_cli.head.tracker.confidence import doubts, signs_of
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate, tracked_estimate
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, HeadState, SeededFrame, TrackState
 from posetrack_cli.recording.base import Frame
@@ -79,14 +78,8 @@ class Faces(Protocol[State, Found]):
     def regression(self) -> Regression:
         """How probable it is that a frame is right, by its signs."""
 
-    def describe(self, state: State, fit: FrameFit | None, signs: FloatArray) -> Description:
-        """Return the face as the result of a frame states it; without a fit, of one without a head.
-
-        Args:
-            state: after the frame.
-            fit: of it.
-            signs: (S,) of how right it is; NaN without a fit.
-        """
+    def describe(self, state: State, fit: FrameFit | None) -> Description:
+        """Return the face as the result of a frame states it; without a fit, of one without a head."""
 
     def export_model(self, state: State) -> Learned:
         """Return what was learned of a known face, as arrays by name."""
@@ -157,7 +150,7 @@ class HeadTracker(Generic[State, Found]):
         state, fit = self._faces.begin(state, frame)
         if isinstance(fit, InitFailure):
             return self._coast(self._failed(state, fit), frame)
-        return self._tracked(state, frame, fit, found_anew=is_another)
+        return self._tracked(state, None, frame, fit, found_anew=is_another)
 
     def _update(
         self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
@@ -165,9 +158,8 @@ class HeadTracker(Generic[State, Found]):
         """Learn from a frame in which the head was tracked."""
         before = state.track
         state, fit = self._faces.learn(state, frame, fit)
-        steady = state.steady.after(unsteadiness(before, fit))
-        state = replace(state, track=fit.track, lost=0, steady=steady)
-        return self._tracked(state, frame, fit, found_anew=found_anew)
+        state = replace(state, track=fit.track, lost=0)
+        return self._tracked(state, before, frame, fit, found_anew=found_anew)
 
     def _coast(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Miss the head: nothing is learnt, and it is looked for where it was last."""
@@ -175,7 +167,7 @@ class HeadTracker(Generic[State, Found]):
         state = replace(state, track=track, lost=state.lost + 1)
         if track is not None:
             state = replace(state, record=state.record.missed(frame.stamp_ns - track.stamp_ns))
-        return state, lost_estimate(frame.frame, track, self._faces.describe(state, None, NO_SIGNS))
+        return state, lost_estimate(frame.frame, track, self._faces.describe(state, None))
 
     def _reacquire(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Look for a face that is known; it must then look as it did."""
@@ -208,15 +200,15 @@ class HeadTracker(Generic[State, Found]):
         return replace(state, search=search)
 
     def _tracked(
-        self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
+        self, state: State, before: TrackState | None, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
     ) -> tuple[State, Estimate]:
         """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
-        signs = signs_of(fit, self._faces.cameras[0].fx, state.steady)
-        confidence = self._faces.regression.probability(signs)
+        face = self._faces.describe(state, fit)
+        evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0].fx, face.moved))
+        confidence = self._faces.regression.probability(evidence.signs)
         doubtful = confidence < PROBABLY
+        record = state.record.tracked(frame.index, doubtful=doubtful)
         status = Status.REINITIALISED if found_anew else Status.TRACKING
-        state = replace(state, record=state.record.tracked(frame.index, doubtful=doubtful))
-        face = self._faces.describe(state, fit, signs)
-        return state, tracked_estimate(
-            frame.frame, fit, Status.LOST if doubtful else status, confidence, face
-        )
+        status = Status.LOST if doubtful else status
+        estimate = tracked_estimate(frame.frame, fit, status, confidence, face, evidence.signs)
+        return replace(state, evidence=evidence, record=record), estimate

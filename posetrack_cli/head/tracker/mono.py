@@ -229,15 +229,17 @@ class MonoPeople:
         """How probable it is that a frame is right."""
         return MONO
 
-    def describe(self, state: MonoState, fit: FrameFit | None, signs: FloatArray) -> Description:
+    def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
         size = state.person.size if state.people else None
+        diagnostics = self._diagnostics(state, fit)
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
-            replace(self._diagnostics(state, fit), signs=signs).numbers(),
+            diagnostics.numbers(),
             None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
+            diagnostics.moved,
         )
 
     def export_model(self, state: MonoState) -> Learned:

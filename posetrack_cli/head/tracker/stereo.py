@@ -173,14 +173,16 @@ class StereoFace:
         """How probable it is that a frame is right."""
         return STEREO
 
-    def describe(self, state: StereoState, fit: FrameFit | None, signs: FloatArray) -> Description:
+    def describe(self, state: StereoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
         count, face = components_of(self._config), state.face
         nothing = np.zeros(0)
+        diagnostics = _diagnostics(face, fit)
         return Description(
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
-            replace(_diagnostics(face, fit), signs=signs).numbers(count),
+            diagnostics.numbers(count),
+            moved=diagnostics.moved,
         )
 
     def export_model(self, state: StereoState) -> Learned:

@@ -7,39 +7,37 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.actions import displacements, strengths
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose, rigid_model
 from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker import mono
-from posetrack_cli.head.tracker.confidence import MONO, NO_SIGNS, STEREO, doubts, signs_of, unsteadiness
+from posetrack_cli.head.tracker.confidence import MONO, NO_SIGNS, STEREO, doubts, signs_of
 from posetrack_cli.head.tracker.frame_tracker import NO_RECORD, FrameFit, TrackRecord, TrackState, initial_fit
 from posetrack_cli.results.estimate import Status
-from posetrack_cli.tracking.confidence import Regression, RunningSigns
+from posetrack_cli.tracking.confidence import Regression
 from support.mono_scene import FEW, Scene
 
 FOCAL_PX, DISTANCE_MM = 900.0, 630.0
 
 
-def fit_of(yaw_deg: float = 20.0, beside_mm: float = 0.63, score: float = 0.6) -> FrameFit:
-    """A face whose points all lie so far beside the model's, turned about the image's upright."""
-    pose = HeadPose(
-        np.array([0.0, 0.0, DISTANCE_MM]),
-        head_quaternion_from_roll_pitch_yaw(np.radians([0.0, 0.0, yaw_deg])),
-    )
+def fit_of(beside_mm: float = 0.63, weight: float = 0.6) -> FrameFit:
+    """A face whose points all lie so far beside the model's."""
+    pose = HeadPose(np.array([0.0, 0.0, DISTANCE_MM]), np.array([1.0, 0.0, 0.0, 0.0]))
     particles = HeadParticles(pose, np.zeros(0), np.zeros((1, 6)), np.ones(1), rigid_model(MEAN_SHAPE))
     shape = MEAN_SHAPE + beside_mm * np.array([0.6, -0.8, 0.0])
     track = TrackState(0, pose, np.zeros(6), particles, shape, None)
-    return initial_fit(track, score, np.zeros((1, POINT_COUNT, 2)))
+    return initial_fit(track, weight, np.zeros((1, POINT_COUNT, 2)))
 
 
 def test_signs_are_what_is_stated() -> None:
-    """1 % of the eyes' distance, 20 deg; eyes 90 px apart; a mean that is told; .4 less than alike."""
-    signs = signs_of(fit_of(), FOCAL_PX, RunningSigns(np.array([0.7]), 3))
-    np.testing.assert_allclose(signs, [np.sqrt(2.0), 80.0 / 90.0, 0.7, 0.15], rtol=1e-6)
-    calm = signs_of(fit_of(), FOCAL_PX, RunningSigns.before(1))
-    assert calm[2] == pytest.approx(np.log(0.2))  # nothing moved yet
+    """1 % of the eyes' distance; eyes 90 px apart; at rest; .4 unseen; a jaw that is open."""
+    (jaw, *_) = displacements()
+    signs = signs_of(None, fit_of(), FOCAL_PX, jaw)
+    open_ = np.linalg.norm(strengths(jaw).values)
+    np.testing.assert_allclose(signs, [np.log(1.4), np.log(80 / 90), np.log(0.2), 0.4, open_], rtol=1e-6)
+    assert 0.8 < open_ < 1.0 and signs_of(None, fit_of(), FOCAL_PX, None)[4] == 0.0
     assert len(signs) == len(SIGN_NAMES) == len(NO_SIGNS)
 
 
@@ -48,12 +46,10 @@ def test_points_that_no_camera_sees_do_not_tell() -> None:
     shape, pixels = fit.track.shape.copy(), fit.pixels.copy()
     shape[3], pixels[0, 3] = 100.0, np.nan
     hidden = replace(fit, track=replace(fit.track, shape=shape), pixels=pixels)
-    steady = RunningSigns.before(1)
-    np.testing.assert_allclose(signs_of(hidden, FOCAL_PX, steady), signs_of(fit, FOCAL_PX, steady))
-    none = replace(fit, weights=np.zeros(POINT_COUNT))
-    assert signs_of(none, FOCAL_PX, steady)[0] == pytest.approx(
-        np.sqrt(200.0)
-    )  # as far off as eyes are apart
+    one, other = (signs_of(None, which, FOCAL_PX, None) for which in (hidden, fit))
+    np.testing.assert_allclose(one, other)
+    none = signs_of(None, replace(fit, weights=np.zeros(POINT_COUNT)), FOCAL_PX, None)
+    assert (none[0], none[3]) == pytest.approx((np.log(100.4), 1.0))  # as far off as eyes are apart
 
 
 def test_unsteady_is_what_turns_otherwise_than_before() -> None:
@@ -61,16 +57,16 @@ def test_unsteady_is_what_turns_otherwise_than_before() -> None:
     fit = replace(fit_of(), dt=1 / 30)
     fast = replace(fit.track, velocity=np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))
     faster = replace(fit, track=replace(fast, velocity=1.15 * fast.velocity))
-    assert np.exp(unsteadiness(fast, faster))[0] == pytest.approx(np.degrees(0.01) + 0.2)
-    assert np.exp(unsteadiness(fast, replace(fit, track=fast)))[0] == pytest.approx(0.2)
-    assert np.exp(unsteadiness(None, fit))[0] == pytest.approx(0.2)
+    for before, now, off_deg in ((fast, faster, np.degrees(0.01)), (fast, replace(fit, track=fast), 0.0)):
+        unsteady = signs_of(before, now, FOCAL_PX, None)[2]
+        assert np.exp(unsteady) == pytest.approx(off_deg + 0.2)
 
 
 @pytest.mark.parametrize("regression", [MONO, STEREO], ids=["mono", "stereo"])
 def test_worse_signs_are_never_more_probable(regression: Regression) -> None:
-    good = np.array([0.5, 0.9, np.log(0.4), 0.0])
+    good = np.array([np.log(0.7), 0.0, np.log(0.4), 0.25, 0.2])
     assert regression.probability(good) > 0.9
-    assert regression.probability(np.array([4.0, 3.0, np.log(5.0), 0.4])) < 0.1
+    assert regression.probability(np.array([np.log(4.0), 1.1, np.log(5.0), 0.7, 1.0])) < 0.2
     assert np.all(regression.weights <= 0.0)
 
 
@@ -78,12 +74,12 @@ def test_a_frame_that_is_more_probably_wrong_is_not_tracked(monkeypatch: pytest.
     """It says its pose all the same, goes on from there, and the run says how many such frames there were."""
     scene = Scene()
     plain = [scene.step(index) for index in range(FEW.start.frames + 4)]
-    monkeypatch.setattr(mono, "MONO", Regression(-3.0, np.zeros(4)))
+    monkeypatch.setattr(mono, "MONO", Regression(-3.0, np.zeros(5)))
     doubtful = Scene()
     found = [doubtful.step(index) for index in range(FEW.start.frames + 4)]
     assert {one.status for one in plain} == {Status.TRACKING}
     assert {one.status for one in found} == {Status.LOST}
-    assert {one.confidence for one in found} == {Regression(-3.0, np.zeros(4)).probability(np.zeros(4))}
+    assert {one.confidence for one in found} == {Regression(-3.0, np.zeros(5)).probability(np.zeros(5))}
     for one, other in zip(plain, found, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
         np.testing.assert_array_equal(one.quaternion, other.quaternion)
