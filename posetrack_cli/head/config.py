@@ -177,16 +177,18 @@ class HeadSmoothingSettings(Settings):
     """The smoothed track of ``--smooth`` **[ours]**; see ``head.smoothing``.
 
     A head's velocity wanders by ``velocity_mm`` and ``velocity_rad`` in the square root of a second, and by
-    ``gain`` times its speed. In expressions points move about the neutral face by ``expression_mm``; they are
-    found to ``noise_mm`` across the ray and, by several cameras, to ``depth_noise_mm`` along it. What they
-    leave is Student-t with ``freedom``, and what a frame says counts by ``share``, as the errors of its
-    neighbours are like its own. Places of points in the face are smoothed over ``places_s`` (standard
+    ``gain`` times its speed. Deformations are explained as far as ``deformation`` times their standard
+    deviations go, 0 not at all; beside that points move in expressions by ``expression_mm``. They are found
+    to ``noise_mm`` across the ray and, by several cameras, to ``depth_noise_mm`` along it. What they leave is
+    Student-t with ``freedom``, and what a frame says counts by ``share``, as the errors of its neighbours are
+    like its own. Places of points in the face are smoothed over ``places_s`` (standard
     deviation). A head that is lost for no longer than ``bridge_s`` is bridged.
     """
 
     velocity_mm: Positive = 100.0
     velocity_rad: Positive = 0.3
     gain: NotNegative = 1.0
+    deformation: NotNegative = 0.0
     expression_mm: PointSettings = PointSettings(eyes=0.3, mouth=5.0, nostrils=1.0, brows=2.0)
     noise_mm: Positive = 0.25
     depth_noise_mm: Positive = 0.5
@@ -350,5 +352,10 @@ class HeadMonoConfig(Settings):
     status: MonoStatusSettings = MonoStatusSettings()
     person: PersonSettings = PersonSettings()
     accuracy: AccuracySettings = AccuracySettings()
-    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0)
+    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(
+        velocity_mm=300.0,
+        velocity_rad=2.0,
+        deformation=1.0,
+        expression_mm=PointSettings(eyes=0.5, mouth=1.2, nostrils=0.9, brows=1.5),
+    )
     output: HeadOutputSettings = HeadOutputSettings()

@@ -397,7 +397,7 @@ def test_clicked_points_begin_a_run(made: Path, tracked: Path, tmp_path: Path) -
     assert table(tmp_path / "r.mcap")["rotation_deg"] < 3.0
 
 
-def test_landmarks_from_elsewhere_begin_a_run_where_they_are(
+def test_landmarks_from_elsewhere_begin_a_run_at_the_features_near_them(
     made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """True points with noise, and some wild ones, of all frames but the last."""
@@ -420,7 +420,8 @@ def test_landmarks_from_elsewhere_begin_a_run_where_they_are(
     assert (record["landmarks"], record["landmarks.unit"]) == ("told.csv", "px")
     assert len(record["landmarks.sha256"]) == 64
     first = camera.pixels_from_points(found["points"][0])[0]
-    np.testing.assert_allclose(first, pixels[0], atol=0.05)  # where they were told, not where features are
+    eye_distance_px = np.linalg.norm(pixels[0, :2].mean(axis=0) - pixels[0, 2:4].mean(axis=0))
+    np.testing.assert_allclose(first, pixels[0], atol=0.16 * eye_distance_px)  # at features near them
     assert table(output)["rotation_deg"] < 3.0
 
 

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from posetrack_cli.arrays import ImageArray
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.appearance import SHIPPED, Appearance, load_appearance
@@ -19,6 +21,7 @@ from posetrack_cli.head.detection.finders import (
     find_turned,
 )
 from posetrack_cli.head.detection.points import FacePoints, find_points
+from posetrack_cli.head.face.points import EYES
 
 UPRIGHT = 0.25
 """Rad: a face turned less in the image is found as it is."""
@@ -71,6 +74,21 @@ class FaceDetector:
         found = [find_points(image, guess, self._looks) for guess in sure]
         faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
         return Detection(faces, max((guess.score for guess in guesses), default=0.0))
+
+    def points_at(self, image: ImageArray, pixels: FloatArray) -> FacePoints | None:
+        """Return the points of a face that is known to be there, None where nothing looks like one.
+
+        Args:
+            image: grey.
+            pixels: (K, 2) roughly where its points are.
+        """
+        eyes = pixels[EYES].reshape(2, 2, 2).mean(axis=1)
+        across = eyes[1] - eyes[0]
+        roll = float(np.arctan2(across[1], across[0]))
+        between = tuple(eye[None] for eye in eyes)
+        guess = FaceGuess(eyes.mean(axis=0), float(np.hypot(*across)), roll, 1.0, (between[0], between[1]))
+        found = find_points(image, guess, self._looks)
+        return found if found.score >= self._settings.least_point_score else None
 
     def _sure(self, guesses: Sequence[FaceGuess]) -> list[FaceGuess]:
         return [guess for guess in guesses if guess.score >= self._settings.least_face_score]

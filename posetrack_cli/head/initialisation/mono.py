@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import undistorted_pixels
 from posetrack_cli.head.adjustment.adjuster import Adjuster
@@ -134,7 +134,7 @@ class MonoInitialiser:
             return InitFailure("no image")
         told = self.told(frame, near)
         if told is not None:
-            return face_at(told.pixels, frame.stamp_ns, self._camera, told.responses)
+            return face_at(self._placed(image, told), frame.stamp_ns, self._camera, told.responses)
         roll = None if near is None else _roll(near)
         detection = self._detector.detect(image, wanted=self._choice + 1 if near is None else 1, roll=roll)
         faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
@@ -152,6 +152,11 @@ class MonoInitialiser:
         faces = () if self._landmarks is None else self._landmarks.faces(frame)
         face = self._chosen(faces) if near is None else _same(faces, near)
         return None if isinstance(face, str) else face
+
+    def _placed(self, image: ImageArray, told: ToldFace) -> FloatArray:
+        """Where a track of a face that landmarks tell begins, (K, 2)."""
+        seen = self._detector.points_at(image, told.pixels)
+        return told.pixels if seen is None or self._landmarks is None else self._landmarks.placed(seen, told)
 
     def has_slid(self, pixels: FloatArray, told: ToldFace) -> bool:
         """Whether tracked points (K, 2) have left where landmarks tell them."""
@@ -180,22 +185,20 @@ class MonoInitialiser:
         misfit = float(np.median([face.misfit for face in detected]))
         if misfit > most:
             return InitFailure(_unlike(misfit), score)
-        others = () if self._landmarks is None else self._landmarks.others
-        told = [face_at(one.pixels, one.stamp_ns, self._camera, one.responses) for one in others]
-        told = [face for face in told if face.misfit <= most]
         adjusted = self._adjuster.adjust(
-            [self._view(face) for face in (*detected, *told)],
+            [self._view(face) for face in detected],
             PersonParameters(self._model.identity_mean, np.zeros((POINT_COUNT, 3))),
             iterations=settings.start_iterations,
             hold_person=settings.when == "never",
             wide=True,
         )
-        residual = _residual(adjusted, (*detected, *told))
-        views = adjusted.views[: len(detected)]
-        reason = _implausible([view.pose for view in views], residual, most)
+        residual = _residual(adjusted, detected)
+        reason = _implausible([view.pose for view in adjusted.views], residual, most)
         if reason:
             return InitFailure(reason, score)
-        return MonoInitialisation(views, adjusted.person, detected[0].pixels, residual, score, adjusted)
+        return MonoInitialisation(
+            adjusted.views, adjusted.person, detected[0].pixels, residual, score, adjusted
+        )
 
     def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
         """Return the templates of a frame with a face, the last of those that the head was found in."""
@@ -215,7 +218,8 @@ class MonoInitialiser:
         """Return a frame as the adjustment takes it: points count by their noise beside tracked ones'."""
         noise = np.full(POINT_COUNT, self._config.start.pixel_sd)
         if self._landmarks is not None:
-            noise = self._landmarks.noise_px / point_values(self._config.adjustment.pixel_sd)
+            told = self._landmarks.noise_px / point_values(self._config.adjustment.pixel_sd)
+            noise = np.maximum(noise, told)
         weights = np.minimum(noise**-2, 1.0) * (face.responses > 0.0)
         return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.detection.points import EYE_DISTANCE_MM
+from posetrack_cli.head.detection.points import EYE_DISTANCE_MM, FacePoints
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.single_view import pose_of
@@ -16,10 +16,12 @@ from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.tracker.reduction import WHOLE, reduced_pixels
 from posetrack_cli.recording.base import Frame
 
-IDENTITY_FRAMES = 15
-"""Faces all over the file that tell who it is, beside those that a track begins with."""
 SLID_NOISE, SLID_EYES = 4.0, 0.08
 """A tracked point has slid if it is so many standard deviations and eye distances from its landmark."""
+BESIDE_EYES = 0.16
+"""A feature lies no farther beside its landmark: programs do not agree where a brow ends."""
+LEAST_RESPONSE = 0.5
+"""From so much on a place looks like its point."""
 SLID_POINTS = 3
 """So many points that have slid make a track doubtful."""
 
@@ -53,7 +55,6 @@ class Landmarks:
     def __init__(self, file: LandmarkFile, camera: Camera, scale: float = WHOLE) -> None:
         self._file, self._camera, self._scale = file, camera, scale
         self.noise_px: FloatArray = scale * file.noise_px
-        self._told = self._spread()
 
     def faces(self, frame: Frame) -> tuple[ToldFace, ...]:
         """Return the faces of a frame, the largest first."""
@@ -62,26 +63,24 @@ class Landmarks:
         faces = [face for face in found if face is not None]
         return tuple(sorted(faces, key=lambda face: -face.pixels_per_mm))
 
-    @property
-    def others(self) -> tuple[ToldFace, ...]:
-        """Faces from all over the file; none where some frame has several, which may be several people's."""
-        return self._told
-
     def has_slid(self, pixels: FloatArray, face: ToldFace) -> bool:
         """Whether tracked points (K, 2) are elsewhere than a face's."""
-        off = np.linalg.norm(pixels - face.pixels, axis=1)
-        most = np.maximum(SLID_NOISE * self.noise_px, SLID_EYES * EYE_DISTANCE_MM * face.pixels_per_mm)
-        return int(np.sum((off > most) & (face.responses > 0.0))) >= SLID_POINTS
+        return int(np.sum(self._is_off(pixels, face) & (face.responses > 0.0))) >= SLID_POINTS
 
-    def _spread(self) -> tuple[ToldFace, ...]:
-        keys = self._file.sets.keys
-        if len(np.unique(keys)) < len(keys):
-            return ()
-        rows = (
-            np.unique(np.linspace(0, len(keys) - 1, IDENTITY_FRAMES).round().astype(int)) if len(keys) else ()
-        )
-        faces = (self._face(int(row), 0) for row in rows)
-        return tuple(face for face in faces if face is not None)
+    def placed(self, seen: FacePoints, face: ToldFace) -> FloatArray:
+        """Return where a track begins, (K, 2): at the features that are seen near a face's landmarks.
+
+        What is followed is what a point looks like; a landmark lies a few pixels beside that, by another
+        program's convention and by its noise. It stands where nothing near it looks like the point.
+        """
+        looks_like = (seen.responses > LEAST_RESPONSE) & ~self._is_off(seen.pixels, face, BESIDE_EYES)
+        return np.where((looks_like | (face.responses <= 0.0))[:, None], seen.pixels, face.pixels)
+
+    def _is_off(self, pixels: FloatArray, face: ToldFace, least_eyes: float = SLID_EYES) -> BoolArray:
+        off = np.linalg.norm(pixels - face.pixels, axis=1)
+        most = np.maximum(SLID_NOISE * self.noise_px, least_eyes * EYE_DISTANCE_MM * face.pixels_per_mm)
+        far: BoolArray = off > most
+        return far
 
     def _face(self, row: int, stamp_ns: int) -> ToldFace | None:
         """The face of a row of the file; None where its points are no face's before this camera."""

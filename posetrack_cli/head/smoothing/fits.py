@@ -1,17 +1,20 @@
 """What the points of one frame say of a head's pose, for a smoother **[ours]**.
 
 The tracker's own fit takes what a face does for what its model knows, and what the model does not know for a
-turn of the head. Here the model has no say: each point lies about the neutral face,
+turn of the head. Here each point lies about the neutral face beside that,
 
-    p_k = R (m_k + d_k) + t + e_k,    d_k ~ N(0, s_k^2),    e_k ~ N(0, a^2 (1 - r r^T) + b^2 r r^T)
+    p_k = R (m_k + V_k a + d_k) + t + e_k,    a ~ N(0, mu^2),    d_k ~ N(0, s_k^2),
+    e_k ~ N(0, n^2 (1 - r r^T) + l^2 r r^T)
 
-with s_k as far as points of its kind move in expressions, r the ray to the point, a the noise across it and b
-that along it; of one camera b is without end. Integrated over d_k the precision of a point is
+with s_k as far as points of its kind move in expressions, r the ray to the point, n the noise across it and l
+that along it; of one camera l is without end. The deformation is integrated out of the pose's normal
+equations; of several cameras, where it was learned from few frames, mu is 0 and s_k larger: measured, that is
+nearer. Integrated over d_k the precision of a point is
 
-    P_k = (1 - r r^T) / (s_k^2 + a^2) + r r^T / (s_k^2 + b^2)
+    P_k = (1 - r r^T) / (s_k^2 + n^2) + r r^T / (s_k^2 + l^2)
 
 and what it leaves is Student-t, so that a raised brow or a closed eye counts less the farther it goes:
-w_k = (nu + n) / (nu + e^T P e), n = 3, or 2 of one camera. m is the face as the whole recording knows it in
+w_k = (nu + D) / (nu + e^T P e), D = 3, or 2 of one camera. m is the face as the whole recording knows it in
 the end: a face that is still being learnt would turn the head a little at each step.
 
 Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
@@ -19,6 +22,8 @@ lowered to ``share``.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,15 +47,48 @@ UNKNOWN_SPEED = np.repeat([500.0, 3.0], 3)
 """(6,) mm/s and rad/s, standard deviations at the end of a chain."""
 STEPS, CONVERGED = 8, 1e-4
 """Gauss-Newton steps at most, and mm or rad that end them."""
+LEAST_DEVIATION_MM = 1e-6
+"""Of a component of the deformation: what is not known yet stays at 0."""
 LEAST_WEIGHT = 0.02
 """Of a point that is hardly seen: ten of them still say where the head is."""
+
+
+class NormalEquations(NamedTuple):
+    """Of pose and deformation together.
+
+    Attributes:
+        gradient: (6 + B,) of the log-likelihood times the deformation's prior.
+        information: (6 + B, 6 + B).
+    """
+
+    gradient: FloatArray
+    information: FloatArray
+
+    @property
+    def without_deformation(self) -> tuple[FloatArray, FloatArray]:
+        """Gradient (6,) and information (6, 6) of the pose, the deformation integrated out.
+
+        g - H_pa H_aa^-1 g_a and H_pp - H_pa H_aa^-1 H_ap: the Schur complement.
+        """
+        first, rest = slice(POSE_SIZE), slice(POSE_SIZE, None)
+        across = self.information[first, rest]
+        onto = np.linalg.solve(self.information[rest, rest], across.T).T
+        gradient: FloatArray = self.gradient[first] - onto @ self.gradient[rest]
+        return gradient, self.information[first, first] - onto @ across.T
+
+    def deformation_step(self, pose_step: FloatArray) -> FloatArray:
+        """The step (B,) of the deformation that goes with one of the pose (6,)."""
+        first, rest = slice(POSE_SIZE), slice(POSE_SIZE, None)
+        left = self.gradient[rest] - self.information[rest, first] @ pose_step
+        return np.asarray(np.linalg.solve(self.information[rest, rest], left), dtype=np.float64)
 
 
 class HeadFits:
     """The fits of frames (``filtering.fit_smoothing.FrameFits``).
 
     A frame's memory has the pose that was ``tracked`` (7,), ``points`` (K, 3), ``weights`` (K,), the
-    ``neutral`` face (K, 3) and whether the head was ``seen``; where not, it says hardly more than nothing.
+    ``neutral`` face (K, 3), the ``basis`` (K, 3, B) of its deformations with their ``deviations`` (B,), and
+    whether the head was ``seen``; where not, it says hardly more than nothing.
 
     Args:
         settings: noise and movements.
@@ -82,30 +120,38 @@ class HeadFits:
         vague = np.diag(UNKNOWN_SD**-2)
         if not frame["seen"]:
             return _mode(frame["tracked"], np.zeros(POSE_SIZE), vague)
-        pose: FloatArray = start
+        pose, deformation = start, np.zeros(frame["basis"].shape[-1])
         gradient, information = np.zeros(POSE_SIZE), vague
         for _ in range(STEPS):
-            gradient, information = self._normal_equations(frame, pose)
-            step = np.linalg.solve(information + vague, gradient)
+            joint = self._normal_equations(frame, pose, deformation)
+            gradient, information = joint.without_deformation
+            step = np.asarray(np.linalg.solve(information + vague, gradient), dtype=np.float64)
+            deformation = deformation + joint.deformation_step(step)
             if np.abs(step).max() < CONVERGED:
                 break
-            pose = SPACE.retract(pose[None], np.asarray(step)[None])[0]
+            pose = SPACE.retract(pose[None], step[None])[0]
         return scaled(_mode(pose, gradient, information + vague), self._settings.share)
 
-    def _normal_equations(self, frame: Memory, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return gradient (6,) and information (6, 6) of the points about a pose, each point reweighted."""
-        rotation, neutral = matrices_from_quaternions(pose[3:7]), frame["neutral"]
-        left = frame["points"] - neutral @ rotation.T - pose[:3]
-        jacobian = np.zeros((len(neutral), 3, POSE_SIZE))
+    def _normal_equations(self, frame: Memory, pose: FloatArray, deformation: FloatArray) -> NormalEquations:
+        """Return what the points say about a pose and a deformation (B,), each point reweighted."""
+        rotation, directions = matrices_from_quaternions(pose[3:7]), frame["basis"]
+        shape = frame["neutral"] + directions @ deformation
+        left = frame["points"] - shape @ rotation.T - pose[:3]
+        jacobian = np.zeros((*shape.shape, POSE_SIZE + len(deformation)))
         jacobian[:, :, :3] = np.eye(3)
-        jacobian[:, :, 3:] = -rotation @ cross_matrices(neutral)
+        jacobian[:, :, 3:POSE_SIZE] = -rotation @ cross_matrices(shape)
+        jacobian[:, :, POSE_SIZE:] = rotation @ directions
         precision = self._precisions(frame["points"])
         squared = np.einsum("ki,kij,kj->k", left, precision, left)
         freedom = self._settings.freedom
         weights = np.maximum(frame["weights"], LEAST_WEIGHT)
         weights = weights * (freedom + self._directions) / (freedom + squared)
         says = np.einsum("k,kji,kjl->kil", weights, jacobian, precision)
-        return np.einsum("kij,kj->i", says, left), np.einsum("kij,kjl->il", says, jacobian)
+        gradient, information = np.einsum("kij,kj->i", says, left), np.einsum("kij,kjl->il", says, jacobian)
+        usual = np.maximum(self._settings.deformation * frame["deviations"], LEAST_DEVIATION_MM) ** -2
+        gradient[POSE_SIZE:] -= usual * deformation
+        information[POSE_SIZE:, POSE_SIZE:] += np.diag(usual)
+        return NormalEquations(gradient, information)
 
     def _precisions(self, points: FloatArray) -> FloatArray:
         """Return P_k, (K, 3, 3), of points (K, 3)."""

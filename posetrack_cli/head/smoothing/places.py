@@ -22,6 +22,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.smoothing import Memory, Smoothed
 from posetrack_cli.geometry.rigid import in_camera, in_object
 from posetrack_cli.head.config import HeadSmoothingSettings
+from posetrack_cli.head.smoothing.fits import LEAST_DEVIATION_MM
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.body_space import pose_rates
 from posetrack_cli.tracking.smoothing import FrameFacts
@@ -33,8 +34,6 @@ LEAST_SHARE = 1e-3
 """Of the weight of a point that is not seen: alone it stays where the tracker left it."""
 FLAT = 0.01
 """Of the Gaussian's variance, added to that of the times: a frame without neighbours has a flat line."""
-LEAST_DEVIATION_MM = 1e-6
-"""A component that is not known yet stays at 0."""
 
 
 class PosedFrame(NamedTuple):

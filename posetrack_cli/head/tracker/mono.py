@@ -156,13 +156,13 @@ class MonoPeople:
     def fit(self, state: MonoState, track: TrackState, frame: SeededFrame) -> tuple[MonoState, FrameFit]:
         """Follow the person into a frame; where the fit is poor, compare it with a detection **[ours]**.
 
-        After a blink or a smile points may have slid to places that they do not come back from. Landmarks
-        from elsewhere tell that in any frame.
+        After a blink or a smile points may have slid to places that they do not come back from; landmarks
+        from elsewhere tell that where the fit does not.
         """
         fitter, settings = self._at(state).fitter, self._config.status
         fit = fitter.fit(state.person, track, frame)
         recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
-        if not self._has_slid(state, frame, fit) and (recent or fit.score >= settings.check_below):
+        if recent or (fit.score >= settings.check_below and not self._has_slid(state, frame, fit)):
             return state, fit
         state = replace(state, checked_ns=frame.stamp_ns)
         found = self.detect(state, frame)

@@ -13,6 +13,8 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.detection.finders import FaceGuess
+from posetrack_cli.head.detection.points import EYE_DISTANCE_MM, FacePoints
 from posetrack_cli.head.face.points import FEATURES, POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.landmarks.faces import Landmarks
@@ -221,3 +223,17 @@ def test_what_cannot_be_meant_is_told(tmp_path: Path, case: str) -> None:
 
 def test_ten_points_are_ten() -> None:
     assert len(set(OF_68)) == len(set(OF_478)) == POINT_COUNT
+
+
+def test_a_track_begins_at_features_that_are_seen_near_its_landmarks(tmp_path: Path) -> None:
+    landmarks = Landmarks(read_landmarks(by_name(tmp_path, true_pixels()), CAMERA), CAMERA)
+    (told,) = landmarks.faces(frame(5))
+    beside = np.zeros((POINT_COUNT, 2))
+    eye_distance = EYE_DISTANCE_MM * told.pixels_per_mm
+    beside[8], beside[3] = [0.0, 0.1 * eye_distance], [0.5 * eye_distance, 0.0]
+    responses = np.where(np.arange(POINT_COUNT) == 5, 0.1, 0.9)
+    beside[5] = 1.0  # what hardly looks like the point
+    guess = FaceGuess(np.zeros(2), eye_distance, 0.0, 1.0)
+    seen = FacePoints(told.pixels + beside, responses, told.pixels_per_mm, np.zeros(3), guess)
+    beside[[3, 5]] = 0.0
+    np.testing.assert_allclose(landmarks.placed(seen, told), told.pixels + beside)

@@ -19,9 +19,16 @@ from posetrack_cli.filtering.kalman import (
 )
 from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.geometry.rotations import angle_between, conjugate, exponential, logarithm, multiply
-from posetrack_cli.head.config import HeadSmoothingSettings, HeadStereoConfig, ParticleSettings
+from posetrack_cli.head.actions import displacement
+from posetrack_cli.head.config import (
+    HeadMonoConfig,
+    HeadSmoothingSettings,
+    HeadStereoConfig,
+    ParticleSettings,
+)
 from posetrack_cli.head.face.points import BROWS, MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.smoothing.fits import UNKNOWN_SPEED, HeadFits
 from posetrack_cli.head.smoothing.frames import HeadFrame, Link, Reach, chained, with_speeds
 from posetrack_cli.head.smoothing.places import FLAT, local_line
@@ -88,7 +95,8 @@ CLOSE = 1e-4
 
 def memory_of(one: HeadFrame) -> dict[str, object]:
     pose = np.concatenate([one.position, one.quaternion])
-    seen = {"neutral": one.mean, "seen": int(not one.is_lost)}
+    face = {"neutral": one.mean, "basis": one.basis, "deviations": one.deviations}
+    seen = {**face, "seen": int(not one.is_lost)}
     return {"tracked": pose, "points": one.points, "weights": one.weights, **seen}
 
 
@@ -185,6 +193,24 @@ def test_frames_that_no_run_wrote_are_refused(tmp_path) -> None:
     wrong = replace(frame(1, np.zeros(3)), quaternion=np.zeros(4))
     with pytest.raises(ResultError, match="spool cannot be used, found 'quaternion' with vectors"):
         smoothed(tmp_path, [frame(0, np.zeros(3) + 700.0), wrong])
+
+
+def test_a_mouth_that_goes_aside_turns_no_head() -> None:
+    """A known deformation is integrated out; left out, it was taken for a turn where points count closely."""
+    model = load_face_model()
+    person = model.of_person(model.identity_mean)
+    moved = person.mean + 0.7 * displacement("mouth_left")
+    face = {"mean": person.mean, "basis": person.basis, "deviations": person.deviations}
+    aside = frame(0, HERE, points=HeadPose(HERE, UPRIGHT).points(moved), **face)
+    turned = []
+    for settings in (
+        HeadMonoConfig().smoothing,
+        HeadMonoConfig().smoothing.model_copy(update={"deformation": 0.0}),
+    ):
+        fit = HeadFits(settings, 1).known(memory_of(aside))
+        best = exponential(np.linalg.solve(fit.information[0], fit.gradients[0])[3:])
+        turned.append(float(np.degrees(angle_between(multiply(best, fit.poses[0, 3:7]), UPRIGHT))))
+    assert turned[0] < 1.0 < 3.0 < turned[1]
 
 
 # Which frames are of one chain
