@@ -141,7 +141,10 @@ def read_frames(person: str, result: Path, truth: Path | None, weight: float) ->
 
 
 def fitted(frames: Sequence[Frames]) -> Regression:
-    """Return the regression of most likelihood, each recording counting by its weight."""
+    """Return the regression of most likelihood, each recording counting by its weight.
+
+    Every sign speaks against a frame or not at all: a weight above 0 would be of these people alone.
+    """
     signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
     weights = np.concatenate([np.full(len(one.right), one.weight / max(len(one.right), 1)) for one in frames])
     weights /= weights.sum()
@@ -155,7 +158,8 @@ def fitted(frames: Sequence[Frames]) -> Regression:
         value = weights @ (np.logaddexp(0.0, logit) - right * logit) + PENALTY * w[1:] @ w[1:]
         return float(value), missing @ design + penalty
 
-    w = minimize(cost, np.zeros(design.shape[1]), jac=True).x
+    bounds = [(None, None), *[(None, 0.0)] * signs.shape[1]]
+    w = minimize(cost, np.zeros(design.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds).x
     return Regression(float(w[0] - (w[1:] / sd) @ mean), w[1:] / sd)
 
 

@@ -11,6 +11,14 @@ errors meant are those beside their constant offsets. It is a logistic regressio
     unsteadiness    log (u + .2)    u how many degrees off the head is from where its velocity led
     unseen          1 - W           W how much the points counted on average, 0 (hidden or unlike) to 1
     expression      |g|             g the strengths of the face's actions (``head.actions``)
+
+The weights were fitted, every recording counting alike and those as they are four times, to twelve rendered
+heads (person-a to person-l of the study) and five drawn ones, as they are, and the rendered ones also at .3 of
+their size, blurred and three times as fast, with something passing before the face, and dark and noisy
+(``scripts/head-confidence``), for as they are few frames are wrong: 3 % with one camera, 2 % with two. What one
+camera had learned of points and mean face was without the person tracked. Each person left out in turn, the
+area under the ROC curve is .87 with one camera (.84 in all recordings, hard ones too) and .84 with two (.81);
+the calibration error is .04 (.03) and .01 (.02). With two cameras an expression tells nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +34,7 @@ from posetrack_cli.tracking.confidence import PROBABLY, Regression
 RIGHT_DEG, RIGHT_MM = 3.0, 5.0
 """As ``posetrack eval`` has them."""
 MONO = Regression(4.44, np.array([-1.03, -2.15, -0.72, -9.65, -2.72]))
-STEREO = MONO
+STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07, 0.0]))
 EYES_MM = 63.0
 _USUAL_PX, _STEADY_DEG, _EXACT, _NEAREST_MM = 80.0, 0.2, 0.4, 1.0
 _LONGEST_S = 0.2
