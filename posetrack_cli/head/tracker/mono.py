@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
@@ -41,6 +41,7 @@ from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec,
 from posetrack_cli.head.tracker.person import PersonFitter, new_person, person_shape
 from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
 from posetrack_cli.head.tracker.size import PupilDistance, Size
+from posetrack_cli.head.tracker.whole_face import shift_of
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
 from posetrack_cli.tracking.confidence import Regression
@@ -62,6 +63,10 @@ LEAST_LIKE = 0.2
 now: turned or blurred it looks like no template."""
 STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
+WHOLE_FACE_LIKE = 0.4
+"""Mean correlation of a face's windows from which on it is the same face a moment later."""
+KEPT = 0.98
+"""What is left of a score after a frame that only looks like the one before, were they equal."""
 CLEARLY_BETTER = 0.03
 """Minimum score gain for a new detection to replace the track."""
 FORGOTTEN_S = 1.0
@@ -160,7 +165,7 @@ class MonoPeople:
         from elsewhere tell that where the fit does not.
         """
         fitter, settings = self._at(state).fitter, self._config.status
-        fit = fitter.fit(state.person, track, frame)
+        fit = self._or_followed(state, track, frame, fitter.fit(state.person, track, frame))
         recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
         if recent or (fit.score >= settings.check_below and not self._has_slid(state, frame, fit)):
             return state, fit
@@ -170,6 +175,40 @@ class MonoPeople:
             return state, fit
         again = fitter.fit_detection(state.person, found, track.stamp_ns, frame)
         return state, again if again.score > fit.score + CLEARLY_BETTER else fit
+
+    def _or_followed(
+        self, state: MonoState, track: TrackState, frame: SeededFrame, fit: FrameFit
+    ) -> FrameFit:
+        """Return a fit, or where it is none one that begins where the whole face went **[ours]**.
+
+        A face that is blurred, or looks where it never was seen to, then looks like no template but as a
+        moment ago: the score is that of the frame before times how alike they are; what slides is soon
+        doubted.
+        """
+        if fit.score >= self.least_score(state) or track.templates is None:
+            return fit
+        (image,), fitter = frame.frame.images, self._at(state).fitter
+        there = None if image is None else self._moved_as_a_whole(state, track, image)
+        if there is None:
+            return fit
+        again = fitter.fit_from(state.person, track, there, frame)
+        best = again if again.score > fit.score else fit
+        if best.score >= self.least_score(state):
+            return best
+        as_before = replace(state.person, templates=(track.templates,))
+        followed = fitter.fit_from(as_before, track, there, frame)
+        score = KEPT * state.trust * max(followed.score, 0.0)
+        return replace(followed, score=score, is_anchored=True) if score > best.score else best
+
+    def _moved_as_a_whole(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
+        """Return a track's pose where its whole face went in an image, None where that is not seen."""
+        camera, templates = self._at(state).adjuster.camera, track.templates
+        before = project((camera,), track.pose.points(track.shape)).pixels[0]
+        shift = None if templates is None else shift_of(image, templates, before)
+        if shift is None or shift.likeness < WHOLE_FACE_LIKE:
+            return None
+        aside = shift.pixels / np.array([camera.fx, camera.fy]) * track.pose.position[2]
+        return replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
 
     def recognise(
         self, state: MonoState, found: DetectedFace, frame: SeededFrame
@@ -215,6 +254,7 @@ class MonoPeople:
 
     def learn(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
         """Adjust the person by a frame in which the head was tracked; not by a doubtful one."""
+        state = replace(state, trust=min(fit.score, 1.0))
         if fit.is_anchored:
             return replace(state, strange=state.strange + 1), fit
         if state.cut and fit.score < RECOGNISED * state.person.usual_score:

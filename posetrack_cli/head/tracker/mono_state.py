@@ -47,6 +47,7 @@ class MonoState(HeadState):
         cut: whether the scene changed since a head was last tracked.
         elsewhere: whether a face that looks like nobody was then found at another place, or of another size.
         changes: (frame, and index of the person) of every change to another person.
+        trust: the score of the last tracked frame, 0 to 1.
         scale: that images are reduced by, 1 for none; None before a face is first found.
     """
 
@@ -60,6 +61,7 @@ class MonoState(HeadState):
     cut: bool = False
     elsewhere: bool = False
     changes: tuple[tuple[int, int], ...] = ()
+    trust: float = 0.0
     scale: float | None = None
 
     @property
@@ -174,6 +176,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         cut=flag(),
         elsewhere=flag(),
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
+        trust=real(floats(least=0.0, most=1.0)),
         scale=Maybe(real(floats(least=_LEAST_SCALE, most=WHOLE))),
     )
 

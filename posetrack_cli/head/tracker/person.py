@@ -217,6 +217,15 @@ class PersonFitter:
         before = replace(track, particles=now)
         return self._frame_tracker.step(before, frame, person.templates, person.shape)
 
+    def fit_from(
+        self, person: KnownPerson, track: TrackState, there: HeadPose, frame: SeededFrame
+    ) -> FrameFit:
+        """Return what a frame says of a person who was tracked before and now is about elsewhere."""
+        about = replace(track.at_rest(), pose=there, particles=replace(track.particles, pose=there))
+        fit = self.fit(person, about, frame)
+        velocity = velocity_between(track.pose, fit.track.pose, fit.dt)
+        return replace(fit, track=replace(fit.track, velocity=velocity))
+
     def fit_detection(
         self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:

@@ -37,7 +37,7 @@ STATES = {
     "searching": MonoState(lost=7, search=SEARCHED, first_ns=STAMP),
     "collecting": MonoState(candidates=CANDIDATES, reference=random_templates(4), search=SEARCHED, scale=0.4),
     "known, not yet found": KNOWN,
-    "tracked": MonoState(people=(ONE,), track=TRACK, checked_ns=STAMP - 5, scale=1.0),
+    "tracked": MonoState(people=(ONE,), track=TRACK, checked_ns=STAMP - 5, trust=0.8, scale=1.0),
     "put there": MonoState(people=(ONE,), track=random_track(6, MODEL, seen=False), scale=0.5),
     "with a past": replace(
         KNOWN,

@@ -6,6 +6,7 @@ from copy import deepcopy
 from dataclasses import fields, replace
 from unittest.mock import patch
 
+import cv2
 import numpy as np
 import pytest
 
@@ -214,6 +215,28 @@ def displaced(state: MonoState) -> MonoState:
     pose = track.pose.moved(np.array([40.0, 25.0, 0.0, 0.0, 0.0, 0.0]))
     particles = track.particles.moved_to(pose, track.particles.coefficients)
     return replace(state, track=replace(track, pose=pose, particles=particles, templates=None))
+
+
+@pytest.mark.parametrize("blurred", [False, True])
+def test_a_head_that_jumps_is_followed_without_a_search(blurred: bool) -> None:
+    """44 px aside within a frame, which no particle reaches; blurred it looks like no template."""
+    scene, jump = Scene(), 44
+    for index in range(STARTING + 6):
+        scene.step(index)
+    scene.told.there = False
+    for index in range(STARTING + 6, STARTING + 9):
+        (image,) = scene.frame(index).images
+        moved = np.roll(image, jump, axis=1)
+        moved = cv2.GaussianBlur(moved, (0, 0), 2.5) if blurred else moved
+        there = Frame(index, index * FRAME_NS, (moved,))
+        scene.state, found = scene.tracker.step(scene.state, there, scene.rng)
+        true = pose_at(index)
+        assert found.status is Status.TRACKING
+        pixels, wanted = (
+            project((CAMERA,), place[None]).pixels[0, 0] for place in (found.position, true.position)
+        )
+        np.testing.assert_allclose(pixels, wanted + np.array([jump, 0.0]), atol=4.0)
+    assert scene.told.asked <= STARTING + 1, "compared once at most, as the blurred face looks hardly like it"
 
 
 def test_a_track_that_looks_hardly_like_the_face_is_compared_with_a_detection() -> None:
