@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from posetrack_cli.configuration import Settings
+from posetrack_cli.tracking.confidence import PROBABLY
 
 # Wider than any head, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -166,10 +167,13 @@ class HeadStatusSettings(Settings):
     """When a head counts as tracked **[ours]**.
 
     A frame's score is the mean correlation of its visible points. Below ``tracking_above`` a frame is lost;
-    after ``lost_after_frames`` of them the face is searched for again.
+    after ``lost_after_frames`` of them the face is searched for again. A frame whose confidence, the
+    probability of being right, is below ``doubtful_below`` is said to be lost, too, and followed on all the
+    same.
     """
 
     tracking_above: Fraction = 0.6
+    doubtful_below: Fraction = PROBABLY
     lost_after_frames: Count = 3
 
 

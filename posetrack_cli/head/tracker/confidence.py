@@ -13,12 +13,12 @@ errors meant are those beside their constant offsets. It is a logistic regressio
     expression      |g|             g the strengths of the face's actions (``head.actions``)
 
 The weights were fitted, every recording counting alike and those as they are four times, to twelve rendered
-heads (person-a to person-l of the study) and five drawn ones, as they are, and the rendered ones also at .3 of
-their size, blurred and three times as fast, with something passing before the face, and dark and noisy
-(``scripts/head-confidence``), for as they are few frames are wrong: 3 % with one camera, 2 % with two. What one
-camera had learned of points and mean face was without the person tracked. Each person left out in turn, the
-area under the ROC curve is .87 with one camera (.84 in all recordings, hard ones too) and .84 with two (.81);
-the calibration error is .04 (.03) and .01 (.02). With two cameras an expression tells nothing.
+heads (person-a to person-l of the study) and five drawn ones, as they are, and the rendered ones also at .3
+of their size, blurred and three times as fast, with something passing before the face, and dark and noisy
+(``scripts/head-confidence``), for as they are few frames are wrong: 3 % with one camera, 2 % with two. One
+camera was told nothing that was learned from the person tracked (but a and b). Each person left out in turn,
+the area under the ROC curve is .87 with one camera (.84 in all recordings, hard ones too) and .84 with two
+(.81); the calibration error is .04 (.03) and .01 (.02). With two cameras an expression tells nothing.
 """
 
 from __future__ import annotations

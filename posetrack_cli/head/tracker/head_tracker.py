@@ -206,9 +206,8 @@ class HeadTracker(Generic[State, Found]):
         face = self._faces.describe(state, fit)
         evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0].fx, face.moved))
         confidence = self._faces.regression.probability(evidence.signs)
-        doubtful = confidence < PROBABLY
-        record = state.record.tracked(frame.index, doubtful=doubtful)
+        record = state.record.tracked(frame.index, doubtful=confidence < PROBABLY)
         status = Status.REINITIALISED if found_anew else Status.TRACKING
-        status = Status.LOST if doubtful else status
+        status = Status.LOST if confidence < self._faces.status.doubtful_below else status
         estimate = tracked_estimate(frame.frame, fit, status, confidence, face, evidence.signs)
         return replace(state, evidence=evidence, record=record), estimate
