@@ -26,6 +26,7 @@ from posetrack_cli.hand.keypoints.told import (
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.monitor import TrackMonitor
+from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.keypoints.sets import KeypointSets
@@ -321,6 +322,29 @@ def test_a_label_of_the_other_side_speaks_against_a_place(device: RenderingDevic
         doubts[right] = found.doubt
     values = list(doubts.values())
     assert values[0] == values[1] and np.allclose(np.diff(values[1:]), 2.0)  # _TOLD_MM each
+
+
+@pytest.mark.parametrize("ends", ["goes on beyond the fingers", "nothing is seen"])
+def test_a_place_is_judged_where_its_fit_ends(
+    device: RenderingDevice, stage: Stage, monkeypatch: pytest.MonkeyPatch, ends: str
+) -> None:
+    """Seen from where it is told a limb may be a hand, and from where the fit slides to none."""
+    finder, pose = acquisition(RIGHT), relaxed()
+    depth = stage.depth(pose)
+    hands = ToldHands(told_of([joints_of(pose)]), KINECT, RIGHT.anatomy).of(Frame(0, 0, (depth,)))
+    [found] = candidates(finder, depth, hands)
+    observe, seen = finder.observer.observe, []
+
+    def observed(image: ImageArray, about: FloatArray) -> Observation:
+        seen.append(about)
+        here = observe(image, about)
+        if len(seen) == 1:
+            return here
+        return replace(here, reversed=True) if ends.startswith("goes") else replace(here, target_pixels=0)
+
+    monkeypatch.setattr(finder.observer, "observe", observed)
+    assert candidates(finder, depth, hands) == []
+    np.testing.assert_array_equal(seen[1], found.pose)
 
 
 BLANK = Frame(0, 0, (np.zeros((4, 4), dtype=np.float32),))

@@ -190,7 +190,11 @@ def _candidate(finder: Acquisition, depth: ImageArray, hand: ToldHand) -> Candid
         tile, starts, [PosePrior(start, TOLD_PRECISION) for start in starts], _ITERATIONS_THERE
     )
     best = min(fits, key=lambda fit: float(fit.cost[0]))
-    cost = float(best.cost[0])
+    # where the fit went the limb may go on beyond the fingers, or more of it may be left uncovered
+    there = finder.observer.observe(depth, best.pose)
+    if there.target_pixels == 0 or there.reversed:
+        return None
+    cost = max(float(best.cost[0]), float(fitter.assessed(fitter.tile(there), best.pose).cost[0]))
     if cost > finder.accept_mm:
         return None
     fingers = fingers_bonus(finder.observer.fingers_mm2(observation))
