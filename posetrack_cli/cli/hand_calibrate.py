@@ -47,7 +47,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     Frames are chosen from all of it; the hand should be seen open, from its palm or its back, and with its
     fingers bent. The file serves other recordings of the hand: hand run RECORDING --shape HAND.toml.
     """
-    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, calibrate, write_hand_file
+    from posetrack_cli.hand.calibration.before_run import calibrate
+    from posetrack_cli.hand.calibration.calibrate import CalibrationOptions, write_hand_file
     from posetrack_cli.hand.calibration.doubts import doubts_of
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target

@@ -36,6 +36,7 @@ SHAPE = (
     *(f"palm_{name}" for name, _ in PALM),
     "wrist_width",
     "thumb_place",
+    "padding_mm",
 )
 
 
@@ -48,6 +49,8 @@ def switch_options(command: Command) -> Command:
 
 def shape_options(command: Command) -> Command:
     """Add the hand's proportions."""
+    padding = "By how much the skin stands out, as in a glove, 0 to 12.  [default: 0]"
+    command = click.option("--padding-mm", type=float, help=padding)(command)
     place = "Factor on how far along the palm the thumb begins."
     command = click.option("--thumb-place", type=float, help=place)(command)
     command = click.option("--wrist-width", type=float, help="Factor on the wrist's width.")(command)

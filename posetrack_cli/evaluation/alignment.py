@@ -98,10 +98,11 @@ def common_factor(track: Track, truth: Track, pairs: Pairs) -> str:
     if not len(pairs.estimate):
         return ""
     mine, theirs = tracked_pairs(track, pairs)
-    factor = _factor(track, truth, mine, theirs)
+    a, b = _deviations(track, truth, mine, theirs)
+    factor = _factor(a, b)
     if factor is None or abs(factor - 1.0) < TELLING_FACTOR:
         return ""
-    kept, left = (_spread(track, truth, mine, theirs, one) for one in (1.0, factor))
+    kept, left = (float(np.sqrt(np.square(one * a - b).sum(axis=1).mean())) for one in (1.0, factor))
     if left > TELLING_SHARE * kept:
         return ""
     return (
@@ -112,7 +113,7 @@ def common_factor(track: Track, truth: Track, pairs: Pairs) -> str:
 
 def _without_scale(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tuple[Track, str]:
     """The estimate without one factor and one offset, and a note."""
-    factor = _factor(track, truth, mine, theirs)
+    factor = _factor(*_deviations(track, truth, mine, theirs))
     scaled = track if factor is None else _enlarged(track, factor)
     turn, shift = _offset(scaled, truth, mine, theirs)
     told = (
@@ -123,27 +124,23 @@ def _without_scale(track: Track, truth: Track, mine: IntArray, theirs: IntArray)
     return _moved(scaled, turn, shift), f"{told}; one constant rigid offset: {_readable(turn, shift)}"
 
 
-def _own_axes(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return both sides' positions in the estimated object's axes, (M, 3)."""
+def _deviations(
+    track: Track, truth: Track, mine: IntArray, theirs: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return both sides' positions in the estimated object's axes, less their means, (M, 3)."""
     inverse = rotations.conjugate(_known(track.quaternion)[mine])
-    places = _known(track.position)[mine], _known(truth.position)[theirs]
-    return rotations.rotate(inverse, places[0]), rotations.rotate(inverse, places[1])
+    a = rotations.rotate(inverse, _known(track.position)[mine])
+    b = rotations.rotate(inverse, _known(truth.position)[theirs])
+    return a - a.mean(axis=0), b - b.mean(axis=0)
 
 
-def _factor(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> float | None:
-    """Return the best common factor; None where the object hardly moves, or none above 0 is best."""
-    a, b = (one - one.mean(axis=0) for one in _own_axes(track, truth, mine, theirs))
+def _factor(a: FloatArray, b: FloatArray) -> float | None:
+    """Return the best common factor from a to b; None where a hardly moves, or none above 0 is best."""
     squares = float(np.square(a).sum())
     if squares < len(a) * LEAST_MOTION_MM**2:
         return None
     factor = float((a * b).sum()) / squares
     return factor if factor > 0.0 else None
-
-
-def _spread(track: Track, truth: Track, mine: IntArray, theirs: IntArray, factor: float) -> float:
-    """Return the root mean square distance, mm, that is left with a factor and its best offset."""
-    a, b = (one - one.mean(axis=0) for one in _own_axes(track, truth, mine, theirs))
-    return float(np.sqrt(np.square(factor * a - b).sum(axis=1).mean()))
 
 
 def _enlarged(track: Track, factor: float) -> Track:

@@ -132,6 +132,8 @@ at in all turns and folds, which takes longer than all else. What is closer than
 a hand of another side or size."""
 
 
+_SIZES = (0.66, 1.25)
+"""Of hands, from a child of three years to the largest men."""
 _ONE_PLACE_MM = 60.0
 """Distance of two wrists up to which what was found and what was told are one hand."""
 
@@ -217,8 +219,17 @@ class Acquisition:
         return min(best.cost, self._config.observation.clamp_mm), near or list(places)
 
     def detect(self, depth: ImageArray) -> list[Detection]:
-        """Return the places in a whole image that may be hands."""
-        return detect(depth, self._camera, self._config.detection, self.observer.sampler)
+        """Return the places in a whole image that may be hands.
+
+        Of a hand that is larger or smaller than any, the depth is in another unit than mm: the image is then
+        looked at as if it were of usual size.
+        """
+        low, high = _SIZES
+        scale = self._hand.anatomy.scale
+        unit = 1.0 if low <= scale <= high else scale
+        image = depth if unit == 1.0 else depth / np.float32(unit)
+        places = detect(image, self._camera, self._config.detection, self.observer.sampler)
+        return places if unit == 1.0 else [place.enlarged(unit) for place in places]
 
     def _likely(self, depth: ImageArray, places: Sequence[Detection]) -> list[tuple[Detection, Candidate]]:
         """What is fitted to places that may be hands, but those that no cost could make the likeliest."""

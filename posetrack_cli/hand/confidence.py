@@ -1,7 +1,7 @@
 """How probable it is that an estimate is right **[ours]**.
 
 Confidence is the probability that the mean error of the joints is below ``RIGHT_MM``, by logistic regression
-on six signs, each a running mean over some five frames (``Evidence``):
+on six signs, each a running mean over some five frames (``tracking.confidence``):
 
     logit p = w_0 + w_1 log U + w_2 log(J + 0.5) + w_3 M + w_4 a + w_5 p + w_6 c
 
@@ -15,25 +15,21 @@ The weights were fitted to 4,200 frames, every recording counting alike: 14 peop
 calibrated, and CVAR's P1, P4 and P7 with the average hand. Each person left out in turn, the area under the
 ROC curve is .92, and .84 of the average hand's frames alone; stated probabilities differ from the shares of
 right frames by at most .1 where there are many, and by .2 between .2 and .4, where fewer are right than said.
+Of these frames 1 in 700 is more than 40 mm off and above .5, and 1 in 80 right and below.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.tracking.confidence import Regression, RunningSigns
 
 RIGHT_MM = 20.0
-PROBABLY = 0.5
-"""The probability of being right below which nothing is said to be tracked. Of the frames it was fitted to
-1 in 700 is more than 40 mm off and above, and 1 in 80 right and below."""
 _NOISE_MM, _SHIFT_PER_MM = 2.0, 0.6
 SIGNS = 6
-_BIAS, _WEIGHTS = 9.98, np.array([-1.94, -1.51, -1.04, 1.06, -3.19, 1.56])
-_MEMORY = 0.2  # share of a new frame in the running means
+REGRESSION = Regression(9.98, np.array([-1.94, -1.51, -1.04, 1.06, -3.19, 1.56]))
 _LEAST_COST_MM, _LEAST_INNOVATION_MM, _LEAST_INFORMATION = 1.0, 0.5, 1e-9
 
 
@@ -76,27 +72,9 @@ def signs_of(usual_mm: float, innovation_mm: float, modes: LikelihoodModes, cont
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What the last frames of a track tell of it.
+NO_EVIDENCE = RunningSigns.before(SIGNS)
 
-    Attributes:
-        signs: (6,) running means.
-        frames: how many there were; of few all count alike.
-    """
 
-    signs: FloatArray = field(default_factory=lambda: np.zeros(SIGNS))
-    frames: int = 0
-
-    def after(self, signs: FloatArray) -> Evidence:
-        """Return the evidence with that of one more frame (6,)."""
-        share = max(_MEMORY, 1.0 / (self.frames + 1))
-        return Evidence(self.signs + share * (signs - self.signs), self.frames + 1)
-
-    @property
-    def probability(self) -> float:
-        """That the estimate is right; 0 before the first frame."""
-        if not self.frames:
-            return 0.0
-        logit = _BIAS + float(_WEIGHTS @ self.signs)
-        return float(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
+def probability(evidence: RunningSigns) -> float:
+    """Return the probability that the estimate is right; 0 before the first frame."""
+    return REGRESSION.probability(evidence.signs) if evidence.frames else 0.0

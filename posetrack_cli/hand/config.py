@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from posetrack_cli.configuration import Settings
 from posetrack_cli.hand.population import COEFFICIENTS
-from posetrack_cli.hand.shape import MOST_COEFFICIENT, HandShape
+from posetrack_cli.hand.shape import MOST_COEFFICIENT, MOST_PADDING_MM, HandShape
 
 # Wider than any hand, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -38,6 +38,7 @@ class HandSettings(Settings):
     wrist_width: Proportion = 1.0
     thumb_place: Annotated[float, Field(ge=0.5, le=2.5)] = 1.0
     coefficients: Annotated[tuple[Coefficient, ...], Field(max_length=COEFFICIENTS)] = ()
+    padding_mm: Annotated[float, Field(ge=0.0, le=MOST_PADDING_MM)] = 0.0
     mesh: str | None = None
 
     @field_validator("mesh")
@@ -61,6 +62,7 @@ class HandSettings(Settings):
             self.wrist_width,
             self.thumb_place,
             self.coefficients,
+            self.padding_mm,
         )
 
 

@@ -22,7 +22,6 @@ from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
-from posetrack_cli.hand.confidence import PROBABLY
 from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
 from posetrack_cli.hand.fitting.gauss_newton import GIRTH_SD, SWING_SD, Fit
@@ -35,6 +34,7 @@ from posetrack_cli.hand.observation import NO_ARM, Observation
 from posetrack_cli.hand.space import tangent_vector
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.confidence import PROBABLY
 
 USUAL_STEP_S = 1.0 / 30.0
 NOT_TOLD: FloatArray = np.empty((0, POSE_SIZE))

@@ -140,8 +140,12 @@ def average_hand(side: str = "right", shape: HandShape | None = None) -> HandMod
         shape.thumb_place,
         shape.coefficients,
     )
-    smooth = hand_mesh(anatomy, "medium")
-    return HandModel(anatomy, lean_mesh(anatomy, smooth), smooth, partial(hand_mesh, anatomy, "fine"))
+    smooth = hand_mesh(anatomy, "medium").grown(shape.padding_mm)
+
+    def whole() -> SkinnedMesh:
+        return hand_mesh(anatomy, "fine").grown(shape.padding_mm)
+
+    return HandModel(anatomy, lean_mesh(anatomy, smooth), smooth, whole)
 
 
 def _file_hand(path: Path) -> HandMaker:
@@ -163,7 +167,7 @@ def _file_hand(path: Path) -> HandMaker:
 
     def make(side: str, shape: HandShape) -> HandModel:
         def skin(mesh: SkinnedMesh) -> SkinnedMesh:
-            return reshaped_skin(mesh, hand.anatomy, side, shape)
+            return reshaped_skin(mesh, hand.anatomy, side, shape).grown(shape.padding_mm)
 
         anatomy = reshaped_anatomy(hand.anatomy, side, shape)
         return HandModel(anatomy, skin(lean), skin(smooth), partial(skin, hand.skin))

@@ -17,7 +17,7 @@ from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
-from posetrack_cli.hand.confidence import PROBABLY, SIGNS, Evidence, signs_of, with_model_error
+from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGNS, probability, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
@@ -34,6 +34,7 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
 from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.confidence import PROBABLY, RunningSigns, signs_codec
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
 
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
@@ -74,7 +75,7 @@ class HandState:
     unseen_ns: int = 0
     dt: float = 0.0
     cut: bool = False
-    evidence: Evidence = field(default_factory=Evidence)
+    evidence: RunningSigns = NO_EVIDENCE
     modes: LikelihoodModes | None = None
     observation: Observation | None = None
 
@@ -179,7 +180,7 @@ class HandTracker:
         quality = self._quality(cost) if shown else 0.0
         monitor = self._monitored(seen, cost if shown else None, quality)
         evidence = self._evidence(seen, posterior.pose, monitor.usual_mm or cost, outline)
-        confidence = evidence.probability if quality and self._is_calibrated else quality
+        confidence = probability(evidence) if quality and self._is_calibrated else quality
         unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
         new_state = HandState(
@@ -355,7 +356,7 @@ class HandTracker:
 
     def _evidence(
         self, seen: FrameObservation, pose: FloatArray, usual_mm: float | None, outline: Outline | None
-    ) -> Evidence:
+    ) -> RunningSigns:
         """What the track's last frames tell of it, with this one where it was fitted."""
         before = seen.state.evidence
         if seen.fits is None or outline is None or usual_mm is None:
@@ -494,7 +495,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         frames=whole(),
         doubtful=whole(),
         unseen_ns=whole((0, STAMPS_NS[1])),
-        evidence=Fields(Evidence, signs=Value(floats(SIGNS)), frames=whole()),
+        evidence=signs_codec(SIGNS),
     )
 
 

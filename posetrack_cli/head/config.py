@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from posetrack_cli.configuration import Settings
+from posetrack_cli.tracking.confidence import PROBABLY
 
 # Wider than any head, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -166,10 +167,13 @@ class HeadStatusSettings(Settings):
     """When a head counts as tracked **[ours]**.
 
     A frame's score is the mean correlation of its visible points. Below ``tracking_above`` a frame is lost;
-    after ``lost_after_frames`` of them the face is searched for again.
+    after ``lost_after_frames`` of them the face is searched for again. A frame whose confidence, the
+    probability of being right, is below ``doubtful_below`` is said to be lost, too, and followed on all the
+    same.
     """
 
     tracking_above: Fraction = 0.6
+    doubtful_below: Fraction = PROBABLY
     lost_after_frames: Count = 3
 
 
@@ -260,6 +264,8 @@ class AdjustmentSettings(Settings):
     """The bundle adjustment (thesis, 4.3).
 
     ``when``: after every frame that faces the camera, only at the start, or never (the mean person).
+    ``whole``: the first of two passes ends with an adjustment of the person over the whole recording, which
+    the second one holds; without, the second one goes on adjusting **[ours]**.
     ``views`` is n; ``iterations`` of each of the two stages, ``start_iterations`` at the start. Boxes:
     ``pose_mm`` (camera x, y, z) and ``pose_rad`` (about camera x, y, z), lambda_p; ``deformation`` and
     ``identity``, lambda_a and lambda_s in standard deviations about the start, and ``bound`` standard
@@ -275,6 +281,7 @@ class AdjustmentSettings(Settings):
     """
 
     when: Literal["always", "start", "never"] = "always"
+    whole: bool = True
     views: Annotated[int, Field(ge=2, le=200)] = 20
     iterations: Count = 5
     start_iterations: Count = 10

@@ -23,6 +23,10 @@ from posetrack_cli.results.estimate import Subject
 HEAD = "head"
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
+SIGN = "sign_"
+SIGNS = ("misfit", "smallness", "unsteadiness", "unseen", "expression")
+"""Of what confidence is made, in the order of ``head.tracker.confidence``."""
+SIGN_NAMES = tuple(f"{SIGN}{name}" for name in SIGNS)
 
 
 def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | None = None) -> Subject:
@@ -31,7 +35,7 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
     Args:
         camera_frame: that its pose is relative to.
         components: B.
-        numbers: names of the further numbers; those of the stereo tracker without.
+        numbers: names of the diagnostics; those of the stereo tracker without. The signs follow them.
     """
     return Subject(
         HEAD,
@@ -41,7 +45,7 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
         point_parents=(-1,) * POINT_COUNT,
         colour=COLOUR,
         lines=LINES,
-        number_names=stereo_diagnostic_names(components) if numbers is None else numbers,
+        number_names=(*(stereo_diagnostic_names(components) if numbers is None else numbers), *SIGN_NAMES),
     )
 
 

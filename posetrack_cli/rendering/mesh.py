@@ -41,6 +41,18 @@ class SkinnedMesh:
             (self.weights[:, :, None] * homogeneous[:, None, :]).reshape(len(self.vertices), -1).T
         )
 
+    def grown(self, mm: float) -> SkinnedMesh:
+        """The mesh with every vertex moved outwards along the mean normal, by area, of its triangles."""
+        if mm == 0.0:
+            return self
+        a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
+        normals = np.zeros_like(self.vertices)
+        for k in range(3):
+            np.add.at(normals, self.triangles[:, k], np.cross(b - a, c - a))
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        outwards = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
+        return SkinnedMesh(self.vertices + mm * outwards, self.weights, self.triangles)
+
     def flipped(self, axis_signs: FloatArray) -> SkinnedMesh:
         """The mirror image under an odd number of sign changes (3,), faces still outside."""
         return SkinnedMesh(self.vertices * axis_signs, self.weights, self.triangles[:, ::-1].copy())

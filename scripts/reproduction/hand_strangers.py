@@ -26,9 +26,10 @@ from reproduction.strangers.people import people_of
 from reproduction.strangers.sheet import Sheets
 from reproduction.strangers.smooth import Smoothing
 from reproduction.strangers.tasks import Task, merged
+from reproduction.strangers.told import Told
 
 NAME = "hand-strangers"
-PARTS: tuple[Part, ...] = (OwnMesh(), Defaults(), FreeElbow(), Honesty(), Smoothing(), Sheets())
+PARTS: tuple[Part, ...] = (OwnMesh(), Defaults(), FreeElbow(), Honesty(), Smoothing(), Sheets(), Told())
 
 
 def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:
@@ -41,7 +42,7 @@ def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:
 
 def _tasks(parts: Sequence[Part], options: Options) -> list[AnyTask]:
     every = [task for part in parts for task in part.tasks(options)]
-    others = [task for task in every if not isinstance(task, Task)]
+    others = merged(task for task in every if not isinstance(task, Task))
     return [*merged(task for task in every if isinstance(task, Task)), *others]
 
 

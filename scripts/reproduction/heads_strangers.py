@@ -13,6 +13,7 @@ import click
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import PosetrackError
+from reproduction.head_strangers.adjusting import Adjusting
 from reproduction.head_strangers.measuring import Measured
 from reproduction.head_strangers.mono import Mono
 from reproduction.head_strangers.options import Options, Part
@@ -22,7 +23,7 @@ from reproduction.running import FOLDER, Study
 from reproduction.steps import run_chains
 
 NAME = "heads-strangers"
-PARTS: tuple[Part, ...] = (Mono(), Told(), Stereo())
+PARTS: tuple[Part, ...] = (Mono(), Told(), Adjusting(), Stereo())
 
 
 def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:

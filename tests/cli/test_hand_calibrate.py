@@ -13,7 +13,7 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
-from posetrack_cli.hand.calibration import calibrate as calibrate_module
+from posetrack_cli.hand.calibration import before_run
 from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model import hand_model
@@ -63,10 +63,11 @@ def test_a_table_and_a_configuration(
     output, shown = calibrated
     assert shown[0].split() == ["side", "right"] and shown[1].split() == ["mm", "sd"]
     rows = {" ".join(line.split()[:-2]): line.split()[-2:] for line in shown[2:-1]}
-    assert list(rows) == [name.replace("_", " ") for name in MEASURES]
+    assert list(rows) == [*(name.replace("_", " ") for name in MEASURES), "padding"]
     hand = load_settings(HandConfig, [output], {}).hand
     assert len(hand.coefficients) == COEFFICIENTS and hand.finger_lengths == (1.0,) * 5
-    for printed, measure in zip(rows.values(), measures_of(hand_model(hand).anatomy), strict=True):
+    measures = [*measures_of(hand_model(hand).anatomy), hand.padding_mm]
+    for printed, measure in zip(rows.values(), measures, strict=True):
         value, sd = map(float, printed)
         assert value == pytest.approx(measure, abs=0.06) and 0.0 < sd < 15.0  # numbers of one decimal
     used, seen = map(int, re.findall(r"(\d+) of (\d+) frames", shown[-1])[0])
@@ -107,7 +108,7 @@ def test_what_is_doubtful_is_said(
     shape: HandShape,
     said: str | None,
 ) -> None:
-    monkeypatch.setattr(calibrate_module, "calibrate", lambda *arguments: calibration_of(shape))
+    monkeypatch.setattr(before_run, "calibrate", lambda *arguments: calibration_of(shape))
     assert calibrate(recording, tmp_path / "hand.toml") == 0
     lines = capsys.readouterr().err.splitlines()
     assert [line for line in lines if " mm long" in line] == lines

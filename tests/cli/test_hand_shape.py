@@ -48,7 +48,9 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationOptions]:
     """How shapes were asked for, which are found at once."""
     asked: list[CalibrationOptions] = []
 
-    def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
+    def shape_of(
+        recording: Recording, config: HandConfig, options: CalibrationOptions, report: object
+    ) -> Calibration:
         asked.append(options)
         return calibration_of(SHAPE)
 

@@ -181,7 +181,9 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
 ) -> None:
     asked: list[tuple[HandConfig, CalibrationOptions]] = []
 
-    def estimated(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
+    def estimated(
+        recording: Recording, config: HandConfig, options: CalibrationOptions, report: object
+    ) -> Calibration:
         asked.append((config, options))
         return calibration_of(SHAPE, costs_mm=(4.0, 2.5))
 

@@ -162,7 +162,9 @@ def test_a_shape_s_numbers_are_the_shape_s(space: ShapeSpace) -> None:
     rng = np.random.default_rng(3)
     for theta in (space.low, space.high, *(space.sd * rng.standard_normal((5, size))).clip(space.low)):
         np.testing.assert_allclose(space.theta(space.shape(theta)), theta, atol=1e-12)
-    assert (space.low < -2.0 * space.sd).all() and (space.high > 2.0 * space.sd).all()
+    is_signed = np.array(space.names) != "padding_mm"  # skin stands out, or does not
+    assert (space.low < -2.0 * space.sd)[is_signed].all() and (space.low[~is_signed] == 0.0).all()
+    assert (space.high > 2.0 * space.sd).all()
 
 
 @pytest.mark.parametrize("space", [PopulationSpace(), FactorSpace()], ids=["population", "factors"])
@@ -175,7 +177,8 @@ def test_a_configuration_takes_every_shape_of_a_space(space: ShapeSpace) -> None
 
 
 def test_what_is_unknown_of_a_hand() -> None:
-    assert shape_space(None).names[0] == "scale" and len(shape_space(None).names) == 1 + COEFFICIENTS
+    names = shape_space(None).names
+    assert (names[0], names[-1]) == ("scale", "padding_mm") and len(names) == 1 + COEFFICIENTS + 1
     assert shape_space("hand.glb").names == SHAPE_NAMES
     short = HandShape(1.1, coefficients=(0.5, -1.0))
     padded = shape_space(None).shape(shape_space(None).theta(short))

@@ -50,6 +50,18 @@ def test_flipped_is_the_mirror_image_and_still_faces_outwards() -> None:
     assert np.isclose(volume(flipped), volume(mesh))
 
 
+@pytest.mark.parametrize("mm", [0.0, 2.0, 5.0])
+def test_a_sphere_that_is_grown_is_a_larger_one(mm: float) -> None:
+    ball = sphere(10.0, 3)
+    grown = ball.grown(mm)
+    lengths = np.linalg.norm(grown.vertices, axis=1)
+    # normals of a regular mesh's triangles are the sphere's up to the square of an edge's angle
+    np.testing.assert_allclose(lengths, 10.0 + mm, rtol=0.01)
+    assert grown.triangles is ball.triangles and grown.weights is ball.weights
+    mirrored = ball.flipped(np.array([-1.0, 1.0, 1.0])).grown(mm)
+    np.testing.assert_allclose(mirrored.vertices, grown.vertices * [-1.0, 1.0, 1.0], atol=1e-9)
+
+
 def test_joined_keeps_each_mesh_on_its_own_bones() -> None:
     one, two = rigid(octahedron().vertices, octahedron().triangles), two_boned()
     both = joined([one, two])

@@ -14,7 +14,7 @@ from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw, head_roll_pitch_yaw
 from reproduction import heads_strangers
-from reproduction.head_strangers import measuring, mono
+from reproduction.head_strangers import adjusting, measuring, mono
 from reproduction.head_strangers.options import Options
 from reproduction.one_camera.measuring import Compared
 from reproduction.running import Targets
@@ -48,7 +48,7 @@ def compared(yaw_gain: float) -> Compared:
     ]
     off = np.where(np.arange(FRAMES) < measuring.EARLY_FRAMES, 4.0, 1.0)
     ones = np.ones((FRAMES, 6))
-    return Compared(*tracks, ~lost, ones, off, off, ones, ones, 1.0)
+    return Compared(*tracks, ~lost, ~lost, ones, off, off, ones, ones, 1.0)
 
 
 def test_early_errors_and_the_gain_of_yaw_are_told() -> None:
@@ -84,7 +84,7 @@ def test_every_step_is_a_command_that_is_understood_and_tracks_everybody(tmp_pat
         subject, name, *rest = step.command(tmp_path)
         assert subject == "head"
         commands[name].make_context(name, rest)
-    assert len({step.output for step in steps}) == len(steps) == 2 * (1 + 1 + 2 + 1)
+    assert len({step.output for step in steps}) == len(steps) == 2 * (1 + 1 + 2 + len(adjusting.ENTRANTS) + 1)
     told = next(step for step in steps if "--interpupillary-mm" in step.arguments)
     assert told.arguments[-1] == "63.00"  # of the mean face
     left_out = replace(options, left_out=tmp_path)

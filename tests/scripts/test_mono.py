@@ -149,10 +149,10 @@ def seen_by_one(index: int) -> Estimate:
     moved = HeadPose((true.position + true.rotation @ SHIFT) / FACTOR, turned)
     shape = (MEAN_SHAPE - SHIFT) @ rotations.matrices_from_quaternions(TURN) / FACTOR
     shape[MOUTH, 1] += 2.0
-    status = Status.LOST if index < LOST else Status.TRACKING
     if index < LOST:
         moved = replace(moved, position=moved.position + 400.0)
-    return estimate(index, moved, shape, status)
+        return replace(estimate(index, moved, shape, Status.LOST), confidence=0.0)
+    return estimate(index, moved, shape, Status.TRACKING)
 
 
 @pytest.fixture(scope="module")
@@ -200,6 +200,9 @@ def test_figures_are_of_tracked_frames(results: tuple[Path, Path]) -> None:
     z = one.pose[LOST:, 2]
     assert (found["z_mm"], found["z_mm sd"]) == pytest.approx((z.mean(), z.std()))
     assert found["points_mm"] == pytest.approx(one.points_mm[LOST:].mean())
+    doubted = replace(one, believed=np.arange(FRAMES) % 2 == 0)
+    assert figures_of(doubted)["z_mm"] == found["z_mm"]  # whether a tracker doubts a frame or not
+    assert figures_of(doubted)["tracked"] == pytest.approx(0.5 - LOST / FRAMES / 2)
     lost = figures_of(replace(one, tracked=np.zeros(FRAMES, dtype=np.bool_)))
     assert lost["tracked"] == 0.0 and "z_mm" not in lost
 

@@ -16,6 +16,7 @@ from posetrack_cli.errors import PosetrackError
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH, POINT_NAMES
 from posetrack_cli.head.subject import StereoDiagnostics, head_subject
+from posetrack_cli.head.tracker.confidence import NO_SIGNS
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.results import Estimate, ResultWriter, Status
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
@@ -151,7 +152,7 @@ def estimate(index: int, status: Status, shift: float = 0.0) -> Estimate:
     true = pose(index)
     points = np.array(MEAN_SHAPE)
     points[MOUTH, 1] -= 7.0
-    tangent = np.zeros(6)
+    tangent, learned = np.zeros(6), StereoDiagnostics(np.zeros(0), 0.25 if index > 3 else np.nan)
     moved = replace(true, position=true.position + np.array([shift, 0.0, 0.0]))
     return Estimate(
         frame_index=index,
@@ -168,7 +169,7 @@ def estimate(index: int, status: Status, shift: float = 0.0) -> Estimate:
         points=moved.points(points),
         effective_sample_size=None,
         resampled=False,
-        numbers=StereoDiagnostics(np.zeros(0), 0.25 if index > 3 else np.nan).numbers(0),
+        numbers=np.concatenate([learned.numbers(0), NO_SIGNS]),
         milliseconds=5.0,
     )
 

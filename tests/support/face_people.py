@@ -12,6 +12,7 @@ from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.build import mirrored
 from posetrack_cli.head.subject import StereoDiagnostics, head_subject
+from posetrack_cli.head.tracker.confidence import NO_SIGNS
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.synthesis.head.identity import random_points
@@ -103,5 +104,5 @@ def _estimate(index: int, status: Status, shape: np.ndarray, weights: np.ndarray
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=StereoDiagnostics(np.zeros(0), weights=weights).numbers(0),
+        numbers=np.concatenate([StereoDiagnostics(np.zeros(0), weights=weights).numbers(0), NO_SIGNS]),
     )

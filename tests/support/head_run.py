@@ -13,6 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.subject import StereoDiagnostics
+from posetrack_cli.head.tracker.confidence import NO_SIGNS
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.results.estimate import Estimate, Status
@@ -88,7 +89,7 @@ class FakeTracker:
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=Status.TRACKING if state.seen else Status.LOST,
-            confidence=0.5,
+            confidence=0.5 if state.seen else 0.0,
             position=pose.position,
             quaternion=pose.quaternion,
             shape=np.array([float(state.seen), 0.0]),
@@ -99,7 +100,9 @@ class FakeTracker:
             points=pose.points(MEAN_SHAPE + state.mean),
             effective_sample_size=None,
             resampled=False,
-            numbers=StereoDiagnostics(np.array([4.0]), ratio, state.seen, 0.8).numbers(COMPONENTS),
+            numbers=np.concatenate(
+                [StereoDiagnostics(np.array([4.0]), ratio, state.seen, 0.8).numbers(COMPONENTS), NO_SIGNS]
+            ),
         )
 
     def learned(self, state: FakeState) -> dict[str, np.ndarray[Any, Any]]:

@@ -17,6 +17,7 @@ from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.filter import HeadParticles
 from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
+from posetrack_cli.head.tracker.size import Size
 
 
 def assert_same(first: object, second: object, where: str = "it") -> None:
@@ -77,8 +78,11 @@ def random_known(seed: int, model: FaceModel, views: int = 3, sets: int = 2) -> 
     for view in frames:
         album = album.with_view(view, rng.random())
     templates = tuple(random_templates(seed + index) for index in range(sets))
+    size = Size(1.0 + 0.2 * rng.random(), 0.1 * rng.random()) if seed % 2 else None
+    shape = person_shape(model, person, size)
+    usual = rng.random()
     return KnownPerson(
-        person, history, frames, album, person_shape(model, person), templates, views, rng.random()
+        person, history, frames, album, shape, templates, views, usual, is_held=seed % 2 > 0, size=size
     )
 
 

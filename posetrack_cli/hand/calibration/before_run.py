@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, shape_of
+from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, Report, shape_of
 from posetrack_cli.hand.calibration.doubts import doubts_of
 from posetrack_cli.hand.calibration.measures import measures_of
+from posetrack_cli.hand.calibration.sides import decide_side
 from posetrack_cli.hand.calibration.trial import (
     LOOKED_AT_S,
     SIDES,
@@ -20,8 +21,9 @@ from posetrack_cli.hand.calibration.trial import (
     Trial,
     is_size_open,
     tried,
+    tried_all_over,
 )
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.recording.recording import Recording
 
@@ -72,35 +74,76 @@ def find_hand(
     if not trial.asked:
         line = f"no hand in the first {LOOKED_AT_S:g} s, taken for a {sides[0]} one; --hand-side tells"
         return HandFound(_with_hand(config, {"side": sides[0]}), line if len(sides) > 1 else "")
-    sized = _with_hand(config, {"side": trial.side, "scale": trial.scale})
-    found = None
-    if is_open and trial.cost > WELL_KNOWN_MM:
+
+    def estimate(side: str) -> Calibration | None:
+        found = _shape(recording, _sized(config, trial, side), CalibrationOptions(side, start=start))
+        return found if found is not None and _is_better(found, trial.scale(side)) else None
+
+    is_unknown = is_open and trial.cost > WELL_KNOWN_MM
+    if is_unknown:
         report("estimating the hand's shape")
-        found = _shape(recording, sized, CalibrationOptions(trial.side, start=start))
-    doubt = _doubt_of_side(trial, len(sides))
+    likelier = decide_side(trial, estimate if is_unknown else lambda side: None)
+    sized, found = _sized(config, trial, likelier.side), likelier.found
+    told = f"a {likelier.side} hand"
+    doubt = (
+        ""
+        if likelier.is_sure
+        else f", but hardly so (probability {likelier.probability:.2f}); --hand-side tells"
+    )
     if found is not None:
-        line = f"a {trial.side} hand, {found.length_mm:.0f} mm long{doubt}"
-        return HandFound(_with_hand(sized, found.settings), line + doubts_of(found))
-    changed = trial.scale != config.hand.scale
-    line = f"a {trial.side} hand" + (f" of scale {trial.scale:.2f}" if changed else "") + doubt
+        line = f"{told}, {found.length_mm:.0f} mm long{doubt}{doubts_of(found)}"
+        return HandFound(_with_hand(sized, found.settings), line)
+    changed = sized.hand.scale != config.hand.scale
+    line = told + (f" of scale {sized.hand.scale:.2f}" if changed else "") + doubt
     return HandFound(sized, line if len(sides) > 1 or changed else "")
 
 
-def _doubt_of_side(trial: Trial, sides: int) -> str:
-    if sides == 1 or trial.is_sure_of_side:
-        return ""
-    return f", but hardly so (probability {trial.probability:.2f}); --hand-side tells"
+def calibrate(
+    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
+) -> Calibration:
+    """Estimate side, size and shape of the hand in a recording, whatever is configured of them.
+
+    Args:
+        recording: depth frames.
+        config: of window, segmentation and fits; of its hand only the mesh is read.
+        options: the rest.
+        report: called with what is being done.
+
+    Raises:
+        RecordingError: no frame, or no hand that can be found in at least four frames.
+        UsageError: the configuration's mesh is no hand that can be used.
+    """
+    report("which hand, and about how large")
+    sides = (options.side,) if options.side else SIDES
+    bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
+    trial = tried_all_over(recording, bare, options.start, sides)
+    likelier = decide_side(trial, lambda side: _shape(recording, _sized(bare, trial, side), options, report))
+    # what is wrong where there is none is said by trying again
+    return likelier.found or shape_of(recording, _sized(bare, trial, likelier.side), options)
 
 
-def _shape(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration | None:
-    """The hand's shape, where enough frames show it and it explains them better than its size alone does."""
+def _shape(
+    recording: Recording,
+    config: HandConfig,
+    options: CalibrationOptions,
+    report: Report = lambda line: None,
+) -> Calibration | None:
+    """The hand's shape, where enough frames show it."""
     try:
-        found = shape_of(recording, config, options)
+        return shape_of(recording, config, options, report)
     except RecordingError:
         return None
+
+
+def _is_better(found: Calibration, scale: float) -> bool:
+    """Whether a shape explains the frames better than a size alone does."""
     before, after = found.costs_mm
-    ratio = measures_of(make_anatomy(found.side, config.hand.scale))[0] / found.length_mm
-    return found if after < before and 1.0 / _ANOTHER_SIZE < ratio < _ANOTHER_SIZE else None
+    ratio = measures_of(make_anatomy(found.side, scale))[0] / found.length_mm
+    return after < before and 1.0 / _ANOTHER_SIZE < ratio < _ANOTHER_SIZE
+
+
+def _sized(config: HandConfig, trial: Trial, side: str) -> HandConfig:
+    return _with_hand(config, {"side": side, "scale": trial.scale(side)})
 
 
 def _with_hand(config: HandConfig, changes: dict[str, object]) -> HandConfig:

@@ -21,7 +21,6 @@ from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured
-from posetrack_cli.hand.calibration.trial import SIDES, tried_all_over
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import tile_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -98,31 +97,6 @@ class Calibration:
             name: getattr(self.shape, name) for name in HandSettings.model_fields if hasattr(self.shape, name)
         }
         return {name: _rounded(value) for name, value in named.items()}
-
-
-def calibrate(
-    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
-) -> Calibration:
-    """Estimate side, size and shape of the hand in a recording.
-
-    Args:
-        recording: depth frames.
-        config: of window, segmentation and fits; of its hand only the mesh is read.
-        options: the rest.
-        report: called with what is being done.
-
-    Raises:
-        RecordingError: no frame, or no hand that can be found in at least four frames.
-        UsageError: the configuration's mesh is no hand that can be used.
-    """
-    report("which hand, and about how large")
-    sides = (options.side,) if options.side else SIDES
-    bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
-    trial = tried_all_over(recording, bare, options.start, sides)
-    known = {"side": trial.side, "scale": trial.scale}
-    return shape_of(
-        recording, bare.model_copy(update={"hand": bare.hand.model_copy(update=known)}), options, report
-    )
 
 
 def shape_of(
@@ -261,7 +235,11 @@ def hand_text(calibration: Calibration, mesh: str | None, source: str, folder: P
     """The file's text; a mesh is named relative to the file's folder where it lies in it, else in full."""
     values, sd = calibration.measured.values, calibration.measured.sd
     settings = calibration.settings
-    names = ("scale", "coefficients") if mesh is None else tuple(n for n in settings if n != "coefficients")
+    names = (
+        ("scale", "coefficients", "padding_mm")
+        if mesh is None
+        else tuple(n for n in settings if n != "coefficients")
+    )
     lines = [
         f"# Calibrated from {json.dumps(source)}: {calibration.frames_used} frames,"
         f" residual {calibration.residual_mm:.2f} mm.",

@@ -40,7 +40,7 @@ class Measured:
     """A hand's measures, mm, and their standard deviations: stated, and what they are before a recording.
 
     Attributes:
-        values, sd, prior_sd: by the names of ``MEASURES``.
+        values, sd, prior_sd: by the names of ``MEASURES``, and ``padding``.
     """
 
     values: Mapping[str, float]
@@ -51,19 +51,24 @@ class Measured:
 def measured(
     maker: HandMaker, space: ShapeSpace, side: str, shape: HandShape, covariance: FloatArray
 ) -> Measured:
-    """Return a shape's measures, and their standard deviations from those of the space's numbers (S, S)."""
+    """Return a shape's measures, and their standard deviations from those of the space's numbers (S, S).
+
+    ``padding``, by how much the skin stands out, is measured beside ``MEASURES`` where the space has one.
+    """
     theta = space.theta(shape)
-    here = measures_of(maker(side, space.shape(theta)).anatomy)
-    rates = np.array(
-        [
-            (measures_of(maker(side, space.shape(theta + step)).anatomy) - here) / step.sum()
-            for step in np.diag(space.steps)
-        ]
-    )
+
+    def numbers(of: FloatArray) -> FloatArray:
+        known = measures_of(maker(side, space.shape(of)).anatomy)
+        return np.append(known, space.shape(of).padding_mm) if has_padding else known
+
+    has_padding = "padding_mm" in space.names
+    names = (*MEASURES, "padding") if has_padding else MEASURES
+    here = numbers(theta)
+    rates = np.array([(numbers(theta + step) - here) / step.sum() for step in np.diag(space.steps)])
 
     def deviations(of: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.einsum("sm,st,tm->m", rates, of, rates)))
 
     stated, before = deviations(covariance), deviations(np.diag(space.sd**2))
-    rows = (dict(zip(MEASURES, row.tolist(), strict=True)) for row in (here, stated, before))
+    rows = (dict(zip(names, row.tolist(), strict=True)) for row in (here, stated, before))
     return Measured(*rows)

@@ -38,14 +38,17 @@ WELL_KNOWN_MM = 2.2
 frame of such a hand may tell the side for certain, if its mirror image costs 3.6 mm more."""
 CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
 """Above it the side is certain (.98); frames asked at most."""
-_RATIO, _STEPS = 1.16, (-2, -1, 0, 1, 2)
-"""Of sizes that are tried, and how many such steps from the one that is configured: 0.74 to 1.35 of it."""
+_RATIO, _STEPS = 1.16, range(-5, 6)
+"""Of sizes that are tried, and how many such steps from the one that is configured: 0.48 to 2.1 of it."""
+_STRANGE_MM, _FAR_STEPS = 8.0, (-4, -3, -2, 2, 3, 4)
+"""Where a hand costs more, sizes far from it are tried, too: between them costs need not fall."""
 _FRAMES_FOR_SIZE, _OWN_MM, _SAME_SIZE = 3, 4.0, 0.03
 """Frames that tell a size; at what cost a hand is of the size that is configured, or how near to it."""
-_SIZE_SD = (0.12, 0.15)
+_SIZE_SD, _ANOTHER_UNIT_MM = (0.12, 0.15), 2.5
 """Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
 larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
-sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4)."""
+sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4). Nothing weighs more than that the
+depth is in another unit than it is taken for: then hands are of any size."""
 _QUICK = {"scattered": 4, "finished": 3}
 """A search for another size, or for the other side of a hand that is well known, may miss the last tenths of
 a millimetre."""
@@ -135,11 +138,12 @@ class Trial:
         never = config.status.model_copy(update={"sure_mm": config.observation.clamp_mm})
         self._quick = config.model_copy(update={"acquisition": quick, "status": never})
         self._config, self._camera = config, camera
-        self._sides, self.asked, self._log_odds = sides, 0, 0.0
+        self.sides, self.asked, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
         self._scales = tuple(own * _RATIO**k for k in _STEPS) if has_sizes else (own,)
         off = np.log(np.array(self._scales) / own)
-        self._unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))  # (K,) mm, of a frame
+        unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))
+        self._unusual = np.minimum(unusual, _ANOTHER_UNIT_MM)  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
         self._finders: dict[tuple[int, int, bool], Acquisition] = {}
@@ -161,13 +165,16 @@ class Trial:
         costs[0, own], likely = of(0, own, places)
 
         def appraise(side: int, k: int) -> None:
-            if (side, k) != (0, own):
-                costs[side, k] = of(side, k, likely)[0]
+            if (side, k) == (0, own):
+                return
+            # a palm is as large as the hand: where it is looked for depends on it
+            there = likely if abs(k - own) <= 1 else self._finder(side, k).detect(frame.depth)
+            costs[side, k] = of(side, k, there)[0]
 
-        for side in range(len(self._sides)):
+        for side in range(len(self.sides)):
             appraise(side, own)
         least = costs[:, own].min()
-        possible = [side for side in range(len(self._sides)) if costs[side, own] < least + _HOPELESS_MM]
+        possible = [side for side in range(len(self.sides)) if costs[side, own] < least + _HOPELESS_MM]
         if not self._tried:
             self._tried = [own]
             if len(self._scales) > 1 and least > _OWN_MM:
@@ -177,21 +184,25 @@ class Trial:
                 appraise(side, k)
         self._costs += costs
         self.asked += 1
-        self._tried = [k for k in self._tried if abs(k - self._best[1]) <= 1]
-        if len(self._sides) > 1:
-            difference = float(costs[1].min() - costs[0].min()) / _COST_PER_LOG_ODDS
+        self._tried = [k for k in {*self._tried, self._best[1]} if abs(k - self._best[1]) <= 1]
+        if len(self.sides) > 1:
             most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else _MOST_A_FRAME
-            self._log_odds += float(np.clip(difference, -most, most))
+            self._log_odds += log_odds_of(float(costs[1].min() - costs[0].min()), most)
 
     def _ask_keypoints(self, frame: Frame) -> None:
         """Add what the frame's keypoints tell of the side."""
-        if len(self._sides) > 1:
+        if len(self.sides) > 1:
             right, left = (self._finder(side, len(self._scales) // 2).observer.anatomy for side in (0, 1))
             self._told.ask(frame, right, left)
 
     def _climbed(self, side: int, costs: FloatArray, appraise: Callable[[int, int], None]) -> set[int]:
         """Try sizes of a side beside the cheapest, until that lies between two; return which were tried."""
-        tried, best = {len(self._scales) // 2}, -1
+        own, best = len(self._scales) // 2, -1
+        tried = {own}
+        if costs[side, own] > _STRANGE_MM:
+            for k in (own + step for step in _FAR_STEPS):
+                appraise(side, k)
+                tried.add(k)
         while True:
             before, best = best, int(np.argmin(costs[side] + self._unusual))
             if best == before:
@@ -201,14 +212,14 @@ class Trial:
                 tried.add(k)
 
     @property
-    def _odds(self) -> float:
-        """The logarithm of the first side's odds, by costs and by keypoints."""
-        return self._log_odds + self._told.log_odds
+    def log_odds(self) -> float:
+        """The logarithm of the first side's odds, by costs and keypoints; infinite if it is the only one."""
+        return np.inf if len(self.sides) == 1 else self._log_odds + self._told.log_odds
 
     @property
     def _best(self) -> tuple[int, int]:
         """Which side, and which size of it, costs least so far."""
-        side = 0 if len(self._sides) == 1 or self._odds >= 0.0 else 1
+        side = 0 if self.log_odds >= 0.0 else 1
         return side, int(np.argmin(self._doubts[side]))
 
     @property
@@ -224,17 +235,12 @@ class Trial:
     @property
     def side(self) -> str:
         """The likelier side."""
-        return self._sides[self._best[0]]
-
-    @property
-    def probability(self) -> float:
-        """Of that side."""
-        return float(1.0 / (1.0 + np.exp(-abs(self._odds))))
+        return self.sides[self._best[0]]
 
     @property
     def is_sure_of_side(self) -> bool:
         """Whether frames agree on the side."""
-        return len(self._sides) == 1 or abs(self._odds) >= CLEAR_LOG_ODDS
+        return abs(self.log_odds) >= CLEAR_LOG_ODDS
 
     @property
     def is_clear(self) -> bool:
@@ -242,10 +248,10 @@ class Trial:
         enough = self.asked >= (_FRAMES_FOR_SIZE if len(self._tried) > 1 else 1)
         return self.asked >= MOST_ASKED or (enough and self.is_sure_of_side)
 
-    @property
-    def scale(self) -> float:
-        """The size at the vertex of the parabola through the least cost and those beside it."""
-        side, k = self._best
+    def scale(self, of: str) -> float:
+        """Return a side's size at the vertex of the parabola through the least cost and those beside it."""
+        side = self.sides.index(of)
+        k = int(np.argmin(self._doubts[side]))
         if not 0 < k < len(self._scales) - 1 or not len(self._tried) > 1:
             return self._scales[k]
         before, here, after = self._doubts[side, k - 1 : k + 2]
@@ -258,10 +264,15 @@ class Trial:
         """What searches with a hand of one side and size."""
         if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
-            hand = hand_maker(self._config.hand.mesh)(self._sides[side], shape)
+            hand = hand_maker(self._config.hand.mesh)(self.sides[side], shape)
             config = self._quick if quick else self._config
             self._finders[side, k, quick] = Acquisition(config, hand, self._camera)
         return self._finders[side, k, quick]
+
+
+def log_odds_of(dearer_mm: float, most: float = _MOST_A_FRAME) -> float:
+    """Return the log odds of a side in a frame in which the other one is dearer by so much."""
+    return float(np.clip(dearer_mm / _COST_PER_LOG_ODDS, -most, most))
 
 
 def _early_frames(recording: Recording, start: int) -> Iterator[Frame]:

@@ -86,15 +86,12 @@ def _finger_turns(pose: FloatArray, f: int, sign: float, turns: FloatArray) -> N
     """Turns (3, 3, 3) of a finger's bones from rest, in the finger's frame."""
     k = 7 + 3 * f
     if f == 0:
-        flexion = pose[k + 1]
-        _bent(pose[k], sign * pose[k + 2], 0.0, turns[0])
-        _bent(pose[k], sign * pose[k + 2], flexion, turns[1])
-        _bent(pose[k], sign * pose[k + 2], (1.0 + HALF) * flexion, turns[2])
-        return
-    spread, mcp, pip = sign * pose[k + 1], pose[k], pose[k + 2]
-    _bent(0.0, spread, mcp, turns[0])
-    _bent(0.0, spread, mcp + pip, turns[1])
-    _bent(0.0, spread, mcp + (1.0 + HALF) * pip, turns[2])
+        base, spread, first, second = pose[k], sign * pose[k + 2], 0.0, pose[k + 1]
+    else:
+        base, spread, first, second = 0.0, sign * pose[k + 1], pose[k], pose[k + 2]
+    _bent(base, spread, first, turns[0])
+    _bent(base, spread, first + second, turns[1])
+    _bent(base, spread, first + (1.0 + HALF) * second, turns[2])
 
 
 @kernel

@@ -24,11 +24,10 @@ from posetrack_cli.recording.keypoints.layout import (
 from posetrack_cli.recording.keypoints.reading import (
     MOST_OF,
     digest_of,
+    image_unit,
     in_pixels,
     known_scores,
-    lies_within,
     parse_keypoints,
-    unit_cannot_be_told,
 )
 from posetrack_cli.recording.keypoints.sets import KeypointSets
 from posetrack_cli.units import METRES_PER_MM
@@ -122,14 +121,11 @@ def _unit_by_numbers(sets: KeypointSets, camera: Camera, path: Path) -> str:
             return MILLIMETRES
         if low >= _NEAREST_M and high <= _FARTHEST_M:
             return METRES
-    if lies_within(points, 1.0, 1.0):
-        if np.percentile(points[:, :2].min(axis=1), _OF_WORLD) < 0.0:
-            raise _no_place(path)
-        return NORMALISED
-    if lies_within(points, camera.width, camera.height):
-        return PIXELS
     hint = "--keypoints-unit tells it; pixels are those of the depth images"
-    raise unit_cannot_be_told(path, points, camera, ", ".join(UNITS), hint)
+    unit = image_unit(points, camera, path, UNITS, hint)
+    if unit == NORMALISED and np.percentile(points[:, :2].min(axis=1), _OF_WORLD) < 0.0:
+        raise _no_place(path)
+    return unit
 
 
 def _no_place(path: Path) -> UsageError:

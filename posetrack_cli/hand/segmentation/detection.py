@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,6 +68,16 @@ class Detection:
             return None
         length = float(np.hypot(self.arm[0], self.arm[1]))
         return self.arm[:2] / length if length > _FORESHORTENED else None
+
+    def enlarged(self, factor: float) -> Detection:
+        """The same where all lengths are larger; areas of fingers stay those of a hand of usual size."""
+        return replace(
+            self,
+            palm=factor * self.palm,
+            palm_radius_mm=factor * self.palm_radius_mm,
+            wrist=None if self.wrist is None else factor * self.wrist,
+            extent_mm=factor * self.extent_mm,
+        )
 
 
 def detect(

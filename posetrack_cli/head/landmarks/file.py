@@ -16,11 +16,10 @@ from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.keypoints.layout import NORMALISED, PIXELS
 from posetrack_cli.recording.keypoints.reading import (
     digest_of,
+    image_unit,
     in_pixels,
     known_scores,
-    lies_within,
     parse_keypoints,
-    unit_cannot_be_told,
 )
 from posetrack_cli.recording.keypoints.sets import KeypointSets
 
@@ -112,12 +111,8 @@ def read_landmarks(path: Path, camera: Camera, unit: str | None = None) -> Landm
 
 def _unit_by_numbers(sets: KeypointSets, camera: Camera, path: Path) -> str:
     points = sets.points[np.isfinite(sets.points[..., 0])]
-    if lies_within(points, 1.0, 1.0):
-        return NORMALISED
-    if lies_within(points, camera.width, camera.height):
-        return PIXELS
     hint = "--landmarks-unit tells it; pixels are those of the recorded images"
-    raise unit_cannot_be_told(path, points, camera, ", ".join(LANDMARK_UNITS), hint)
+    return image_unit(points, camera, path, LANDMARK_UNITS, hint)
 
 
 def _eye_distances(sets: KeypointSets) -> FloatArray:
@@ -155,8 +150,7 @@ def _wild(sets: KeypointSets, noise: FloatArray) -> BoolArray:
         return np.zeros(pixels.shape[:2], dtype=bool)
     windows = np.lib.stride_tricks.sliding_window_view(pixels, 2 * AROUND + 1, axis=0)
     expected = np.full_like(pixels, np.nan)
-    with np.errstate(all="ignore"):
-        expected[AROUND:-AROUND] = _nan_median(windows)
+    expected[AROUND:-AROUND] = _nan_median(windows)
     expected[:AROUND], expected[-AROUND:] = expected[AROUND], expected[-AROUND - 1]
     eyes = np.nan_to_num(_eye_distances(sets), nan=np.inf)
     off = np.abs(pixels - expected).max(axis=2)

@@ -64,7 +64,7 @@ class HeadFrame:
     @property
     def is_lost(self) -> bool:
         """Whether the frame says nothing about the head."""
-        return STATUSES[self.status] is Status.LOST
+        return says_nothing(STATUSES[self.status], self.confidence)
 
     @property
     def facts(self) -> FrameFacts:
@@ -153,9 +153,15 @@ class FrameKeeper:
         return {name: np.zeros(layout.shape, layout.dtype) for name, layout in self.layouts().items()}
 
 
+def says_nothing(status: Status, confidence: float) -> bool:
+    """Whether no head was followed in a frame; one that was, and is doubted, has some confidence."""
+    return status is Status.LOST and confidence <= 0.0
+
+
 def _systematic(state: HeadState, estimate: Estimate) -> FloatArray:
     """What an estimate's variances (6,) have beyond those of the frame; nothing where the head is lost."""
-    if state.track is None or estimate.status is Status.LOST or estimate.pose_variance is None:
+    missed = says_nothing(estimate.status, estimate.confidence)
+    if state.track is None or missed or estimate.pose_variance is None:
         return np.zeros(POSE_SIZE)
     own = in_body_axes(state.track.particles.variance(), state.track.pose.rotation)[:POSE_SIZE]
     return np.maximum(estimate.pose_variance[:POSE_SIZE] - own, 0.0)

@@ -19,10 +19,12 @@ from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import HeadParticles
-from posetrack_cli.head.tracker.frame_tracker import TrackState
+from posetrack_cli.head.subject import SIGNS
+from posetrack_cli.head.tracker.frame_tracker import TrackRecord, TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 from posetrack_cli.head.tracker.size import LARGEST_SIZE, SMALLEST_SIZE, Size
 from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, units
+from posetrack_cli.tracking.confidence import signs_codec
 from posetrack_cli.tracking.state_codec import (
     Array,
     Codec,
@@ -102,6 +104,12 @@ def track_codec(cameras: int) -> Codec[TrackState]:
         shape=Value(floats(POINT_COUNT, 3)),
         templates=Maybe(template_codec(cameras)),
     )
+
+
+def history_codecs() -> dict[str, Codec[Any]]:
+    """Return how it is kept what a track's past frames tell of it, by the state's attributes."""
+    record = Fields(TrackRecord, **{name: whole() for name in TrackRecord._fields})
+    return {"evidence": signs_codec(len(SIGNS)), "record": record}
 
 
 def _particles(deviations: np.ndarray[Any, Any], coefficients: Array, **parts: Any) -> HeadParticles:

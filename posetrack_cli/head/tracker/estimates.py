@@ -10,6 +10,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
@@ -30,16 +31,25 @@ class Description:
         diagnostics: (M,) what ``head.subject`` names.
         systematic: (6,) variances of what the whole track is wrong by, mm^2 in camera axes and rad^2 in the
             head's, beside those of a frame; None where nothing is known.
+        moved: (K, 3) mm, the points' displacements from the neutral face; None where that is not known.
     """
 
     coefficients: FloatArray
     deviations: FloatArray
     diagnostics: FloatArray
     systematic: FloatArray | None = None
+    moved: FloatArray | None = None
 
 
-def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Description) -> Estimate:
-    """Return the estimate of a frame in which the head was tracked.
+def tracked_estimate(
+    frame: Frame,
+    fit: FrameFit,
+    status: Status,
+    confidence: float,
+    face: Description,
+    signs: FloatArray,
+) -> Estimate:
+    """Return the estimate of a frame in which the head was followed, and what its confidence rests on.
 
     Velocities are differences of two frames' estimates, whose errors are taken for independent.
     """
@@ -55,7 +65,7 @@ def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Descript
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
         status=status,
-        confidence=float(np.clip(fit.score, 0.0, 1.0)),
+        confidence=confidence,
         position=now.pose.position,
         quaternion=now.pose.quaternion,
         shape=face.coefficients,
@@ -66,7 +76,7 @@ def tracked_estimate(frame: Frame, fit: FrameFit, status: Status, face: Descript
         points=now.pose.points(now.shape),
         effective_sample_size=fit.effective_sample_size,
         resampled=True,
-        numbers=face.diagnostics,
+        numbers=np.concatenate([face.diagnostics, signs]),
     )
 
 
@@ -92,7 +102,7 @@ def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> 
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=face.diagnostics,
+        numbers=np.concatenate([face.diagnostics, np.full(len(SIGNS), np.nan)]),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +28,9 @@ from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, HeadPart
 from posetrack_cli.head.particles.scores import PatchObservation
 from posetrack_cli.head.refinement.refine import recalculate, refine
 from posetrack_cli.head.refinement.scene import ComparedFrame
+from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.tracking.confidence import RunningSigns
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +115,40 @@ class FrameFit:
 LONG_AGO_NS = -(2**62)
 
 
+class TrackRecord(NamedTuple):
+    """How a track went since its head was first found.
+
+    Attributes:
+        frames: in which it was tracked, or should have been.
+        doubtful: of these those that are more probably wrong than right; all others were tracked, or lost.
+        gap_ns: the longest time without a head, up to the last frame.
+        gap_frame: with which that began, the last one with a head.
+        last_frame: with a head.
+    """
+
+    frames: int = 0
+    doubtful: int = 0
+    gap_ns: int = 0
+    gap_frame: int = 0
+    last_frame: int = 0
+
+    def tracked(self, frame_index: int, *, doubtful: bool) -> TrackRecord:
+        """Return the record after a frame with a head."""
+        counted = self._replace(frames=self.frames + 1, doubtful=self.doubtful + int(doubtful))
+        return counted._replace(last_frame=frame_index)
+
+    def missed(self, gone_ns: int) -> TrackRecord:
+        """Return the record after a frame without a head, so long after the last with one."""
+        counted = self._replace(frames=self.frames + 1)
+        if gone_ns <= self.gap_ns:
+            return counted
+        return counted._replace(gap_ns=gone_ns, gap_frame=self.last_frame)
+
+
+NO_EVIDENCE, NO_RECORD = RunningSigns.before(len(SIGNS)), TrackRecord()
+"""Before any frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeadState:
     """What a head tracker knows after a frame; what it knows of the face is added by subclasses.
@@ -121,12 +158,16 @@ class HeadState:
         lost: frames in a row, up to the last one, in which it was not.
         search: what looking for a head came to before one was first found.
         first_ns: stamp of the first frame, the one that points were clicked in.
+        evidence: of whether the track is right (``head.tracker.confidence``).
+        record: how the track went.
     """
 
     track: TrackState | None = None
     lost: int = 0
     search: Search = field(default_factory=Search)
     first_ns: int = LONG_AGO_NS
+    evidence: RunningSigns = NO_EVIDENCE
+    record: TrackRecord = NO_RECORD
 
     @property
     def is_found(self) -> bool:

@@ -16,10 +16,12 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.tracker.confidence import doubts, signs_of
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate, tracked_estimate
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, HeadState, SeededFrame, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from posetrack_cli.tracking.state_codec import Codec
 from posetrack_cli.tracking.two_pass import Learned, NothingFoundError
 
@@ -71,6 +73,10 @@ class Faces(Protocol[State, Found]):
 
     def learn(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
         """Learn from a frame in which the head was tracked; return what the frame then says."""
+
+    @property
+    def regression(self) -> Regression:
+        """How probable it is that a frame is right, by its signs."""
 
     def describe(self, state: State, fit: FrameFit | None) -> Description:
         """Return the face as the result of a frame states it; without a fit, of one without a head."""
@@ -126,7 +132,9 @@ class HeadTracker(Generic[State, Found]):
 
     def remarks(self, state: State) -> tuple[str, ...]:
         """Say what a user should know about a finished run beside its numbers; each is one line."""
-        return self._faces.remarks(state) if self._faces.is_known(state) else ()
+        if not self._faces.is_known(state):
+            return ()
+        return (*self._faces.remarks(state), *doubts(state.record))
 
     def _accepts(self, state: State, fit: FrameFit) -> bool:
         """Whether a frame shows the face that is known."""
@@ -142,20 +150,23 @@ class HeadTracker(Generic[State, Found]):
         state, fit = self._faces.begin(state, frame)
         if isinstance(fit, InitFailure):
             return self._coast(self._failed(state, fit), frame)
-        return state, self._tracked(state, frame, fit, found_anew=is_another)
+        return self._tracked(state, None, frame, fit, found_anew=is_another)
 
     def _update(
         self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
     ) -> tuple[State, Estimate]:
         """Learn from a frame in which the head was tracked."""
+        before = state.track
         state, fit = self._faces.learn(state, frame, fit)
         state = replace(state, track=fit.track, lost=0)
-        return state, self._tracked(state, frame, fit, found_anew=found_anew)
+        return self._tracked(state, before, frame, fit, found_anew=found_anew)
 
     def _coast(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Miss the head: nothing is learnt, and it is looked for where it was last."""
         track = None if state.track is None else state.track.at_rest()
         state = replace(state, track=track, lost=state.lost + 1)
+        if track is not None:
+            state = replace(state, record=state.record.missed(frame.stamp_ns - track.stamp_ns))
         return state, lost_estimate(frame.frame, track, self._faces.describe(state, None))
 
     def _reacquire(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
@@ -188,6 +199,15 @@ class HeadTracker(Generic[State, Found]):
             )
         return replace(state, search=search)
 
-    def _tracked(self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool) -> Estimate:
+    def _tracked(
+        self, state: State, before: TrackState | None, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
+    ) -> tuple[State, Estimate]:
+        """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
+        face = self._faces.describe(state, fit)
+        evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0].fx, face.moved))
+        confidence = self._faces.regression.probability(evidence.signs)
+        record = state.record.tracked(frame.index, doubtful=confidence < PROBABLY)
         status = Status.REINITIALISED if found_anew else Status.TRACKING
-        return tracked_estimate(frame.frame, fit, status, self._faces.describe(state, fit))
+        status = Status.LOST if confidence < self._faces.status.doubtful_below else status
+        estimate = tracked_estimate(frame.frame, fit, status, confidence, face, evidence.signs)
+        return replace(state, evidence=evidence, record=record), estimate

@@ -32,6 +32,7 @@ from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
+from posetrack_cli.head.tracker.confidence import MONO
 from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
@@ -43,6 +44,7 @@ from posetrack_cli.head.tracker.size import PupilDistance, Size
 from posetrack_cli.head.tracker.whole_face import shift_of
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
+from posetrack_cli.tracking.confidence import Regression
 from posetrack_cli.tracking.state_codec import Codec
 from posetrack_cli.tracking.two_pass import Learned
 
@@ -262,15 +264,22 @@ class MonoPeople:
         state = state.update_person(person).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
 
+    @property
+    def regression(self) -> Regression:
+        """How probable it is that a frame is right."""
+        return MONO
+
     def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
         size = state.person.size if state.people else None
+        diagnostics = self._diagnostics(state, fit)
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
-            self._diagnostics(state, fit).numbers(),
+            diagnostics.numbers(),
             None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
+            diagnostics.moved,
         )
 
     def export_model(self, state: MonoState) -> Learned:

@@ -17,7 +17,7 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
-from posetrack_cli.head.tracker.codecs import POSE, search_codec, template_codec, track_codec
+from posetrack_cli.head.tracker.codecs import POSE, history_codecs, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
 from posetrack_cli.head.tracker.person import KnownPerson
 from posetrack_cli.head.tracker.reduction import WHOLE
@@ -165,6 +165,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         lost=whole(),
         search=search_codec(1),
         first_ns=stamp(),
+        **history_codecs(),
         people=people,
         current=whole(),
         strange=whole(),

@@ -130,7 +130,7 @@ class KnownPerson:
         if self.is_held:
             return replace(self, views=(), album=Album())
         views, settings = self.album.views, adjuster.settings
-        if settings.when != "always" or len(views) < 2:
+        if settings.when != "always" or not settings.whole or len(views) < 2:
             return self
         closely = adjuster.over_recording
         adjusted = closely.adjust(views, self.person, iterations=settings.start_iterations, wide=True)

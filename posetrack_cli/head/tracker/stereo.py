@@ -25,7 +25,8 @@ from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.refinement.refine import point_values, refine_initial_depth
 from posetrack_cli.head.subject import StereoDiagnostics
-from posetrack_cli.head.tracker.codecs import search_codec, template_codec, track_codec
+from posetrack_cli.head.tracker.codecs import history_codecs, search_codec, template_codec, track_codec
+from posetrack_cli.head.tracker.confidence import STEREO
 from posetrack_cli.head.tracker.estimates import Description, padded
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
@@ -39,6 +40,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays, LayoutError, counts, floats
+from posetrack_cli.tracking.confidence import Regression
 from posetrack_cli.tracking.state_codec import (
     Array,
     Codec,
@@ -166,14 +168,21 @@ class StereoFace:
             templates = (*templates, now.templates)
         return replace(state, face=face, templates=templates), fit
 
+    @property
+    def regression(self) -> Regression:
+        """How probable it is that a frame is right."""
+        return STEREO
+
     def describe(self, state: StereoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""
         count, face = components_of(self._config), state.face
         nothing = np.zeros(0)
+        diagnostics = _diagnostics(face, fit)
         return Description(
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
-            _diagnostics(face, fit).numbers(count),
+            diagnostics.numbers(count),
+            moved=diagnostics.moved,
         )
 
     def export_model(self, state: StereoState) -> Learned:
@@ -298,7 +307,7 @@ class StereoCodecs:
         self._model: Codec[StereoState] = Fields(_state, **learned)
         track = Maybe(track_codec(cameras))
         self.state: Codec[StereoState] = Fields(
-            _state, **learned, track=track, lost=whole(), first_ns=stamp()
+            _state, **learned, track=track, lost=whole(), first_ns=stamp(), **history_codecs()
         )
 
     def to_model(self, state: StereoState) -> Learned:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.keypoints.json_text import read_json, read_json_lines
 from posetrack_cli.recording.keypoints.kind import PointKind
-from posetrack_cli.recording.keypoints.layout import NORMALISED, Parsed
+from posetrack_cli.recording.keypoints.layout import NORMALISED, PIXELS, Parsed
 from posetrack_cli.recording.keypoints.sets import KeypointSets
 from posetrack_cli.recording.keypoints.tables import KIND, read_csv
 
@@ -50,23 +51,38 @@ def digest_of(path: Path) -> str:
         raise UsageError(str(error)) from error
 
 
-def lies_within(points: FloatArray, width: float, height: float) -> bool:
-    """Whether most points (N, 2 or 3) lie in an image of a size, or not far beside it."""
-    size = np.array([width, height])
-    inside = ((points[:, :2] >= -_OUTSIDE * size) & (points[:, :2] <= (1.0 + _OUTSIDE) * size)).all(axis=1)
-    return bool(100.0 * inside.mean() >= MOST_OF)
+def image_unit(points: FloatArray, camera: Camera, path: Path, units: Sequence[str], hint: str) -> str:
+    """Return the unit that most of some points (N, 2 or 3) in images look like: normalised or pixels.
 
+    Args:
+        points: as read.
+        camera: of the images that they were found in.
+        path: the file's, for the error.
+        units: that may be told, for the error.
+        hint: how.
 
-def unit_cannot_be_told(path: Path, points: FloatArray, camera: Camera, units: str, hint: str) -> UsageError:
-    """Return the error of coordinates (N, 2 or 3) that look like none of some units."""
+    Raises:
+        UsageError: they look like neither.
+    """
+    if _lie_within(points, 1.0, 1.0):
+        return NORMALISED
+    if _lie_within(points, camera.width, camera.height):
+        return PIXELS
     (x0, y0), (x1, y1) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    return UsageError(
+    raise UsageError(
         "unit cannot be told",
         where=path,
         found=f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} beside an image of {camera.width} x {camera.height}",
-        expected=f"one of {units}",
+        expected=f"one of {', '.join(units)}",
         hint=hint,
     )
+
+
+def _lie_within(points: FloatArray, width: float, height: float) -> bool:
+    """Whether most points lie in an image of a size, or not far beside it."""
+    size = np.array([width, height])
+    inside = ((points[:, :2] >= -_OUTSIDE * size) & (points[:, :2] <= (1.0 + _OUTSIDE) * size)).all(axis=1)
+    return bool(100.0 * inside.mean() >= MOST_OF)
 
 
 def in_pixels(sets: KeypointSets, unit: str, camera: Camera) -> KeypointSets:

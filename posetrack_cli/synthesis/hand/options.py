@@ -9,7 +9,14 @@ import numpy as np
 from posetrack_cli.hand.anatomy import FINGERS
 from posetrack_cli.hand.model import HandModel, hand_maker
 from posetrack_cli.hand.population import COEFFICIENTS
-from posetrack_cli.hand.shape import MOST_COEFFICIENT, SHAPE_NAMES, HandShape, PerFinger, random_shape
+from posetrack_cli.hand.shape import (
+    MOST_COEFFICIENT,
+    MOST_PADDING_MM,
+    SHAPE_NAMES,
+    HandShape,
+    PerFinger,
+    random_shape,
+)
 from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("A", "B", "C")
@@ -74,6 +81,7 @@ class SynthOptions:
         finger_lengths, finger_widths, palm_width, palm_length, palm_thickness, wrist_width,
             thumb_place: see ``HandShape``; each factor 0.7 to 1.4.
         coefficients: see ``HandShape``; none beside a mesh.
+        padding_mm: see ``HandShape``; 0 to 12.
         mesh: GLB file of the hand; None is one of the population.
         fps: nominal frame rate, Hz.
         switches: what is added to the bare hand.
@@ -96,6 +104,7 @@ class SynthOptions:
     wrist_width: float = 1.0
     thumb_place: float = 1.0
     coefficients: tuple[float, ...] = ()
+    padding_mm: float = 0.0
     mesh: str | None = None
     fps: float = 30.0
     switches: Switches = field(default_factory=Switches.all_on)
@@ -117,6 +126,8 @@ class SynthOptions:
             option = "finger_" + name.split("_")[1] + "s" if of_finger else name
             good = bool(low <= value <= high)
             check_option(option.replace("_", "-"), f"{value:g}", good, f"{low:g} to {high:g}")
+        most = MOST_PADDING_MM
+        check_option("padding-mm", f"{self.padding_mm:g}", 0.0 <= self.padding_mm <= most, f"0 to {most:g}")
         self._check_coefficients()
 
     def _check_coefficients(self) -> None:

@@ -41,7 +41,7 @@ class Judged:
         confidence: (M,) of the frames with a truth.
         wrong: (M,) whether their rotation is off by more than ``WRONG_DEG`` after the offset.
         inside: (M, 6) whether the stated 90 % intervals of position and rotation hold the truth.
-        tracked: (M,) frames that do not say that they are lost.
+        tracked: (M,) frames in which the head was followed, also those that say they are lost.
     """
 
     figures: Mapping[str, float]

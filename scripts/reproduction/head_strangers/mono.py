@@ -63,11 +63,12 @@ class Mono:
         yield "## One camera"
         yield ""
         yield (
-            "Means of absolute errors over tracked frames after one constant rigid offset of the head's "
-            "frame. Right depth factor: what all lengths must be multiplied by to be nearest. Early: the "
-            "first two seconds, rotation. First points: of the first tracked frame on the image, less the "
-            "mean offset of the other people. Off: share of frames whose rotation is off by more than "
-            f"{WRONG_DEG:g} deg. Inside: share of entries within the stated 90 % intervals, nothing removed."
+            "Means of absolute errors over all frames in which the head was followed, after one constant "
+            "rigid offset of the head's frame. Right depth factor: what all lengths must be multiplied by "
+            "to be nearest. Early: the first two seconds, rotation. First points: of the first tracked "
+            "frame on the image, less the mean offset of the other people. Tracked: share of frames that do "
+            f"not say they are lost. Off: share of frames whose rotation is off by more than {WRONG_DEG:g} "
+            "deg. Inside: share of entries within the stated 90 % intervals, nothing removed."
         )
         yield ""
         strangers = judged_people(options.strangers, self.name, measured)

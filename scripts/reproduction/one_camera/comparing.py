@@ -27,6 +27,7 @@ METRICS = {
     "shapes_mm": "points in head, mm",
 }
 JUDGED = ("position_mm", "rotation_deg")
+PAIRED_HEADER = ("first → second", "lower", "difference [95 % interval]", "p")
 LEAST_PAIRS = 6
 """Of fewer, even if all agree, p is not below 0.05: two of 2^n equally likely sets of signs."""
 
@@ -117,8 +118,7 @@ def _pairs(options: Options, measured: Measured, targets: Targets) -> Iterator[s
         "against the truth."
     )
     yield ""
-    header = ("", "", "first → second", "lower", "difference [95 % interval]", "p")
-    yield from table(header, _pair_rows(options, measured))
+    yield from table(("", "", *PAIRED_HEADER), _pair_rows(options, measured))
     for pair in PAIRS:
         if pair.judged:
             for metric in JUDGED:
@@ -130,10 +130,11 @@ def _pair_rows(options: Options, measured: Measured) -> Iterator[list[str]]:
         for metric, title in METRICS.items():
             values = pairs_of(options, pair, metric, measured)
             if len(values):
-                yield [pair.title, title, *_cells(values)]
+                yield [pair.title, title, *paired_cells(values)]
 
 
-def _cells(values: FloatArray) -> list[str]:
+def paired_cells(values: FloatArray) -> list[str]:
+    """Return cells for ``PAIRED_HEADER`` of figures (n, 2) of two ways to track."""
     said = paired(values[:, 0], values[:, 1])
     interval = "" if said.count < 2 else f" [{said.low:+.2f}, {said.high:+.2f}]"
     return [

@@ -48,7 +48,9 @@ class Compared:
 
     Attributes:
         track, reference: (M,) rows of the result, without what is removed, and of the reference.
-        tracked: (M,) whether the tracker says that it has the head.
+        tracked: (M,) whether the head was followed, also where the tracker then says that it is more probably
+            wrong than right: to doubt a frame must not make errors small.
+        believed: (M,) whether the tracker says that it has the head.
         pose: (M, 6) absolute errors, mm and deg, in the order of ``HEAD_POSE``.
         position_mm, rotation_deg: (M,) lengths of the whole errors.
         points_mm: (M, K) distances of the points in head coordinates, after the one constant rigid movement
@@ -61,6 +63,7 @@ class Compared:
     track: Track
     reference: Track
     tracked: BoolArray
+    believed: BoolArray
     pose: FloatArray
     position_mm: FloatArray
     rotation_deg: FloatArray
@@ -108,7 +111,8 @@ def _evaluated(result: Path, reference: Path | None) -> Evaluation:
 
 
 def _compared(track: Track, reference: Track, factor: float) -> Compared:
-    tracked = np.ones(len(track), dtype=np.bool_) if track.lost is None else ~track.lost
+    believed = np.ones(len(track), dtype=np.bool_) if track.lost is None else ~track.lost
+    tracked = believed if track.confidence is None else believed | (np.nan_to_num(track.confidence) > 0.0)
     position, quaternion = pose_of(track)
     true_position, true_quaternion = pose_of(reference)
     shape, true_shape = in_head(track), in_head(reference)
@@ -119,6 +123,7 @@ def _compared(track: Track, reference: Track, factor: float) -> Compared:
         track=track,
         reference=reference,
         tracked=tracked,
+        believed=believed,
         pose=np.hstack([np.abs(position - true_position), euler_errors_deg(quaternion, true_quaternion)]),
         position_mm=distances(position, true_position),
         rotation_deg=rotation_errors_deg(quaternion, true_quaternion),
@@ -160,7 +165,16 @@ def _multiplied(track: Track, factor: float) -> Track:
 
 def rows_of(track: Track, rows: Any) -> Track:
     """Return some frames of a track, as far as this study looks at them."""
-    named = ("stamp_ns", "lost", "position", "quaternion", "points", "milliseconds", "frame_index")
+    named = (
+        "stamp_ns",
+        "lost",
+        "position",
+        "quaternion",
+        "points",
+        "milliseconds",
+        "frame_index",
+        "confidence",
+    )
     known = {name: values[rows] for name in named if (values := getattr(track, name)) is not None}
     fields = ("name", "subject", "shape_names", "point_names", "point_parents")
     return Track(**{name: getattr(track, name) for name in fields}, **known)
@@ -183,7 +197,7 @@ def figures_of(one: Compared) -> dict[str, float]:
     """Return all that tables tell about a result: means, and with ``sd`` deviations, over tracked frames."""
     found = {
         "frames": float(one.frames),
-        "tracked": float(one.tracked.mean()),
+        "tracked": float((one.tracked & one.believed).mean()),
         "wrong": float((one.tracked & one.wrong).sum()),
         "factor": one.factor,
         "first": float(np.argmax(one.tracked)) if one.tracked.any() else np.inf,

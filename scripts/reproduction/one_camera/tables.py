@@ -28,12 +28,12 @@ WAYS: Mapping[Removed, str] = {
 """What tables call what is removed of a difference."""
 COLUMNS = (*AXES, "tracked", "first frame", "wrong")
 EXPLAINED = (
-    "Mean absolute errors over the frames that are reported as tracked, after one constant rigid offset of "
-    "the head's frame (`eval --align rigid`). Depth factor removed: also one common factor on all lengths, "
-    "which one camera cannot see. Nothing removed: not even the offset, for it takes in what is constant of "
-    "an error in z, and pays with errors in x and y that the head's turns make of it. Tracked: share of all "
-    "frames. First frame: the number, from 0, of the first one tracked. Wrong: frames reported as tracked "
-    "whose pose is off by more than 60 mm or 15 deg."
+    "Mean absolute errors over the frames in which the head was followed, after one constant rigid offset "
+    "of the head's frame (`eval --align rigid`). Depth factor removed: also one common factor on all "
+    "lengths, which one camera cannot see. Nothing removed: not even the offset, for it takes in what is "
+    "constant of an error in z, and pays with errors in x and y that the head's turns make of it. Tracked: "
+    "share of frames that do not say they are lost. First frame: the number, from 0, of the first one "
+    "followed. Wrong: frames followed whose pose is off by more than 60 mm or 15 deg."
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,9 +80,15 @@ class Measured:
         self._known: dict[tuple[str, str, EvalOptions], Evaluation | None] = {}
         self._noted: dict[str, dict[str, Any]] = {}
 
-    def frames(self, task: EntrantsTask, entrant: str, track: str = FILTERED) -> Frames | None:
+    def frames(
+        self,
+        task: EntrantsTask,
+        entrant: str,
+        track: str = FILTERED,
+        options: EvalOptions | None = None,
+    ) -> Frames | None:
         """The frames of a track of a result; None without one."""
-        found = self.evaluation(task, entrant, EvalOptions(track=track))
+        found = self.evaluation(task, entrant, replace(options or EvalOptions(), track=track))
         return None if found is None else frames_of(found)
 
     def judged(self, task: EntrantsTask, entrant: str) -> JudgedFrames | None:

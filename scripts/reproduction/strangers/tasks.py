@@ -13,13 +13,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
+from reproduction.accuracy.tasks import Task as AccuracyTask
 from reproduction.made import code_digest, command
 from reproduction.strangers.tool import draw, tool_digest
 from reproduction.task import EntrantsTask
 
-MESH = "{mesh}"
-"""In an entrant's arguments: the path of the person's own hand, a GLB file."""
+MESH, TRUTH = "{mesh}", "{truth}"
+"""In an entrant's arguments: the paths of the person's own hand, a GLB file, and of the true joints, CSV."""
 VIEW = "view"
 """Begin of the arguments of an entrant that does not track, but draws another one's result on one sheet."""
 
@@ -72,19 +74,23 @@ class Task(EntrantsTask):
         """What tracks or draws; the results' folder is absolute."""
         arguments, result = self.entrants[entrant], str(self.result(out, entrant))
         if self._is_picture(entrant):
-            drawn, given = str(self.result(out, arguments[1])), ("--recording", str(recording))
-            return ("view", drawn, "-o", result, *given, *arguments[2:])
-        mesh = str(recording.with_name("hand.glb"))
-        used = [mesh if argument == MESH else argument for argument in arguments]
+            of, given = str(self.result(out, arguments[1])), ("--recording", str(recording))
+            return ("view", of, "-o", result, *given, *arguments[2:])
+        drawn = {MESH: "hand.glb", TRUTH: "truth.csv"}
+        paths = {word: str(recording.with_name(name)) for word, name in drawn.items()}
+        used = [paths.get(argument, argument) for argument in arguments]
         return ("hand", "run", str(recording), "-o", result, *used)
 
     def _is_picture(self, entrant: str) -> bool:
         return self.entrants[entrant][:1] == (VIEW,)
 
 
-def merged(tasks: Iterable[Task]) -> list[Task]:
+Kind = TypeVar("Kind", Task, AccuracyTask)
+
+
+def merged(tasks: Iterable[Kind]) -> list[Kind]:
     """Tasks with the entrants of all of the same name, so that each recording is made once; pictures last."""
-    found: dict[str, Task] = {}
+    found: dict[str, Kind] = {}
     for task in tasks:
         known = found.get(task.name, task)
         found[task.name] = replace(known, entrants={**known.entrants, **task.entrants})

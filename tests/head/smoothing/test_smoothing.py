@@ -50,7 +50,7 @@ def frame(index: int, position: FloatArray, lost: bool = False, **changes: objec
         index,
         index * FRAME_NS,
         STATUSES.index(Status.LOST if lost else Status.TRACKING),
-        0.9,
+        0.0 if lost else 0.9,
         0,
         pose.position,
         pose.quaternion,

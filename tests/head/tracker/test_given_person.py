@@ -62,7 +62,7 @@ def test_the_first_person_of_one_camera_is_held(tmp_path: Path) -> None:
     (person,) = people.from_arrays(given.learned)
     np.testing.assert_array_equal(person.person.identity, known[0].person.identity)
     np.testing.assert_array_equal(person.person.offsets, known[0].person.offsets)
-    assert person.is_held and person.is_settled and not person.album.views and given.size is None
+    assert person.is_held and person.is_settled and not person.album.views and given.size == known[0].size
     assert given.learned[FOCAL_PX] == 900.0
 
 

@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.tracker.codecs import people_codec
+from posetrack_cli.head.tracker.frame_tracker import TrackRecord
 from posetrack_cli.head.tracker.mono_state import HEIGHT, WIDTH, MonoState, is_cut, mono_codec, thumbnail
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.tracking.confidence import RunningSigns
 from support.bundles import random_model
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same, random_detected, random_known, random_templates, random_track
@@ -37,6 +39,12 @@ STATES = {
     "known, not yet found": KNOWN,
     "tracked": MonoState(people=(ONE,), track=TRACK, checked_ns=STAMP - 5, trust=0.8, scale=1.0),
     "put there": MonoState(people=(ONE,), track=random_track(6, MODEL, seen=False), scale=0.5),
+    "with a past": replace(
+        KNOWN,
+        track=TRACK,
+        evidence=RunningSigns(np.random.default_rng(5).normal(size=5), 7),
+        record=TrackRecord(frames=9, doubtful=2, gap_ns=10**9, gap_frame=4, last_frame=8),
+    ),
     "another person": replace(
         KNOWN, people=(ONE, TWO, random_known(7, MODEL)), current=2, track=TRACK, changes=((7, 1), (16, 2))
     ),

@@ -1,0 +1,62 @@
+"""Right or left, once both hands have the shapes that fit them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from posetrack_cli.hand.calibration.calibrate import Calibration
+from posetrack_cli.hand.calibration.sides import decide_side
+from posetrack_cli.hand.calibration.trial import CLEAR_LOG_ODDS, SIDES, Trial
+from posetrack_cli.hand.shape import HandShape
+from support.calibrations import calibration_of
+
+
+def told(log_odds: float) -> Trial:
+    """A trial that told so much of a right hand."""
+    side = SIDES[0] if log_odds >= 0.0 else SIDES[1]
+    sure = abs(log_odds) >= CLEAR_LOG_ODDS
+    return SimpleNamespace(sides=SIDES, log_odds=log_odds, side=side, is_sure_of_side=sure)  # type: ignore[return-value]
+
+
+def costing(side: str, cost_mm: float) -> Calibration:
+    return calibration_of(HandShape(), side, costs_mm=(9.0, cost_mm))
+
+
+@pytest.mark.parametrize(("log_odds", "side"), [(4.5, "right"), (-9.0, "left"), (np.inf, "right")])
+def test_a_side_that_is_certain_is_not_asked_again(log_odds: float, side: str) -> None:
+    asked: list[str] = []
+
+    def estimate(of: str) -> Calibration:
+        asked.append(of)
+        return costing(of, 1.0)
+
+    decided = decide_side(told(log_odds), estimate)
+    assert asked == [side] == [decided.side]
+    assert decided.is_sure and decided.found is not None and decided.log_odds == abs(log_odds)
+
+
+def test_the_hand_whose_shape_explains_more_is_the_likelier() -> None:
+    """0.9 mm are one unit of log odds, and the frames count as four: -1 + 4 = 3."""
+    costs = {"right": 6.0, "left": 6.9}
+    decided = decide_side(told(-1.0), lambda side: costing(side, costs[side]))
+    assert decided.side == "right" and decided.log_odds == pytest.approx(3.0)
+    assert decided.probability == pytest.approx(1.0 / (1.0 + np.exp(-3.0))) and not decided.is_sure
+    assert decided.found is not None and decided.found.side == "right"
+
+
+def test_both_sides_are_treated_alike() -> None:
+    costs = {"right": 6.0, "left": 7.3}
+    one = decide_side(told(0.7), lambda side: costing(side, costs[side]))
+    other = decide_side(told(-0.7), lambda side: costing(side, 13.3 - costs[side]))
+    assert (one.side, other.side) == ("right", "left")
+    assert one.log_odds == pytest.approx(other.log_odds) and one.is_sure == other.is_sure
+
+
+@pytest.mark.parametrize("missing", SIDES)
+def test_a_side_without_a_shape_tells_nothing(missing: str) -> None:
+    decided = decide_side(told(-2.0), lambda side: None if side == missing else costing(side, 1.0))
+    assert decided.side == "left" and decided.log_odds == pytest.approx(2.0)
+    assert (decided.found is None) == (missing == "left")
