@@ -2,8 +2,8 @@
 
 Confidence is the probability that the head's rotation is right to ``RIGHT_DEG`` and its points, on average,
 to ``RIGHT_MM`` in the head (``head.subject``). Where the head's frame sits and which places its points mark
-are conventions: the errors meant are those beside their constant offsets. It is a logistic regression on running
-means (``tracking.confidence``) of
+are conventions: the errors meant are those beside their constant offsets. It is a logistic regression on
+running means (``tracking.confidence``) of
 
     misfit          log (r + .4)    r the root mean square distance of the points from where the face's model
                                     has them, % of the eyes' distance
