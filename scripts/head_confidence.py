@@ -21,8 +21,7 @@ from scipy.optimize import minimize
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc_area
-from posetrack_cli.head.subject import SIGN_NAMES
-from posetrack_cli.head.tracker.confidence import RIGHT_DEG, RIGHT_MM
+from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM, SIGN_NAMES
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import Regression
 from reproduction.heads_data import CALIBRATION, TRUTH

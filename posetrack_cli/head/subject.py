@@ -21,6 +21,8 @@ from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
 
 HEAD = "head"
+RIGHT_DEG, RIGHT_MM = 3.0, 5.0
+"""Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
 SIGN = "sign_"

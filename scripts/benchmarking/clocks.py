@@ -39,6 +39,28 @@ class Clocks:
         return call
 
 
+class FrameClock:
+    """CPU time of a run's frames, of all threads, from one of its first estimates to its last.
+
+    Args:
+        settling: so many estimates are the start; no more than half of those that come.
+    """
+
+    def __init__(self, settling: int, now: Callable[[], float] = time.process_time) -> None:
+        self._settling, self._now = settling, now
+        self._times: list[float] = []
+
+    def note(self, estimate: object) -> None:
+        """See an estimate that was written."""
+        self._times.append(self._now())
+
+    @property
+    def seconds_a_frame(self) -> float:
+        """Seconds; NaN of fewer than two estimates."""
+        times = self._times[min(self._settling, len(self._times) // 2) :]
+        return (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else float("nan")
+
+
 @contextmanager
 def clocked(parts: Mapping[str, Iterable[Part]]) -> Iterator[Clocks]:
     """Put clocks on methods as long as the context lasts."""

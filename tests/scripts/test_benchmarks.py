@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 import benchmarks
 from benchmarking import commands, one_camera
-from benchmarking.clocks import Clocks, clocked
+from benchmarking.clocks import Clocks, FrameClock, clocked
 from benchmarking.commands import peak_memory, usage_of
 from benchmarking.head_walker import HeadWalker
 from benchmarking.heads import FEW, MANY, deformations_of, tracking_rows
@@ -64,6 +64,15 @@ class Worker:
 
     def fail(self) -> None:
         raise ValueError
+
+
+def test_a_frame_costs_what_it_does_after_the_start() -> None:
+    ticks = iter([5.0, 7.0, 7.5, 8.0, 8.5])
+    clock = FrameClock(2, lambda: next(ticks))
+    assert np.isnan(clock.seconds_a_frame)
+    for _ in range(5):
+        clock.note(None)
+    assert clock.seconds_a_frame == pytest.approx(0.5)
 
 
 def test_the_outermost_call_counts_alone() -> None:

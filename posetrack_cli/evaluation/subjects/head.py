@@ -5,9 +5,8 @@ from __future__ import annotations
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE, STATE_PARTS, head_metrics
 from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
+from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM
 
-RIGHT_DEG, RIGHT_MM = 3.0, 5.0
-"""Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
 FAR_DEG = 10.0
 _METRICS = (
     Metric("x_mm", "mm", "Absolute error of the head's position along x, right.", spoken="x error"),

@@ -1,9 +1,9 @@
 """How probable it is that a head's estimate is right **[ours]**.
 
 Confidence is the probability that the head's rotation is right to ``RIGHT_DEG`` and its points, on average,
-to ``RIGHT_MM`` in the head. Where the head's frame sits and which places its points mark are conventions: the
-errors meant are those beside their constant offsets. It is a logistic regression on running means
-(``tracking.confidence``) of
+to ``RIGHT_MM`` in the head (``head.subject``). Where the head's frame sits and which places its points mark
+are conventions: the errors meant are those beside their constant offsets. It is a logistic regression on
+running means (``tracking.confidence``) of
 
     misfit          log (r + .4)    r the root mean square distance of the points from where the face's model
                                     has them, % of the eyes' distance
@@ -26,17 +26,16 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import strengths
+from posetrack_cli.head.initialisation.mono import EYE_DISTANCE_MM, eye_distance_px
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackRecord, TrackState
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 
-RIGHT_DEG, RIGHT_MM = 3.0, 5.0
-"""As ``posetrack eval`` has them."""
 MONO = Regression(4.44, np.array([-1.03, -2.15, -0.72, -9.65, -2.72]))
 STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07, 0.0]))
-EYES_MM = 63.0
-_USUAL_PX, _STEADY_DEG, _EXACT, _NEAREST_MM = 80.0, 0.2, 0.4, 1.0
+_USUAL_PX, _STEADY_DEG, _EXACT = 80.0, 0.2, 0.4
 _LONGEST_S = 0.2
 """A gap counts for no longer, as velocities do not last."""
 
@@ -64,25 +63,24 @@ def doubts(record: TrackRecord) -> tuple[str, ...]:
 
 
 def signs_of(
-    before: TrackState | None, fit: FrameFit, focal_px: float, moved: FloatArray | None
+    before: TrackState | None, fit: FrameFit, camera: Camera, moved: FloatArray | None
 ) -> FloatArray:
     """Return the signs (5,) of a frame in which a head was followed.
 
     Args:
         before: the head after the frame before; None without.
         fit: of the frame.
-        focal_px: of the recorded image.
+        camera: of the recorded image, the reference.
         moved: (K, 3) mm, the points' displacements from the neutral face; None of a face that is not known.
     """
     track = fit.track
     beside = track.shape - track.particles.model.shapes(fit.coefficients)
     seen = (fit.weights > 0.0) & np.isfinite(fit.pixels).all(axis=2).any(axis=0)
-    rms = float(np.sqrt(np.mean(np.sum(beside[seen] ** 2, axis=1)))) if seen.any() else EYES_MM
-    distance_px = EYES_MM * focal_px / max(float(track.pose.position[2]), _NEAREST_MM)
+    rms = float(np.sqrt(np.mean(np.sum(beside[seen] ** 2, axis=1)))) if seen.any() else EYE_DISTANCE_MM
     return np.array(
         [
-            np.log(100.0 * rms / EYES_MM + _EXACT),
-            np.log(_USUAL_PX / distance_px),
+            np.log(100.0 * rms / EYE_DISTANCE_MM + _EXACT),
+            np.log(_USUAL_PX / eye_distance_px(track.pose, camera)),
             np.log(_off_deg(before, fit) + _STEADY_DEG),
             1.0 - float(fit.weights.mean()),
             0.0 if moved is None else float(np.linalg.norm(strengths(moved).values)),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import displacements, strengths
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose, rigid_model
@@ -19,7 +20,7 @@ from posetrack_cli.results.estimate import Status
 from posetrack_cli.tracking.confidence import Regression
 from support.mono_scene import FEW, Scene
 
-FOCAL_PX, DISTANCE_MM = 900.0, 630.0
+CAMERA, DISTANCE_MM = Camera(640, 480, 900.0, 900.0, 319.5, 239.5), 630.0
 
 
 def fit_of(beside_mm: float = 0.63, weight: float = 0.6) -> FrameFit:
@@ -34,10 +35,10 @@ def fit_of(beside_mm: float = 0.63, weight: float = 0.6) -> FrameFit:
 def test_signs_are_what_is_stated() -> None:
     """1 % of the eyes' distance; eyes 90 px apart; at rest; .4 unseen; a jaw that is open."""
     (jaw, *_) = displacements()
-    signs = signs_of(None, fit_of(), FOCAL_PX, jaw)
+    signs = signs_of(None, fit_of(), CAMERA, jaw)
     open_ = np.linalg.norm(strengths(jaw).values)
     np.testing.assert_allclose(signs, [np.log(1.4), np.log(80 / 90), np.log(0.2), 0.4, open_], rtol=1e-6)
-    assert 0.8 < open_ < 1.0 and signs_of(None, fit_of(), FOCAL_PX, None)[4] == 0.0
+    assert 0.8 < open_ < 1.0 and signs_of(None, fit_of(), CAMERA, None)[4] == 0.0
     assert len(signs) == len(SIGN_NAMES) == len(NO_SIGNS)
 
 
@@ -46,9 +47,9 @@ def test_points_that_no_camera_sees_do_not_tell() -> None:
     shape, pixels = fit.track.shape.copy(), fit.pixels.copy()
     shape[3], pixels[0, 3] = 100.0, np.nan
     hidden = replace(fit, track=replace(fit.track, shape=shape), pixels=pixels)
-    one, other = (signs_of(None, which, FOCAL_PX, None) for which in (hidden, fit))
+    one, other = (signs_of(None, which, CAMERA, None) for which in (hidden, fit))
     np.testing.assert_allclose(one, other)
-    none = signs_of(None, replace(fit, weights=np.zeros(POINT_COUNT)), FOCAL_PX, None)
+    none = signs_of(None, replace(fit, weights=np.zeros(POINT_COUNT)), CAMERA, None)
     assert (none[0], none[3]) == pytest.approx((np.log(100.4), 1.0))  # as far off as eyes are apart
 
 
@@ -58,7 +59,7 @@ def test_unsteady_is_what_turns_otherwise_than_before() -> None:
     fast = replace(fit.track, velocity=np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))
     faster = replace(fit, track=replace(fast, velocity=1.15 * fast.velocity))
     for before, now, off_deg in ((fast, faster, np.degrees(0.01)), (fast, replace(fit, track=fast), 0.0)):
-        unsteady = signs_of(before, now, FOCAL_PX, None)[2]
+        unsteady = signs_of(before, now, CAMERA, None)[2]
         assert np.exp(unsteady) == pytest.approx(off_deg + 0.2)
 
 
