@@ -25,6 +25,7 @@ from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
 ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"
+_EXPECTED = "what --save-model wrote, or a result of posetrack head"
 _HEADER, _PREFIX = "header", "array."
 
 
@@ -85,8 +86,14 @@ def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
     if not path.is_file():
         raise UsageError("no such model file", where=path)
     try:
-        is_result = is_mcap(path)
-        data = read_result(path).attachment(ATTACHMENT) if is_result else read_input(path, limits.MODEL_BYTES)
+        if is_mcap(path):
+            result = read_result(path)
+            if result.subject.name != "head":
+                what = "result knows no head"
+                raise ResultError(what, where=path, found=f"a {result.subject.name}", expected=_EXPECTED)
+            data = result.attachment(ATTACHMENT)
+        else:
+            data = read_input(path, limits.MODEL_BYTES)
         contents = read_npz(data)
         header = json.loads(str(contents[_HEADER]))
         _check(header)
@@ -96,8 +103,7 @@ def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
         raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         found = f"no {error}" if isinstance(error, KeyError) else error
-        expected = "what --save-model wrote, or a result of posetrack head"
-        raise ResultError("is no model of a head", where=path, found=found, expected=expected) from error
+        raise ResultError("is no model of a head", where=path, found=found, expected=_EXPECTED) from error
     learned = {name: values for name, values in contents.items() if name.startswith(_PREFIX)}
     return header, {name.removeprefix(_PREFIX): values for name, values in learned.items()}
 

@@ -27,6 +27,7 @@ from posetrack_cli.results.export.source import export_source
 from posetrack_cli.tracking.options import RunOutcome
 from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory
+from support.hostile_files import write_hand_result
 
 Track = Callable[..., RunOutcome]
 NAME = "head-stereo"
@@ -290,6 +291,12 @@ def test_a_result_without_model_is_none(tmp_path: Path, track: Track) -> None:
     track(Memory(), stopped=after(5))
     with pytest.raises(ResultError, match=r"holds no attachment 'model\.npz', found none"):
         load_model(part_path(tmp_path / "r.mcap"), CAMERAS, NAME)
+
+
+def test_a_hand_s_result_knows_no_head(tmp_path: Path) -> None:
+    hand = write_hand_result(tmp_path / "hand.mcap")
+    with pytest.raises(ResultError, match=r"hand\.mcap: result knows no head, found a hand, expected what"):
+        load_model(hand, CAMERAS, NAME)
 
 
 def test_a_model_is_not_written_over(track: Track, tmp_path: Path) -> None:
