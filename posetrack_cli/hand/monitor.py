@@ -8,7 +8,7 @@ from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
 _ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
-_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 32  # frames
+_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
 _FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
 
 

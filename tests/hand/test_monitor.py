@@ -19,7 +19,7 @@ watches = st.builds(
     misses=st.integers(0, 10),
     usual_mm=st.one_of(st.just(0.0), costs),
     wait=st.integers(0, 200),
-    next_wait=st.integers(1, 32),
+    next_wait=st.integers(1, 6),
 )
 
 
@@ -92,8 +92,8 @@ def test_a_dearer_fit_is_doubted_no_less(monitor: TrackMonitor, first: float, se
 def test_searches_come_ever_more_seldom_but_soon_enough() -> None:
     assert refusals(TrackMonitor(usual_mm=3.0), 30.0, 6) == [1, 2, 4, 4, 4, 4]
     assert refusals(TrackMonitor(lost=True), float("inf"), 6) == [1, 2, 4, 4, 4, 4]
-    # a hand that always fits badly is reconsidered every second
-    assert refusals(TrackMonitor(usual_mm=12.0), 12.0, 9) == [1, 2, 4, 8, 16, 32, 32, 32, 32]
+    # a hand that always fits badly is reconsidered five times a second
+    assert refusals(TrackMonitor(usual_mm=12.0), 12.0, 6) == [1, 2, 4, 6, 6, 6]
 
 
 @given(watches)
@@ -135,7 +135,7 @@ def test_a_fit_is_replaced_by_one_that_is_better_by_a_share_or_by_millimetres() 
 
 
 def test_a_search_that_was_to_come_late_comes_at_once_when_fits_get_worse() -> None:
-    late, soon = TrackMonitor(usual_mm=12.0, wait=10), TrackMonitor(usual_mm=12.0, wait=3)
+    late, soon = TrackMonitor(usual_mm=12.0, wait=6), TrackMonitor(usual_mm=12.0, wait=3)
     assert late.postpones_search(12.0, SETTINGS)
     assert not late.postpones_search(35.0, SETTINGS)  # above 1.5 x 12 + 2
     assert soon.postpones_search(35.0, SETTINGS)  # the last search of a bad track was a moment ago
