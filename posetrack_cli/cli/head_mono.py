@@ -162,6 +162,7 @@ def _run(
     file = None if config.model.file is None else Path(config.model.file)
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
+    given = _given_person(options, config, model)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if known is None and given is not None:
@@ -169,8 +170,6 @@ def _run(
         return make_mono_tracker(
             config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks
         )
-
-    given = _given_person(options, config, model)
 
     return HeadRun(
         source,

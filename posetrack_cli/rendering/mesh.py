@@ -46,9 +46,9 @@ class SkinnedMesh:
         if mm == 0.0:
             return self
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
-        normals = np.zeros_like(self.vertices)
+        by_area, normals = np.cross(b - a, c - a), np.zeros_like(self.vertices)
         for k in range(3):
-            np.add.at(normals, self.triangles[:, k], np.cross(b - a, c - a))
+            np.add.at(normals, self.triangles[:, k], by_area)
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         outwards = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
         return SkinnedMesh(self.vertices + mm * outwards, self.weights, self.triangles)

@@ -58,8 +58,9 @@ def measured(
     theta = space.theta(shape)
 
     def numbers(of: FloatArray) -> FloatArray:
-        known = measures_of(maker(side, space.shape(of)).anatomy)
-        return np.append(known, space.shape(of).padding_mm) if has_padding else known
+        shape = space.shape(of)
+        known = measures_of(maker(side, shape).anatomy)
+        return np.append(known, shape.padding_mm) if has_padding else known
 
     has_padding = "padding_mm" in space.names
     names = (*MEASURES, "padding") if has_padding else MEASURES

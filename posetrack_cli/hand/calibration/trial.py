@@ -168,7 +168,7 @@ class Trial:
             if (side, k) == (0, own):
                 return
             # a palm is as large as the hand: where it is looked for depends on it
-            there = likely if abs(k - own) <= 1 else self._finder(side, k).detect(frame.depth)
+            there = likely if abs(k - own) <= 1 else self._finder(side, k, quick=True).detect(frame.depth)
             costs[side, k] = of(side, k, there)[0]
 
         for side in range(len(self.sides)):
