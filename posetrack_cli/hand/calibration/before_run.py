@@ -1,4 +1,4 @@
-"""What a run finds out about its hand before its first frame: right or left, its size and its shape.
+"""What is found out about a hand before it is tracked: right or left, its size and its shape.
 
 It depends on the recording and the configuration alone, so a run that is resumed finds the same.
 """

@@ -168,7 +168,7 @@ def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) ->
 def add_deformation(
     built: BuiltModel, displacement: FloatArray, sizes: FloatArray, deviation: float
 ) -> BuiltModel:
-    """Return the model with one more deformation parameter a, which halves of faces do not show **[ours]**.
+    """Return the model with one more deformation parameter a, that halves of faces cannot show **[ours]**.
 
     M = ... + a (c^T s) D, where c^T s is the size of the person as nearly as s tells it. No sample does any
     of it: abar and the rows of U_action are 0 there.
