@@ -29,6 +29,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import strengths
 from posetrack_cli.head.initialisation.mono import EYE_DISTANCE_MM, eye_distance_px
+from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackRecord, TrackState
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 
@@ -39,6 +40,8 @@ _LONGEST_S = 0.2
 """A gap counts for no longer, as velocities do not last."""
 
 
+NO_SIGNS: FloatArray = np.full(len(SIGNS), np.nan)
+NO_SIGNS.setflags(write=False)
 DOUBTFUL_SHARE, LONG_S = 0.1, 1.0
 """More doubtful frames than this, and a head that was gone for longer, are told at a run's end."""
 

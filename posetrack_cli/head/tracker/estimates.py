@@ -10,7 +10,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.subject import SIGNS
+from posetrack_cli.head.tracker.confidence import NO_SIGNS
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
@@ -102,7 +102,7 @@ def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> 
         points=pose.points(shape),
         effective_sample_size=None,
         resampled=False,
-        numbers=np.concatenate([face.diagnostics, np.full(len(SIGNS), np.nan)]),
+        numbers=np.concatenate([face.diagnostics, NO_SIGNS]),
     )
 
 
