@@ -6,6 +6,8 @@ were observed in every frame.
     joint limits          e = excess, rad
     abduction of a bent finger    e = abduction times the bend's share (taut collateral ligaments)
     relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
+    closed finger         or e = angle - closed angle, more strongly, as far as a finger is that closed: of
+                          fists seen from the back nothing shows how far they are closed
     closing finger        e = what joint 2 is bent less than joint 3, each from relaxed: what bends the
                           knuckle alone are small muscles; a finger that its knuckle hides is closed
     collision             e = overlap of two fingers' spheres, mm
@@ -27,9 +29,15 @@ SPHERES = 5  # a finger: at joint 2, between, at joint 1, between, near the tip
 FREE_BEND, STIFF_BEND = np.deg2rad(5.0), np.deg2rad(40.0)
 _D = np.pi / 180.0
 RELAXED: FloatArray = _D * np.array(
-    [5, 10, 0, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
+    [15, 22, 5, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
 )
 """(15,) angles of a relaxed hand, rad."""
+_REST: FloatArray = np.array([4.0, 4.0, 8.0, *[0.5] * 12])
+"""(15,) 1 / rad^2: a thumb's flexions are within 30 degrees of relaxed, its abduction within 20, a finger's
+anywhere."""
+_CLOSED: FloatArray = _D * np.array([76.0, 87.0])
+"""Flexion of joint 3 and 2 of a finger that is closed: between a fist of the palm's skin (80, 95) and what
+strangers' palms show in fists (66, 79; people 640-650, their own skin)."""
 
 
 class Plausibility(NamedTuple):
@@ -39,7 +47,10 @@ class Plausibility(NamedTuple):
         low, high: (15,) joint limits, rad.
         relaxed: (15,) rad.
         radii: (5, 5) of the fingers' spheres, mm.
-        limit, taut, rest, closing: weights, 1 / rad^2.
+        rest: (15,) weights of the relaxed angles, 1 / rad^2.
+    closed: (2,) flexion of joint 3 and 2 of a closed finger, rad.
+    limit, taut, closing, closed_weight: weights, 1 / rad^2.
+    closed_odds: log odds of a closed finger, densities at their peaks included.
         overlap: weight of a collision, 1 / mm^2.
         allowed_mm: how far skins may sink into each other.
     """
@@ -48,10 +59,13 @@ class Plausibility(NamedTuple):
     high: FloatArray
     relaxed: FloatArray
     radii: FloatArray
+    rest: FloatArray
+    closed: FloatArray
     limit: float = 400.0
     taut: float = 5.0
-    rest: float = 0.5
     closing: float = 4.0
+    closed_weight: float = 10.0
+    closed_odds: float = 2.2
     overlap: float = 0.2
     allowed_mm: float = 3.0
 
@@ -63,7 +77,7 @@ def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
         [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
     )
     low, high = (np.ascontiguousarray(side) for side in ANGLE_LIMITS.T)
-    return Plausibility(low, high, RELAXED, radii)
+    return Plausibility(low, high, RELAXED, radii, _REST, _CLOSED)
 
 
 @kernel
@@ -107,12 +121,36 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
             value += _add_angle(equations, k, about.low[k] - angles[k], about.limit)
         elif angles[k] > about.high[k]:
             value += _add_angle(equations, k, about.high[k] - angles[k], about.limit)
-        value += _add_angle(equations, k, about.relaxed[k] - angles[k], about.rest)
+        value += _add_angle(equations, k, about.relaxed[k] - angles[k], about.rest[k])
     for f in range(1, 5):
         bent = (angles[3 * f] - FREE_BEND) / (STIFF_BEND - FREE_BEND)
         share = min(max(bent, 0.0), 1.0)
         if share > 0.0:
             value += _add_angle(equations, 3 * f + 1, -angles[3 * f + 1], about.taut * share)
+    return value
+
+
+@kernel
+def _add_closed(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
+    """Pull closed fingers to where closed fingers are, and take back what relaxed ones pull them with.
+
+    With U_r what the relaxed angles and U_c = w |e|^2 / 2 what the closed ones cost a finger, and o the odds,
+    its potential is -log(exp(-U_r) + exp(o - U_c)). ``_add_limits`` has U_r; the difference is
+    -log(1 + exp(o - U_c + U_r)), whose gradient is that of s (U_c - U_r), s the probability of a closed one.
+    """
+    value = 0.0
+    for f in range(1, 5):
+        odds = about.closed_odds
+        for k in range(2):
+            i = 3 * f + 2 * k
+            off, at_rest = about.closed[k] - angles[i], about.relaxed[i] - angles[i]
+            odds += 0.5 * (about.rest[i] * at_rest * at_rest - about.closed_weight * off * off)
+        share = 1.0 / (1.0 + np.exp(-odds))
+        for k in range(2):
+            i = 3 * f + 2 * k
+            _add_angle(equations, i, about.closed[k] - angles[i], share * about.closed_weight)
+            _add_angle(equations, i, about.relaxed[i] - angles[i], -share * about.rest[i])
+        value -= np.log1p(np.exp(odds))
     return value
 
 
@@ -191,7 +229,9 @@ def add_anatomy(
         spheres: (5, SPHERES, 3), is written to.
         equations: to add to.
     """
-    value = _add_limits(about, pose[7:], equations) + _add_closing(about, pose[7:], equations)
+    angles = pose[7:]
+    value = _add_limits(about, angles, equations) + _add_closing(about, angles, equations)
+    value += _add_closed(about, angles, equations)
     place_spheres(posed, spheres)
     for f in range(5):
         for h in range(f + 1, 5 if f == 0 else min(f + 2, 5)):  # the thumb meets all, a finger its neighbour

@@ -40,6 +40,17 @@ from posetrack_cli.tracking.body_space import BodySpace
 
 # MCP and PIP flexion, rad, of a straight, curled, half-bent, hooked and flat-bent finger.
 _FOLDS = np.array([(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)])
+# CMC flexion, MCP flexion and CMC abduction, rad, of a thumb held out, relaxed, before the palm and across it.
+_THUMB_FOLDS = np.array(
+    [
+        (-0.2, 0.2, 0.35),
+        (-0.2, 0.2, -0.35),
+        (0.4, 0.45, 0.35),
+        (0.4, 0.45, -0.35),
+        (0.85, 0.5, 0.3),
+        (0.85, 0.5, -0.3),
+    ]
+)
 _REFOLDED = 0.5  # probability that a finger of a scattered start takes another fold
 _FINGER_SD = (0.3, 0.08, 0.36)  # MCP flexion, abduction, PIP flexion, rad
 SCATTER: FloatArray = np.array([8.0] * 3 + [0.15] * 3 + [0.3, 0.3, 0.08] + list(_FINGER_SD) * 4)
@@ -77,14 +88,18 @@ def fit_starts(
         rows = refolded[:, finger - 1]
         scattered[rows, 7 + 3 * finger] = fold[rows, finger - 1, 0]
         scattered[rows, 9 + 3 * finger] = fold[rows, finger - 1, 1]
+    thumbs = rng.random(more) < _REFOLDED
+    scattered[thumbs, 7:10] = _THUMB_FOLDS[rng.integers(len(_THUMB_FOLDS), size=int(thumbs.sum()))]
     return np.concatenate([given, scattered])
 
 
 def refolds(pose: FloatArray) -> FloatArray:
-    """Return a pose (22,) with each finger in each fold, one at a time: (20, 22)."""
-    poses = np.tile(pose, (4 * len(_FOLDS), 1))
+    """Return a pose (22,) with each finger in each fold, one at a time: (26, 22)."""
+    count = 4 * len(_FOLDS)
+    poses = np.tile(pose, (count + len(_THUMB_FOLDS), 1))
     for row, (finger, fold) in enumerate(product(range(1, 5), _FOLDS)):
         poses[row, [7 + 3 * finger, 9 + 3 * finger]] = fold
+    poses[count:, FINGER_ANGLES[0]] = _THUMB_FOLDS
     return poses
 
 

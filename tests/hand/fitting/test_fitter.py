@@ -9,7 +9,14 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.fitting.fitter import FINGER_ANGLES, SCATTER, HandFitter, PosePrior, fit_starts
+from posetrack_cli.hand.fitting.fitter import (
+    FINGER_ANGLES,
+    SCATTER,
+    HandFitter,
+    PosePrior,
+    fit_starts,
+    refolds,
+)
 from posetrack_cli.hand.fitting.gauss_newton import Fit, Steps
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.kinematics import joint_positions
@@ -261,8 +268,8 @@ def test_scattered_starts_spread_as_stated_and_fold_fingers_together_or_each_alo
     none = np.empty((0, POSE_SIZE))
     starts = fit_starts(expected, none, count + 1, SPACE, np.random.default_rng(3))[1:]
     delta = SPACE.local(expected, starts)
-    # position, rotation, thumb, and the abductions, which no fold changes
-    free = [*range(9), *range(10, 21, 3)]
+    # position, rotation, and the abductions of fingers, which no fold changes
+    free = [*range(6), *range(10, 21, 3)]
     np.testing.assert_allclose(delta[:, free].std(axis=0), SCATTER[free], rtol=4.0 / np.sqrt(2 * count))
     bends = starts[:, [[7 + 3 * finger, 9 + 3 * finger] for finger in range(1, 5)]]
     together, alone = bends[::2], bends[1::2]
@@ -275,6 +282,13 @@ def test_scattered_starts_spread_as_stated_and_fold_fingers_together_or_each_alo
         assert {tuple(bend) for bend in alone[refolded, finger - 1]} == folds
         kept = delta[1::2][~refolded][:, [6 + 3 * finger, 8 + 3 * finger]]
         assert np.abs(kept.mean(axis=0)).max() < 4.0 * 0.36 / np.sqrt(0.25 * count)
+    thumbs = {tuple(pose[7:10]) for pose in refolds(expected)} - {tuple(expected[7:10])}
+    assert len(thumbs) == 6
+    refolded = np.array([tuple(pose[7:10]) in thumbs for pose in starts])
+    assert refolded.mean() == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(count))
+    assert {tuple(pose[7:10]) for pose in starts[refolded]} == thumbs
+    spread = 4.0 / np.sqrt(2 * 0.5 * count)
+    np.testing.assert_allclose(delta[~refolded][:, 6:9].std(axis=0), SCATTER[6:9], rtol=spread)
 
 
 def test_a_prior_about_another_place_keeps_all_else() -> None:
