@@ -40,7 +40,7 @@ from posetrack_cli.tracking.body_space import BodySpace
 
 # MCP and PIP flexion, rad, of a straight, curled, half-bent, hooked and flat-bent finger.
 _FOLDS = np.array([(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)])
-# CMC flexion, MCP flexion and CMC abduction, rad, of a thumb held out, relaxed, before the palm and across it.
+# CMC flexion, MCP flexion and CMC abduction, rad, of a thumb held out and before the palm.
 _THUMB_FOLDS = np.array(
     [
         (-0.2, 0.2, 0.35),
