@@ -24,6 +24,7 @@ from reproduction.strangers.measuring import Measured
 from reproduction.strangers.mesh import OwnMesh
 from reproduction.strangers.options import AnyTask, Options, Part
 from reproduction.strangers.people import people_of
+from reproduction.strangers.shape import Shapes
 from reproduction.strangers.sheet import Sheets
 from reproduction.strangers.smooth import Smoothing
 from reproduction.strangers.tasks import Task, merged
@@ -39,6 +40,7 @@ PARTS: tuple[Part, ...] = (
     Sheets(),
     Told(),
     Choices(),
+    Shapes(),
 )
 
 

@@ -12,13 +12,13 @@ from reproduction.accuracy.options import AVERAGE, NO_MESH
 from reproduction.accuracy.tasks import Task as AccuracyTask
 from reproduction.strangers.measuring import Measured
 from reproduction.strangers.people import Person
-from reproduction.strangers.tasks import HAND_OF, MESH, Task
+from reproduction.strangers.tasks import CALIBRATE, HAND_OF, MESH, Task
 
 EXACT, DEFAULT = "mesh", "default"
 """Names of entrants: with the person's own mesh, and without being told anything."""
 PLAIN_FILTER, UNION_COST, PAPER_COST, SWARM = "pf", "union", "paper", "pso"
 """Those that differ from the default in one thing, and are told the hand that it found."""
-AVERAGE_HAND = "average"
+AVERAGE_HAND, SHAPE_ALONE = "average", "shape"
 FOUND = ("--config", HAND_OF + DEFAULT, *AVERAGE, *NO_MESH)
 ENTRANTS: dict[str, tuple[str, ...]] = {
     EXACT: ("--hand-mesh", MESH, "--smooth", *NO_MESH),
@@ -28,6 +28,7 @@ ENTRANTS: dict[str, tuple[str, ...]] = {
     PAPER_COST: ("--cost", "paper", *FOUND),
     SWARM: ("--filter", "pso", *FOUND),
     AVERAGE_HAND: (*AVERAGE, *NO_MESH),
+    SHAPE_ALONE: (CALIBRATE,),
 }
 ARM, NO_ARM, DOUBLE_SPEED, FREE_ELBOW = "arm", "no-arm", "double-speed", "free-elbow"
 """Kinds of recordings."""
