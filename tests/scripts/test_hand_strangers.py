@@ -404,7 +404,7 @@ def test_stated_measures_are_judged_from_both_sides(
     measured = MadeUp({}, hand_files={f"800-{ARM}-30": hand_file(errors)})
     targets = Targets()
     text = "\n".join(Shapes().lines(options(tmp_path, FEW[:1]), measured, targets))
-    assert judged(targets) == {"shape: stated 90 % intervals that hold the truth": said}
+    assert judged(targets) == {"shape: truth within stated 90 % intervals": said}
     assert f"| **all that are counted** |  |  |  |  |  | {whose} | 0 % |" in text
     assert "| hand length (not counted) | 20.00 | - | 50.00 | 50.00 | 2.00 | 0 % | 100 % |" in text
     assert measured.everything["shape"]["800"]["hand_length_error_mm"] == pytest.approx(50.0)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hand_model.people import person_hand
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
 from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
 from posetrack_cli.hand.webxr import load_hand
 from reproduction.accuracy.measuring import number
@@ -19,13 +20,10 @@ from reproduction.running import Targets, table
 from reproduction.strangers.measuring import Measured
 from reproduction.strangers.options import ARM, SHAPE_ALONE, Options
 from reproduction.strangers.people import Person
-from reproduction.strangers.tables import NOTHING, Column, Value, noted, people_table
+from reproduction.strangers.tables import NOTHING, Column, Value, judge_intervals, noted, people_table
 from reproduction.strangers.tasks import Task
 from reproduction.strangers.tool import draw
 
-SD_OF_90 = 1.645
-"""Half a 90 % interval of a normal distribution, in its standard deviations."""
-INTERVALS = (0.80, 0.97)
 OF_THE_WRIST = ("hand_length", "palm_length")
 """Where the wrist's centre lies in the skin no image tells, nor does a rule: it is the rig's convention."""
 COUNTED = np.array([name not in OF_THE_WRIST for name in MEASURES])
@@ -36,6 +34,16 @@ COLUMNS = (
     Column("of", "of the"),
     Column("hand_length_mm", "hand length, mm", 1, whole="mean"),
     Column("hand_length_error_mm", "off by, mm", 1, whole="mean"),
+)
+_TITLES = (
+    "",
+    "true, mm",
+    "spread",
+    "mean error",
+    "rms error",
+    "mean stated sd",
+    "inside",
+    "inside, joints of the rig",
 )
 
 
@@ -60,7 +68,7 @@ class Known:
 
     def inside(self, truth: str = "true") -> FloatArray:
         """1 for each measure whose 90 % interval holds the truth, else 0."""
-        return (np.abs(self.errors(truth)) <= SD_OF_90 * self.sd).astype(np.float64)
+        return (np.abs(self.errors(truth)) <= INSIDE_90 * self.sd).astype(np.float64)
 
 
 class Shapes:
@@ -95,19 +103,8 @@ class Shapes:
         if every:
             yield from table(_TITLES, list(_measure_rows(every, measured)))
         yield from people_table(COLUMNS, rows)
-        _judge(every, targets)
-
-
-_TITLES = (
-    "",
-    "true, mm",
-    "spread",
-    "mean error",
-    "rms error",
-    "mean stated sd",
-    "inside",
-    "inside, joints of the rig",
-)
+        whole = _share(every, "true") if every else None
+        judge_intervals(targets, "shape: truth within stated 90 % intervals", whole)
 
 
 def _task(person: Person, options: Options) -> Task:
@@ -202,11 +199,3 @@ def _length(value: float) -> str:
 
 def _title(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _judge(every: Sequence[Known], targets: Targets) -> None:
-    low, high = INTERVALS
-    share = _share(every, "true") if every else None
-    shown = NOTHING if share is None else number(share, 1, percent=True)
-    reached = None if share is None else low <= share <= high
-    targets.add("shape: stated 90 % intervals that hold the truth", "80 to 97 %", shown, reached)
