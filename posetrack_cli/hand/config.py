@@ -127,7 +127,7 @@ class ObservationSettings(Settings):
 
     cost: Literal["mixture", "union", "paper"] = "mixture"
     likelihood: Literal["gaussian", "exponential"] = "gaussian"
-    sigma_mm: Positive = 4.0
+    sigma_mm: Positive = 1.0
     clamp_mm: Positive = 40.0
     window_px: Annotated[int, Field(ge=8, le=4096)] | None = None
     window_mm: Positive = 240.0

@@ -38,8 +38,8 @@ class Entrant:
     changes: dict[str, Any]
 
 
-PLAIN = {"filter.proposal": "marginal"}
-"""The paper's question is about sampling from the motion alone."""
+PLAIN = {"filter.proposal": "marginal", "observation.sigma_mm": 4.0}
+"""The paper's question is about sampling from the motion alone; such particles need a wide sigma."""
 ENTRANTS = {
     f"{kind}-{cost}": Entrant("hand", {"filter.kind": kind, "observation.cost": cost} | PLAIN)
     for kind in ("pf", "rbpf")

@@ -442,7 +442,7 @@ def test_a_sensor_that_smears_edges_makes_no_hand_larger(recording: Path, calibr
     """Two pixels of 1.6 to 2 mm on each side are the skin's padding; unsmeared there is next to none."""
     smeared = calibrated_on(Altered(open_recording(recording), smeared_px=2))
     assert calibration.shape.padding_mm < 1.0
-    assert 2.5 < smeared.shape.padding_mm < 6.0
+    assert 2.5 < smeared.shape.padding_mm < 7.0
     assert smeared.measured.values["padding"] == smeared.shape.padding_mm
     assert smeared.length_mm == pytest.approx(TRUE_LENGTH_MM, rel=LENGTH_ERROR)
 

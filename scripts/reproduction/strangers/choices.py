@@ -19,9 +19,6 @@ from reproduction.strangers.options import (
     DEFAULT,
     PAPER_COST,
     PLAIN_FILTER,
-    SHARP_MM,
-    SHARP_PAPER,
-    SHARP_UNION,
     SWARM,
     UNION_COST,
     Options,
@@ -35,8 +32,6 @@ ENTRANTS = {
     PLAIN_FILTER: "plain filter",
     PAPER_COST: "the paper's cost",
     UNION_COST: "union cost",
-    SHARP_PAPER: "the paper's, sharp",
-    SHARP_UNION: "union, sharp",
     SWARM: "swarm",
     AVERAGE_HAND: "average hand",
 }
@@ -59,8 +54,7 @@ class Question:
 QUESTIONS = (
     Question("Does velocity help? RBPF after plain filter", PLAIN_FILTER, DEFAULT),
     Question("Which pixels cost? Union after the paper's", PAPER_COST, UNION_COST),
-    Question("The same, sharp", SHARP_PAPER, SHARP_UNION),
-    Question("A mixture per pixel? Default after union, sharp", SHARP_UNION, DEFAULT),
+    Question("A mixture per pixel? Default after union", UNION_COST, DEFAULT),
     Question("Does the shape help? Estimated after average", AVERAGE_HAND, DEFAULT),
     Question("An optimiser instead? Default after swarm", SWARM, DEFAULT),
 )
@@ -84,8 +78,7 @@ class Choices:
             "`--cost paper`, `--cost union`, `--filter pso` (64 particles, 25 generations), all told the "
             "side and the shape that the default found, so that nothing else differs; and `--shape average`, "
             "told nothing: a hand of 181 mm, whatever the person's size. The filters' particles are drawn by "
-            f"the local fits. Sharp: with `observation.sigma_mm={SHARP_MM:g}`, which was chosen for both "
-            "costs on other people; all other constants are those of `hand.toml`. "
+            "the local fits. "
             "Errors are means over the joints and all frames, lost ones included; ± is the standard "
             "deviation over people."
         )

@@ -18,11 +18,6 @@ EXACT, DEFAULT = "mesh", "default"
 """Names of entrants: with the person's own mesh, and without being told anything."""
 PLAIN_FILTER, UNION_COST, PAPER_COST, SWARM = "pf", "union", "paper", "pso"
 """Those that differ from the default in one thing, and are told the hand that it found."""
-SHARP_UNION, SHARP_PAPER = "union-sharp", "paper-sharp"
-SHARP_MM = 1.0
-"""The sigma of both costs that tracks best where particles are drawn by the fits, of 4, 1, 0.5, 0.25 and 0.12
-mm. Errors on people 661, 665 and 666 (60 frames), offsets removed: union 26, 2.4, 2.5, 2.9 and 3.0 mm, the
-paper's 34, 2.7, 3.0, 3.3 and 3.5."""
 AVERAGE_HAND, SHAPE_ALONE = "average", "shape"
 FOUND = ("--config", HAND_OF + DEFAULT, *AVERAGE, *NO_MESH)
 ENTRANTS: dict[str, tuple[str, ...]] = {
@@ -31,8 +26,6 @@ ENTRANTS: dict[str, tuple[str, ...]] = {
     PLAIN_FILTER: ("--filter", "pf", *FOUND),
     UNION_COST: ("--cost", "union", *FOUND),
     PAPER_COST: ("--cost", "paper", *FOUND),
-    SHARP_UNION: ("--cost", "union", "--set", f"observation.sigma_mm={SHARP_MM:g}", *FOUND),
-    SHARP_PAPER: ("--cost", "paper", "--set", f"observation.sigma_mm={SHARP_MM:g}", *FOUND),
     SWARM: ("--filter", "pso", *FOUND),
     AVERAGE_HAND: (*AVERAGE, *NO_MESH),
     SHAPE_ALONE: (CALIBRATE,),
