@@ -24,7 +24,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.pose import ShapeModel
 
-CORNERS_OUTSIDE_MM = 1.3
+CORNERS_OUTSIDE_MM = 2.1
 """So much farther apart are the middles of eyes' corners as they are followed than as the statistics'
 landmarks have them: over ten people of the study, whose recordings have the landmarks' places."""
 SMALLEST_SIZE, LARGEST_SIZE = 0.2, 5.0
