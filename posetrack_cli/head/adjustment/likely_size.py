@@ -77,7 +77,7 @@ def _precision_of_shapes(model: FaceModel, settings: AdjustmentSettings) -> Floa
     """(3K, 3K) V^-1, 1 / mm^2, from which shifts of all points together are projected out."""
     B = _identity_basis(model).reshape(-1, model.identity_size)
     D = OFFSETS_SHARE * offset_deviations(settings.offset_mm).ravel()
-    W = np.linalg.inv(B @ B.T + np.diag(D * D))
+    W: FloatArray = np.linalg.inv(np.asarray(B @ B.T + np.diag(D * D), dtype=np.float64))
     T = np.tile(np.eye(3), (len(model.mean), 1))
     WT = W @ T
     projected: FloatArray = W - WT @ np.linalg.solve(T.T @ WT, WT.T)
