@@ -16,7 +16,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import largest_radius, normalised_from_pixels, pixels_from_normalised
 from posetrack_cli.geometry.rotations import canonical, exponential, matrices_from_quaternions, multiply
-from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, person_variances
+from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
 from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns, cost
 from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings, PointSettings
@@ -74,7 +74,7 @@ class Adjuster:
             iterations: steps of each of the two stages at most; fewer where F falls no more.
             hold_person: leave identity and offsets as they are, also where they are out of bounds.
             wide: no bounds about the start, only those about the mean of identity and deformation.
-            deviations: whether to tell the identity's, and how much is determined; NaN without.
+            deviations: whether to tell the identity's; NaN without.
         """
         problem = self.problem(views)
         start = self.start(views, person)
@@ -85,17 +85,15 @@ class Adjuster:
         shared = 0 if hold_person else self._shared_size
         taken = adjust_in_stages(problem, boxes, unknowns, iterations, shared)
         everything = Part(0, len(views), unknowns.local.shape[1], shared)
-        variances = np.full(shared, np.nan)
-        if deviations and shared:
-            person_variances(problem, unknowns, everything, variances)
         return Adjusted(
             self._views(views, unknowns, problem),
             person if hold_person else self._person(unknowns, problem),
             cost(problem, unknowns, everything),
             self._residuals(problem, unknowns),
             taken,
-            self._deviations(variances) if deviations else np.full(self.model.identity_size, np.nan),
-            self._determined(variances),
+            self._deviations(problem, unknowns, everything)
+            if deviations
+            else np.full(self.model.identity_size, np.nan),
         )
 
     def problem(self, views: Sequence[PointView]) -> Problem:
@@ -223,21 +221,14 @@ class Adjuster:
         pixels: FloatArray = np.where(problem.weights > 0.0, lengths * sd, np.nan)
         return pixels
 
-    def _deviations(self, variances: FloatArray) -> FloatArray:
-        """Return (S,) posterior standard deviations of s, of variances of u and q; none of a held person."""
-        if not len(variances):
+    def _deviations(self, problem: Problem, unknowns: Unknowns, part: Part) -> FloatArray:
+        """Return (S,) posterior standard deviations of s."""
+        if part.shared == 0:
             return self.model.identity_deviations
-        deviations: FloatArray = (
-            np.sqrt(variances[: self.model.identity_size]) * self.model.identity_deviations
-        )
+        variances = np.empty(self.model.identity_size)
+        identity_variances(problem, unknowns, part, variances)
+        deviations: FloatArray = np.sqrt(variances) * self.model.identity_deviations
         return deviations
-
-    def _determined(self, variances: FloatArray) -> float:
-        """Return how many of u and q are told by views: one less what is left of each prior's variance."""
-        priors = np.ones_like(variances)
-        priors[: self.model.identity_size] = self.settings.prior
-        known = np.isfinite(variances)
-        return float(np.sum(1.0 - np.minimum(priors[known] * variances[known], 1.0)))
 
 
 @lru_cache(maxsize=16)

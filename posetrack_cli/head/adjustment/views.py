@@ -63,8 +63,6 @@ class Adjusted:
         identity_deviations: (S,) posterior standard deviations of s, from the Hessian at the end with poses,
             deformations and offsets eliminated; those of the model's people where the person was held, NaN
             where nobody asked for them.
-        determined: how many numbers of identity and offsets the views tell rather than the priors: the sum of
-            1 - posterior over prior variance; 0 where the person was held, NaN where nobody asked.
     """
 
     views: tuple[PointView, ...]
@@ -73,7 +71,6 @@ class Adjusted:
     residuals: FloatArray
     iterations: int
     identity_deviations: FloatArray
-    determined: float
 
 
 CELL_DEG = 5.0

@@ -9,7 +9,6 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.projection import normalised_from_pixels
 from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.likely_size import of_likely_size
 from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView, choose_views
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel
@@ -135,17 +134,13 @@ class KnownPerson:
             return self
         closely = adjuster.over_recording
         adjusted = closely.adjust(views, self.person, iterations=settings.start_iterations, wide=True)
-        person, larger = adjusted.person, 1.0
-        if settings.offsets:  # without, there is no person of every size
-            person, larger = of_likely_size(adjusted, adjuster.model, settings)
         return replace(
             self,
-            person=person,
-            history=IdentityHistory.starting_with(person.identity, settings.average),
+            person=adjusted.person,
+            history=IdentityHistory.starting_with(adjusted.person.identity, settings.average),
             views=(),
             album=Album(),
-            shape=person_shape(adjuster.model, person, self.size),
-            templates=tuple(one.of_size(larger) for one in self.templates),
+            shape=person_shape(adjuster.model, adjusted.person, self.size),
             rms_px=rms(adjusted.residuals),
             is_settled=True,
         )

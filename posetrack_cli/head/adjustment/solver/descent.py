@@ -219,8 +219,8 @@ def all_lengths(problem: Problem, unknowns: Unknowns, out: FloatArray) -> None:
 
 
 @kernel
-def person_variances(problem: Problem, unknowns: Unknowns, part: Part, out: FloatArray) -> None:
-    """Write variances of u, then q: the inverse Schur complement's diagonal; infinite where there is none."""
+def identity_variances(problem: Problem, unknowns: Unknowns, part: Part, out: FloatArray) -> None:
+    """Write (S,) variances of u: the inverse Schur complement's diagonal; infinite where there is none."""
     equations, rows, held = make_equations(part), make_rows(problem), make_held(part)
     held.local[:], held.shared[:] = False, False
     work = make_elimination(equations)
