@@ -33,13 +33,13 @@ def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
     surface = smoothing(cage_of(adult()).triangles, 1)
     template = Template(surface.triangles, surface.through)
     weights = np.asarray(surface.blend @ cage_of(adult()).weights)
-    mean = _mean_hand([_person(path, None) for path in files[:_MEAN_OF]])
+    mean = _mean_hand([person_hand(path, None) for path in files[:_MEAN_OF]])
     start = surface.through @ cage_of(mean.anatomy).vertices
     laid = template.laid_coarsely(start, Skin(mean.skin), _WRIST_MM)
     reference = SkinnedMesh(laid, weights, surface.triangles)
     rng = np.random.default_rng(_SEED)
     for path in files:
-        hand = _reshaped(_person(path, rng), rng)
+        hand = _reshaped(person_hand(path, rng), rng)
         vertices = reference.posed(_stretches(mean.anatomy, hand.anatomy)[None])[0]
         cage = template.cage(template.laid(vertices, Skin(hand.skin)))
         a, size = hand.anatomy, HAND_LENGTH_MM / _length(hand.anatomy)
@@ -47,7 +47,7 @@ def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
         yield np.concatenate([part.ravel() for part in parts])
 
 
-def _person(path: Path, rng: np.random.Generator | None) -> FileHand:
+def person_hand(path: Path, rng: np.random.Generator | None) -> FileHand:
     """A person's hand with joints as they may lie in it, at zero angles."""
     skin = read_skin(read_glb(path))
     places, joints = joint_places(skin, path), skin.joint_positions.copy()

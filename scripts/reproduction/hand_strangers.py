@@ -16,6 +16,7 @@ from posetrack_cli.errors import PosetrackError
 from reproduction.processes import run_modules
 from reproduction.running import FOLDER, Study
 from reproduction.strangers import tool as tools
+from reproduction.strangers.choices import Choices
 from reproduction.strangers.default import Defaults
 from reproduction.strangers.free_elbow import FreeElbow
 from reproduction.strangers.honesty import Honesty
@@ -23,13 +24,24 @@ from reproduction.strangers.measuring import Measured
 from reproduction.strangers.mesh import OwnMesh
 from reproduction.strangers.options import AnyTask, Options, Part
 from reproduction.strangers.people import people_of
+from reproduction.strangers.shape import Shapes
 from reproduction.strangers.sheet import Sheets
 from reproduction.strangers.smooth import Smoothing
 from reproduction.strangers.tasks import Task, merged
 from reproduction.strangers.told import Told
 
 NAME = "hand-strangers"
-PARTS: tuple[Part, ...] = (OwnMesh(), Defaults(), FreeElbow(), Honesty(), Smoothing(), Sheets(), Told())
+PARTS: tuple[Part, ...] = (
+    OwnMesh(),
+    Defaults(),
+    FreeElbow(),
+    Honesty(),
+    Smoothing(),
+    Sheets(),
+    Told(),
+    Choices(),
+    Shapes(),
+)
 
 
 def _make(parts: Sequence[Part], options: Options, jobs: int) -> list[str]:

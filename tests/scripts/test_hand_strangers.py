@@ -2,35 +2,62 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hand_model.template import adult, cage_of
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.hand import hand_run
+from posetrack_cli.cli.hand_calibrate import hand_calibrate
+from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.honesty import JudgedFrames, pooled_frames
+from posetrack_cli.hand.anatomy import FINGERS
+from posetrack_cli.hand.calibration import measures
+from posetrack_cli.hand.calibration.calibrate import Calibration, hand_text
+from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
 from reproduction import hand_strangers
 from reproduction.accuracy.tasks import Task as AccuracyTask
 from reproduction.running import Targets
-from reproduction.strangers import figures, tasks, tool
+from reproduction.strangers import choices, figures, shape, tasks, tool
+from reproduction.strangers.choices import Choices
 from reproduction.strangers.default import Defaults
 from reproduction.strangers.honesty import Honesty, confidence_figures
 from reproduction.strangers.measuring import Frames, Measured, path_lengths
 from reproduction.strangers.mesh import OwnMesh
-from reproduction.strangers.options import ARM, DEFAULT, EXACT, FREE_ELBOW, Options
+from reproduction.strangers.options import (
+    ARM,
+    DEFAULT,
+    EXACT,
+    FREE_ELBOW,
+    PAPER_COST,
+    PLAIN_FILTER,
+    SHAPE_ALONE,
+    SWARM,
+    UNION_COST,
+    Options,
+)
 from reproduction.strangers.people import Person, people_of
+from reproduction.strangers.shape import Shapes
 from reproduction.strangers.sheet import PICTURE, Sheets
 from reproduction.strangers.smooth import Smoothing
-from reproduction.strangers.tasks import MESH, TRUTH, VIEW, Task, merged
+from reproduction.strangers.tasks import CALIBRATE, HAND_OF, MESH, TRUTH, VIEW, Task, merged
 from reproduction.strangers.told import TOLD, Told
 from reproduction.task import EntrantsTask
+from support.glb import write_hand
+from support.hand import REST
 
 FEW = tuple(map(Person, (800, 801, 804)))
 
@@ -59,9 +86,11 @@ class MadeUp(Measured):
         given: dict[tuple[str, str, str], Frames],
         side: str = "right",
         of_tasks: dict[str, JudgedFrames] | None = None,
+        hand_files: dict[str, str] | None = None,
     ) -> None:
         super().__init__(Path("nowhere"))
         self._given, self._side, self._judged = given, side, of_tasks or {}
+        self._hand_files = hand_files or {}
 
     def judged(self, task: EntrantsTask, entrant: str) -> JudgedFrames | None:
         return self._judged.get(task.name)
@@ -77,6 +106,9 @@ class MadeUp(Measured):
 
     def side(self, task: EntrantsTask, entrant: str) -> str:
         return self._side
+
+    def hand_file(self, task: EntrantsTask, entrant: str) -> str:
+        return self._hand_files.get(task.name, "")
 
     def evaluation(self, task: EntrantsTask, entrant: str, options: EvalOptions) -> Evaluation | None:
         return None
@@ -170,13 +202,17 @@ def test_every_recording_is_made_once_and_every_entrant_is_understood(tmp_path: 
         DEFAULT,
         PICTURE,
         TOLD,
+        SHAPE_ALONE,
+        *choices.ENTRANTS,
     }
     for task in found:
         assert Task.of_text(task.text) == task
         assert not {"left", "right", "--hand-side"} & {word for of in task.entrants.values() for word in of}
         for arguments in task.entrants.values():
-            if arguments[:1] != (VIEW,):
-                named = {MESH: "hand.glb", TRUTH: "truth.csv"}
+            if arguments[:1] == (CALIBRATE,):
+                hand_calibrate.make_context("calibrate", ["in.mcap", "-o", "hand.toml", *arguments[1:]])
+            elif arguments[:1] != (VIEW,):
+                named = {MESH: "hand.glb", TRUTH: "truth.csv", HAND_OF + DEFAULT: "found.toml"}
                 used = [named.get(argument, argument) for argument in arguments]
                 hand_run.make_context("run", ["in.mcap", "-o", "out.mcap", *used])
 
@@ -191,6 +227,37 @@ def test_a_picture_is_drawn_after_its_result_and_anew_when_that_changes(
     assert both.result(tmp_path, PICTURE).suffix == ".png"
     other = Task(task.name, task.tool, task.recording, {**task.entrants, DEFAULT: ("--seed", "1")})
     assert other.facts(PICTURE) != task.facts(PICTURE) != task.facts(DEFAULT)
+
+
+def test_entrants_are_told_the_hand_that_the_default_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They run after it, are told side and shape in a file that the configuration reads, and depend on it."""
+    said: dict[str, HandConfig] = {}
+
+    def commanded(*arguments: str) -> None:
+        if "--config" in arguments:
+            given = Path(arguments[arguments.index("--config") + 1])
+            said[arguments[arguments.index("--filter") + 1]] = load_settings(HandConfig, [given], {})
+        if "-o" in arguments:
+            Path(arguments[arguments.index("-o") + 1]).touch()
+
+    found = HandConfig.model_validate(
+        {"hand": {"side": "left", "scale": 0.9, "coefficients": [0.5, -1.25], "padding_mm": 0.5}}
+    )
+    record = {"configuration": json.dumps(found.model_dump(mode="json"))}
+    monkeypatch.setattr(tasks, "command", commanded)
+    monkeypatch.setattr(tasks, "tool_digest", lambda tool: "a tool")
+    monkeypatch.setattr(tasks, "draw", lambda tool, folder, arguments: None)
+    monkeypatch.setattr(tasks, "read_result", lambda path: SimpleNamespace(run=record))
+    [task] = merged([options(tmp_path, FEW[:1]).task(FEW[0], ARM, SWARM, PLAIN_FILTER, DEFAULT)])
+    assert list(task.entrants) == [DEFAULT, SWARM, PLAIN_FILTER]
+    task.run(tmp_path)
+    assert said.keys() == {"pso", "pf"}
+    for told in said.values():
+        assert (told.hand.side, told.hand.shape) == (found.hand.side, found.hand.shape)
+    other = replace(task, entrants={**task.entrants, DEFAULT: ("--seed", "1")})
+    assert other.facts(SWARM) != task.facts(SWARM)
 
 
 def test_a_task_is_done_in_a_folder_that_is_named_from_here(
@@ -273,6 +340,93 @@ def test_frames_that_are_right_when_told_were_failures_of_the_search(tmp_path: P
     measured = MadeUp({(name, EXACT, FILTERED): plain, (name, TOLD, FILTERED): told})
     text = "\n".join(Told().lines(options(tmp_path, FEW[:1]), measured, Targets()))
     assert "| 800 right | 14.75 | 11.75 | 3 | 2 |" in text
+
+
+def test_choices_are_compared_person_by_person(tmp_path: Path) -> None:
+    """The plain filter is 1, 2 and 3 mm worse; one has no result with the paper's cost, and is no pair."""
+    chosen, errors = options(tmp_path), {DEFAULT: (3.0, 4.0, 5.0), PLAIN_FILTER: (4.0, 6.0, 8.0)}
+    errors |= {PAPER_COST: (30.0, 50.0), UNION_COST: (20.0, 70.0, 10.0)}
+    given = {
+        (f"{person.number}-{ARM}-30", name, FILTERED): frames([of[k], of[k]], lost=[0, min(k, 1)])
+        for name, of in errors.items()
+        for k, person in enumerate(FEW[: len(of)])
+    }
+    measured = MadeUp(given)
+    text = "\n".join(Choices().lines(chosen, measured, Targets()))
+    assert "| default | 3 | 4.00 ± 1.00 | 4.00 ± 1.00 | 2 |" in text
+    velocity = measured.everything["choices, paired"]["default-pf"]
+    assert velocity["count"] == 3 and velocity["difference"] == -2.0 and velocity["p_value"] == 0.25
+    asked = "Does velocity help? RBPF after plain filter | raw | 3 | 6.00 ± 2.00 | 4.00 ± 1.00 | -2.00 ["
+    assert asked in text and "| 0.25 | 3 |" in text
+    cost = measured.everything["choices, paired"]["union-paper_without_offsets"]
+    assert (cost["count"], cost["difference"]) == (2, 5.0)
+    assert "swarm | raw | 0 | - | - | - | - | - |" in text
+    assert measured.everything["choices"]["801"]["pf_lost"] == 1
+
+
+# Stated shapes
+
+
+def hand_file(off: FloatArray, sd: float = 2.0) -> str:
+    """A hand file as ``hand calibrate`` writes it, whose measures are off by so many mm each."""
+    values = dict(zip(MEASURES, TRUE_MM + off, strict=True))
+    numbers = measures.Measured(values, dict.fromkeys(MEASURES, sd), dict.fromkeys(MEASURES, 9.0))
+    found = Calibration("left", HandShape(0.98, coefficients=(0.5,)), numbers, 48, 16, 1.75, (3.0, 1.8))
+    return hand_text(found, None, "800.mcap", Path())
+
+
+TRUE_MM = np.linspace(20.0, 80.0, len(MEASURES))
+
+
+def test_a_hand_file_states_its_measures() -> None:
+    stated, sd = shape.stated_measures(hand_file(np.arange(13.0), sd=0.7))
+    np.testing.assert_allclose(stated, TRUE_MM + np.arange(13.0), atol=0.051)  # it writes one digit
+    np.testing.assert_array_equal(sd, 0.7)
+    with pytest.raises(KeyError):
+        shape.stated_measures("[hand]\n# hand length 181.0 +- 3.0\n")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said", "whose"),
+    [
+        (0, ("100.0 %", "**missed**"), "100 %"),  # more often than 97 %: it claims too little
+        (1, ("90.9 %", "reached"), "91 %"),
+        (5, ("54.5 %", "**missed**"), "55 %"),
+    ],
+)
+def test_stated_measures_are_judged_from_both_sides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrong: int, said: tuple[str, str], whose: str
+) -> None:
+    """Half a 90 % interval is 3.3 mm; lengths from the wrist are far off, and do not count."""
+    errors = np.full(len(MEASURES), 50.0)
+    errors[shape.COUNTED] = np.where(np.arange(11) < wrong, -3.4, 3.2)
+    monkeypatch.setattr(shape, "_true_measures", lambda person, options: (TRUE_MM, TRUE_MM + 50.0))
+    measured = MadeUp({}, hand_files={f"800-{ARM}-30": hand_file(errors)})
+    targets = Targets()
+    text = "\n".join(Shapes().lines(options(tmp_path, FEW[:1]), measured, targets))
+    assert judged(targets) == {"shape: truth within stated 90 % intervals": said}
+    assert f"| **all that are counted** |  |  |  |  |  | {whose} | 0 % |" in text
+    assert "| hand length (not counted) | 20.00 | - | 50.00 | 50.00 | 2.00 | 0 % | 100 % |" in text
+    assert measured.everything["shape"]["800"]["hand_length_error_mm"] == pytest.approx(50.0)
+
+
+def test_true_measures_are_those_of_the_skin_with_joints_by_the_rules(tmp_path: Path) -> None:
+    """A rig that bends fingers at their webs: ours begin where the first phalanx is 1.6 times the second."""
+    ours = adult()
+    short = ours.segments.copy()
+    short[1:, 0] *= 0.8
+    begin = ours.base_positions.copy()
+    begin[1:] -= 0.2 * ours.segments[1:, :1] * ours.base_rotations[1:, :, 1]
+    rig = replace(ours, base_positions=begin, segments=short)
+    mesh = write_hand(tmp_path / "hand.glb", rig, REST, mesh=cage_of(ours))
+    true, of_rig = (dict(zip(MEASURES, of, strict=True)) for of in shape.true_measures(mesh))
+    lengths = dict(zip(MEASURES, measures_of(ours), strict=True))
+    for k, finger in enumerate(FINGERS[1:], 1):
+        name = f"{finger}_length"
+        least = 1.6 * ours.segments[k, 1] - short[k, 0]
+        assert true[name] - of_rig[name] == pytest.approx(max(least, 0.0), abs=0.1)
+        assert of_rig[name] < lengths[name] - 3.0
+    assert true["thumb_length"] == pytest.approx(of_rig["thumb_length"], abs=1.0)
 
 
 def test_a_recording_that_several_parts_need_is_tracked_by_the_entrants_of_all(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import paired
-from reproduction.accuracy.measuring import Measured, Row, mean_and_sd
+from reproduction.accuracy.measuring import PAIR_COLUMNS, Measured, Row, mean_and_sd, pair_cells
 from reproduction.accuracy.options import AVERAGE, NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import RECORDING, Task
 from reproduction.running import Targets, table
@@ -51,8 +51,7 @@ class Filters:
             "n",
             "PF, mm",
             "RBPF, mm",
-            "difference [95 %]",
-            "p",
+            *PAIR_COLUMNS,
             "RBPF better on",
         )
         yield from table(header, rows)
@@ -92,9 +91,7 @@ def _cells(condition: str, drawn: str, pairs: FloatArray) -> list[str]:
     said = paired(*pairs.T)
     first, second = (mean_and_sd(column) for column in pairs.T)
     better = int((pairs[:, 1] < pairs[:, 0]).sum())
-    interval = f" [{said.low:+.2f}, {said.high:+.2f}]" if said.count > 1 else ""
-    difference = f"{said.difference:+.2f}{interval}" if said.count else "-"
-    return [condition, drawn, str(said.count), first, second, difference, f"{said.p_value:.2g}", f"{better}"]
+    return [condition, drawn, str(said.count), first, second, *pair_cells(said), f"{better}"]
 
 
 def _judge(condition: str, pairs: FloatArray, targets: Targets) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.comparing.paired import Paired
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.figures import figure_of
@@ -114,6 +115,15 @@ def mean_of(values: FloatArray, digits: int = 2, percent: bool = False) -> str:
 def number(value: float, digits: int = 2, percent: bool = False) -> str:
     """A number as a cell shows it."""
     return f"{100.0 * value:.{digits}f} %" if percent else f"{value:.{digits}f}"
+
+
+PAIR_COLUMNS = ("difference [95 %]", "p")
+
+
+def pair_cells(said: Paired, digits: int = 2) -> list[str]:
+    """The cells below ``PAIR_COLUMNS``: the mean difference with its bootstrap interval, and Wilcoxon's p."""
+    interval = f" [{said.low:+.{digits}f}, {said.high:+.{digits}f}]" if said.count > 1 else ""
+    return [f"{said.difference:+.{digits}f}{interval}", f"{said.p_value:.2g}"] if said.count else ["-", "-"]
 
 
 def mean_and_sd(values: FloatArray, digits: int = 2) -> str:

@@ -28,11 +28,10 @@ from reproduction.strangers.intervals import evaluation_with_bones
 from reproduction.strangers.measuring import WRIST, Measured
 from reproduction.strangers.mesh import OwnMesh
 from reproduction.strangers.options import DEFAULT, ENTRANTS, AnyTask, Options
-from reproduction.strangers.tables import NOTHING
+from reproduction.strangers.tables import NOTHING, judge_intervals
 
 INSIDE = "joint_inside_90"
 LEAST_AREA, MOST_FAR = 0.9, 0.01
-INTERVALS = (0.80, 0.97)
 SEQUENCES = ("P1", "P4", "P7")
 ALONE = {"P1": 0.75, "P7": 0.75}
 """Whose area under the curve is told of each alone, and what it should be: they have errors of both kinds."""
@@ -163,7 +162,4 @@ def _intervals(options: Options, measured: Measured, targets: Targets) -> Iterat
         )
         yield ""
     for what, value in (("joints", joints), ("the wrist", wrist)):
-        low, high = INTERVALS
-        title = f"exact mesh: truth within 90 % intervals, {what}"
-        reached = None if value is None else low <= value <= high
-        targets.add(title, "80 to 97 %", _shown(value, 1, percent=True), reached)
+        judge_intervals(targets, f"exact mesh: truth within 90 % intervals, {what}", value)

@@ -114,6 +114,11 @@ class Measured:
         found = self.evaluation(task, entrant, EvalOptions())
         return "" if found is None else str(json.loads(found.run["configuration"])["hand"]["side"])
 
+    def hand_file(self, task: EntrantsTask, entrant: str) -> str:
+        """The text of a hand file that an entrant wrote; nothing where there is none."""
+        made = task.is_current(self.folder, entrant)
+        return task.result(self.folder, entrant).read_text("utf-8") if made else ""
+
     def evaluation(self, task: EntrantsTask, entrant: str, options: EvalOptions) -> Evaluation | None:
         """A result, measured; None without one."""
         key = (task.name, entrant, options)

@@ -8,15 +8,35 @@ from pathlib import Path
 from typing import Protocol
 
 from reproduction import running
-from reproduction.accuracy.options import NO_MESH
+from reproduction.accuracy.options import AVERAGE, NO_MESH
 from reproduction.accuracy.tasks import Task as AccuracyTask
 from reproduction.strangers.measuring import Measured
 from reproduction.strangers.people import Person
-from reproduction.strangers.tasks import MESH, Task
+from reproduction.strangers.tasks import CALIBRATE, HAND_OF, MESH, Task
 
 EXACT, DEFAULT = "mesh", "default"
-"""Names of the entrants: with the person's own mesh, and without being told anything."""
-ENTRANTS = {EXACT: ("--hand-mesh", MESH, "--smooth", *NO_MESH), DEFAULT: NO_MESH}
+"""Names of entrants: with the person's own mesh, and without being told anything."""
+PLAIN_FILTER, UNION_COST, PAPER_COST, SWARM = "pf", "union", "paper", "pso"
+"""Those that differ from the default in one thing, and are told the hand that it found."""
+SHARP_UNION, SHARP_PAPER = "union-sharp", "paper-sharp"
+SHARP_MM = 1.0
+"""The sigma of both costs that tracks best where particles are drawn by the fits, of 4, 1, 0.5, 0.25 and 0.12
+mm. Errors on people 661, 665 and 666 (60 frames), offsets removed: union 26, 2.4, 2.5, 2.9 and 3.0 mm, the
+paper's 34, 2.7, 3.0, 3.3 and 3.5."""
+AVERAGE_HAND, SHAPE_ALONE = "average", "shape"
+FOUND = ("--config", HAND_OF + DEFAULT, *AVERAGE, *NO_MESH)
+ENTRANTS: dict[str, tuple[str, ...]] = {
+    EXACT: ("--hand-mesh", MESH, "--smooth", *NO_MESH),
+    DEFAULT: NO_MESH,
+    PLAIN_FILTER: ("--filter", "pf", *FOUND),
+    UNION_COST: ("--cost", "union", *FOUND),
+    PAPER_COST: ("--cost", "paper", *FOUND),
+    SHARP_UNION: ("--cost", "union", "--set", f"observation.sigma_mm={SHARP_MM:g}", *FOUND),
+    SHARP_PAPER: ("--cost", "paper", "--set", f"observation.sigma_mm={SHARP_MM:g}", *FOUND),
+    SWARM: ("--filter", "pso", *FOUND),
+    AVERAGE_HAND: (*AVERAGE, *NO_MESH),
+    SHAPE_ALONE: (CALIBRATE,),
+}
 ARM, NO_ARM, DOUBLE_SPEED, FREE_ELBOW = "arm", "no-arm", "double-speed", "free-elbow"
 """Kinds of recordings."""
 RECORDINGS: dict[str, tuple[str, ...]] = {
@@ -53,11 +73,11 @@ class Options:
         """Where results lie."""
         return self.output / "runs"
 
-    def task(self, person: Person, kind: str, entrant: str) -> Task:
-        """A person's recording of a kind, tracked by one entrant."""
+    def task(self, person: Person, kind: str, *entrants: str) -> Task:
+        """A person's recording of a kind, tracked by some entrants."""
         recording = person.recording(self.frames, *RECORDINGS[kind])
         name = f"{person.number}-{kind}-{self.frames}"
-        return Task(name, str(self.tool), recording, {entrant: ENTRANTS[entrant]})
+        return Task(name, str(self.tool), recording, {entrant: ENTRANTS[entrant] for entrant in entrants})
 
 
 AnyTask = Task | AccuracyTask

@@ -14,6 +14,8 @@ from reproduction.strangers.measuring import Measured
 from reproduction.strangers.people import Person
 
 NOTHING, NEVER = "-", "never"
+INTERVALS = (0.80, 0.97)
+"""How often 90 % intervals should hold the truth: less is overconfident, more says too little."""
 Value = float | int | str | None
 """A figure of a person; NaN, None and an empty text are none."""
 
@@ -108,6 +110,14 @@ def judge_count(targets: Targets, what: str, least: int, count: int, people: int
     known = people > 0
     shown = f"{count} of {people}" if known else NOTHING
     targets.add(what, f">= {least} of {people}" if known else "all", shown, count >= least if known else None)
+
+
+def judge_intervals(targets: Targets, what: str, share: float | None) -> None:
+    """Judge how often the truth lies within stated 90 % intervals; None was not measured."""
+    low, high = INTERVALS
+    shown = NOTHING if share is None else number(share, 1, percent=True)
+    reached = None if share is None else low <= share <= high
+    targets.add(what, f"{100 * low:g} to {100 * high:g} %", shown, reached)
 
 
 def mean_of(values: FloatArray) -> float:

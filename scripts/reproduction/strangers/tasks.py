@@ -8,6 +8,7 @@ Recordings and meshes are deleted in the end: the same arguments make the same o
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import chdir, contextmanager
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
+from posetrack_cli.results.reader import read_result
 from reproduction.accuracy.tasks import Task as AccuracyTask
 from reproduction.made import code_digest, command
 from reproduction.strangers.tool import draw, tool_digest
@@ -22,8 +24,15 @@ from reproduction.task import EntrantsTask
 
 MESH, TRUTH = "{mesh}", "{truth}"
 """In an entrant's arguments: the paths of the person's own hand, a GLB file, and of the true joints, CSV."""
-VIEW = "view"
-"""Begin of the arguments of an entrant that does not track, but draws another one's result on one sheet."""
+VIEW, CALIBRATE = "view", "calibrate"
+"""Begin of the arguments of an entrant that does not track: it draws another one's result on one sheet, or
+estimates the hand's shape alone."""
+HAND_OF = "{hand}:"
+"""Begin of an argument that goes on with an entrant's name: the path of a configuration with the side and the
+shape that it found. That one comes before."""
+_SUFFIXES = {VIEW: "png", CALIBRATE: "toml"}
+_TOLD = ("side", "scale", "coefficients", "padding_mm")
+"""What a run that is told nothing finds out about the hand: keys of ``[hand]``."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,8 @@ class Task(EntrantsTask):
         tool: path of the tool that makes the recording.
         recording: its arguments, without the folder.
         entrants: by name the arguments of ``posetrack hand run``, beside recording and output; or ``VIEW``,
-            the entrant whose result is drawn, which comes before, and further arguments of ``view``.
+            the entrant whose result is drawn, which comes before, and further arguments of ``view``; or
+            ``CALIBRATE`` and further arguments of ``hand calibrate``.
     """
 
     name: str
@@ -44,16 +54,15 @@ class Task(EntrantsTask):
     entrants: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def result(self, out: Path, entrant: str) -> Path:
-        """Where an entrant's result, or picture, lies."""
-        return out / f"{self.name}-{entrant}.{'png' if self._is_picture(entrant) else 'mcap'}"
+        """Where an entrant's result, picture or hand file lies."""
+        return out / f"{self.name}-{entrant}.{_SUFFIXES.get(self._kind(entrant), 'mcap')}"
 
     def facts(self, entrant: str) -> dict[str, object]:
-        """What a result depends on; a picture on what its result does, too."""
-        arguments = self.entrants[entrant]
+        """What a result depends on; what another one's is used for on what that does, too."""
+        arguments, of = self.entrants[entrant], self._of(entrant)
         facts: dict[str, object] = {"recording": self.recording, "tool": tool_digest(Path(self.tool))}
         facts |= {"arguments": arguments, "code": code_digest()}
-        drawn = {"of": self.entrants[arguments[1]]} if self._is_picture(entrant) else {}
-        return facts | drawn
+        return facts | ({"of": self.entrants[of]} if of else {})
 
     @contextmanager
     def prepared(self, out: Path) -> Iterator[Callable[[str], None]]:
@@ -71,25 +80,47 @@ class Task(EntrantsTask):
             command(*self._command(entrant, recording, out), "--overwrite")
 
     def _command(self, entrant: str, recording: Path, out: Path) -> tuple[str, ...]:
-        """What tracks or draws; the results' folder is absolute."""
-        arguments, result = self.entrants[entrant], str(self.result(out, entrant))
-        if self._is_picture(entrant):
+        """What tracks, draws or calibrates; the results' folder is absolute."""
+        arguments, result, kind = self.entrants[entrant], self.result(out, entrant), self._kind(entrant)
+        if kind == VIEW:
             of, given = str(self.result(out, arguments[1])), ("--recording", str(recording))
-            return ("view", of, "-o", result, *given, *arguments[2:])
-        drawn = {MESH: "hand.glb", TRUTH: "truth.csv"}
-        paths = {word: str(recording.with_name(name)) for word, name in drawn.items()}
-        used = [paths.get(argument, argument) for argument in arguments]
-        return ("hand", "run", str(recording), "-o", result, *used)
+            return ("view", of, "-o", str(result), *given, *arguments[2:])
+        if kind == CALIBRATE:
+            return ("hand", CALIBRATE, str(recording), "-o", str(result), *arguments[1:])
+        paths = {MESH: recording.with_name("hand.glb"), TRUTH: recording.with_name("truth.csv")}
+        if of := self._of(entrant):
+            found = paths[HAND_OF + of] = recording.with_name("found.toml")
+            found.write_text(hand_found(self.result(out, of)), encoding="utf-8")
+        used = [str(paths.get(argument, argument)) for argument in arguments]
+        return ("hand", "run", str(recording), "-o", str(result), *used)
 
-    def _is_picture(self, entrant: str) -> bool:
-        return self.entrants[entrant][:1] == (VIEW,)
+    def _kind(self, entrant: str) -> str:
+        """``VIEW``, ``CALIBRATE`` or nothing."""
+        first = self.entrants[entrant][:1]
+        return first[0] if first and first[0] in _SUFFIXES else ""
+
+    def _of(self, entrant: str) -> str:
+        """The entrant whose result is used; nothing where there is none."""
+        arguments = self.entrants[entrant]
+        told = [argument.removeprefix(HAND_OF) for argument in arguments if argument.startswith(HAND_OF)]
+        return arguments[1] if self._kind(entrant) == VIEW else "".join(told)
+
+
+def hand_found(result: Path) -> str:
+    """The side and the shape that a run was told or found, as a configuration."""
+    hand = json.loads(read_result(result).run["configuration"])["hand"]
+    # texts, numbers and lists of numbers are the same in JSON and in TOML
+    return "\n".join(["[hand]", *(f"{name} = {json.dumps(hand[name])}" for name in _TOLD)]) + "\n"
 
 
 Kind = TypeVar("Kind", Task, AccuracyTask)
 
 
 def merged(tasks: Iterable[Kind]) -> list[Kind]:
-    """Tasks with the entrants of all of the same name, so that each recording is made once; pictures last."""
+    """Tasks with the entrants of all of the same name, so that each recording is made once.
+
+    What uses another one's result comes last.
+    """
     found: dict[str, Kind] = {}
     for task in tasks:
         known = found.get(task.name, task)
@@ -98,7 +129,8 @@ def merged(tasks: Iterable[Kind]) -> list[Kind]:
 
 
 def _last(entrant: tuple[str, tuple[str, ...]]) -> bool:
-    return entrant[1][:1] == (VIEW,)
+    arguments = entrant[1]
+    return arguments[:1] == (VIEW,) or any(argument.startswith(HAND_OF) for argument in arguments)
 
 
 if __name__ == "__main__":
