@@ -198,7 +198,10 @@ class MonoPeople:
         as_before = replace(state.person, templates=(track.templates,))
         followed = fitter.fit_from(as_before, track, there, frame)
         score = KEPT * state.trust * max(followed.score, 0.0)
-        return replace(followed, score=score, is_anchored=True) if score > best.score else best
+        if score <= best.score:
+            return best
+        weights = np.minimum(followed.weights, best.weights)  # a moment ago it may have been wrong already
+        return replace(followed, score=score, weights=weights, is_anchored=True)
 
     def _moved_as_a_whole(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
         """Return a track's pose where its whole face went in an image, None where that is not seen."""

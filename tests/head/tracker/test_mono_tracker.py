@@ -239,6 +239,27 @@ def test_a_head_that_jumps_is_followed_without_a_search(blurred: bool) -> None:
     assert scene.told.asked <= STARTING + 1, "compared once at most, as the blurred face looks hardly like it"
 
 
+def test_a_face_that_dissolves_is_doubted_though_each_frame_looks_like_the_one_before() -> None:
+    """Followed by what it looked like a moment ago it may be wrong already: that is no evidence for it."""
+    scene = Scene()
+    for index in range(STARTING + 6):
+        scene.step(index)
+    scene.told.there = False
+    (face,) = scene.frame(STARTING + 5).images
+    texture = cv2.GaussianBlur(np.random.default_rng(0).uniform(0.0, 255.0, face.shape), (0, 0), 3.0)
+    texture = (texture - texture.mean()) / texture.std() * face.std() + face.mean()
+    found = []
+    for index, share in enumerate(np.minimum(np.arange(1, 14) / 12.0, 1.0), start=STARTING + 6):
+        image = np.clip((1.0 - share) * face + share * texture, 0.0, 255.0).astype(np.uint8)
+        scene.state, one = scene.tracker.step(
+            scene.state, Frame(index, index * FRAME_NS, (image,)), scene.rng
+        )
+        found.append(one)
+    assert found[7].status is Status.TRACKING and found[7].confidence > 0.9  # a third is still the face
+    assert all(np.diff([one.confidence for one in found[8:]]) < 0.0)
+    assert found[-1].status is Status.LOST
+
+
 def test_a_track_that_looks_hardly_like_the_face_is_compared_with_a_detection() -> None:
     """It goes on from there in the same frame; but not in every frame is one looked for."""
     scene = Scene(config=PATIENT)

@@ -66,7 +66,7 @@ def test_what_is_told_must_be_somebodys() -> None:
     likely = PupilDistance(SEEN, 1.0, 0.035)
     assert likely.doubt(MEAN_SHAPE) == ()
     (line,) = replace(likely, distance_mm=1.15 * SEEN).doubt(MEAN_SHAPE)
-    assert "pupils 71 mm apart are told, but those of the likeliest such face are 62 mm apart" in line
+    assert "pupils 70 mm apart are told, but those of the likeliest such face are 61 mm apart" in line
 
 
 def test_a_told_distance_scales_a_track_and_narrows_its_depth() -> None:
