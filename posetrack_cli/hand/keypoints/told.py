@@ -74,7 +74,9 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
     known = palm if len(palm) >= 4 else np.flatnonzero(about.precision[:, 0] > 0.0)
     if len(known) < 4:
         return None
-    skeleton, plausibility, workspace = skeleton_of(anatomy), plausibility_of(anatomy), make_point_workspace()
+    # nothing is hidden of a finger whose joints are told: how closed fingers are used to be is of no use
+    plausibility = plausibility_of(anatomy)._replace(closed_odds=-np.inf)
+    skeleton, workspace = skeleton_of(anatomy), make_point_workspace()
     found: list[tuple[float, FloatArray]] = []
     off = np.empty(POINTS)
     weights = about.precision[:, 0] / about.precision[:, 0].sum()
