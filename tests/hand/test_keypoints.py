@@ -38,8 +38,8 @@ from support.hand_scene import FRAME_NS, HANDS, Stage, acquisition, relaxed, tur
 RIGHT, LEFT = HANDS["right"], HANDS["left"]
 NOISE_MM, NOISE_PX = 8.0, 5.0
 FITTED_MM = 3.5
-"""Mean error of joints fitted to exact points, of .01 / mm^2: relaxed fingers pull with 0.5 / rad^2, a relaxed
-thumb with 4 to 8, closing fingers with 4."""
+"""Mean error of joints fitted to exact points, of .01 / mm^2: relaxed fingers pull with 0.5 / rad^2, a
+relaxed thumb with 4 to 8, closing fingers with 4."""
 NOISY_MM = 1.5 * NOISE_MM
 """63 coordinates tell 21 unknowns: sqrt(3 / 3) NOISE_MM, and half of it for three points that are off."""
 LIFTED_MM = 16.0
