@@ -6,8 +6,8 @@ were observed in every frame.
     joint limits          e = excess, rad
     abduction of a bent finger    e = abduction times the bend's share (taut collateral ligaments)
     relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
-    closed finger         or e = angle - closed angle, more strongly, as far as a finger is that closed: of
-                          fists seen from the back nothing shows how far they are closed
+    closed finger         or e = angle - closed angle, more strongly, the more probably a finger is closed:
+                          nothing shows how far a fist is closed that is seen from the back
     closing finger        e = what joint 2 is bent less than joint 3, each from relaxed: what bends the
                           knuckle alone are small muscles; a finger that its knuckle hides is closed
     collision             e = overlap of two fingers' spheres, mm
@@ -33,11 +33,11 @@ RELAXED: FloatArray = _D * np.array(
 )
 """(15,) angles of a relaxed hand, rad."""
 _REST: FloatArray = np.array([4.0, 4.0, 8.0, *[0.5] * 12])
-"""(15,) 1 / rad^2: a thumb's flexions are within 30 degrees of relaxed, its abduction within 20, a finger's
-anywhere."""
+"""(15,) 1 / rad^2: standard deviations of 29 degrees for a thumb's flexions and of 20 for its abduction; a
+finger's 81 degrees leave it free."""
 _CLOSED: FloatArray = _D * np.array([76.0, 87.0])
-"""Flexion of joint 3 and 2 of a finger that is closed: between a fist of the palm's skin (80, 95) and what
-strangers' palms show in fists (66, 79; people 640-650, their own skin)."""
+"""Flexion of joints 3 and 2 of a closed finger: between the fist that ``hand synth`` draws (80, 95) and the
+closed fingers of strangers who show their palms (66, 79; people 640-650, each with the own mesh)."""
 
 
 class Plausibility(NamedTuple):
@@ -48,9 +48,9 @@ class Plausibility(NamedTuple):
         relaxed: (15,) rad.
         radii: (5, 5) of the fingers' spheres, mm.
         rest: (15,) weights of the relaxed angles, 1 / rad^2.
-    closed: (2,) flexion of joint 3 and 2 of a closed finger, rad.
-    limit, taut, closing, closed_weight: weights, 1 / rad^2.
-    closed_odds: log odds of a closed finger, densities at their peaks included.
+        closed: (2,) flexion of joints 3 and 2 of a closed finger, rad.
+        limit, taut, closing, closed_weight: weights, 1 / rad^2.
+        closed_odds: log odds of a closed finger, the heights of both densities included.
         overlap: weight of a collision, 1 / mm^2.
         allowed_mm: how far skins may sink into each other.
     """
@@ -132,7 +132,7 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
 
 @kernel
 def _add_closed(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
-    """Pull closed fingers to where closed fingers are, and take back what relaxed ones pull them with.
+    """Pull closed fingers to where closed fingers are instead of to where relaxed ones are.
 
     With U_r what the relaxed angles and U_c = w |e|^2 / 2 what the closed ones cost a finger, and o the odds,
     its potential is -log(exp(-U_r) + exp(o - U_c)). ``_add_limits`` has U_r; the difference is

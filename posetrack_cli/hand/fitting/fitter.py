@@ -89,7 +89,9 @@ def fit_starts(
         scattered[rows, 7 + 3 * finger] = fold[rows, finger - 1, 0]
         scattered[rows, 9 + 3 * finger] = fold[rows, finger - 1, 1]
     thumbs = rng.random(more) < _REFOLDED
-    scattered[thumbs, 7:10] = _THUMB_FOLDS[rng.integers(len(_THUMB_FOLDS), size=int(thumbs.sum()))]
+    scattered[thumbs, FINGER_ANGLES[0]] = _THUMB_FOLDS[
+        rng.integers(len(_THUMB_FOLDS), size=int(thumbs.sum()))
+    ]
     return np.concatenate([given, scattered])
 
 

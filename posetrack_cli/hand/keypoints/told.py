@@ -74,7 +74,7 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
     known = palm if len(palm) >= 4 else np.flatnonzero(about.precision[:, 0] > 0.0)
     if len(known) < 4:
         return None
-    # nothing is hidden of a finger whose joints are told: how closed fingers are used to be is of no use
+    # no finger is hidden whose joints are told, so where closed fingers usually are is no evidence
     plausibility = plausibility_of(anatomy)._replace(closed_odds=-np.inf)
     skeleton, workspace = skeleton_of(anatomy), make_point_workspace()
     found: list[tuple[float, FloatArray]] = []

@@ -55,11 +55,12 @@ class Task(EntrantsTask):
 
     def result(self, out: Path, entrant: str) -> Path:
         """Where an entrant's result, picture or hand file lies."""
-        return out / f"{self.name}-{entrant}.{_SUFFIXES.get(self._kind(entrant), 'mcap')}"
+        return out / f"{self.name}-{entrant}.{_SUFFIXES.get(_kind(self.entrants[entrant]), 'mcap')}"
 
     def facts(self, entrant: str) -> dict[str, object]:
         """What a result depends on; what another one's is used for on what that does, too."""
-        arguments, of = self.entrants[entrant], self._of(entrant)
+        arguments = self.entrants[entrant]
+        of = _source(arguments)
         facts: dict[str, object] = {"recording": self.recording, "tool": tool_digest(Path(self.tool))}
         facts |= {"arguments": arguments, "code": code_digest()}
         return facts | ({"of": self.entrants[of]} if of else {})
@@ -81,29 +82,32 @@ class Task(EntrantsTask):
 
     def _command(self, entrant: str, recording: Path, out: Path) -> tuple[str, ...]:
         """What tracks, draws or calibrates; the results' folder is absolute."""
-        arguments, result, kind = self.entrants[entrant], self.result(out, entrant), self._kind(entrant)
+        arguments, result = self.entrants[entrant], self.result(out, entrant)
+        kind, of = _kind(arguments), _source(arguments)
         if kind == VIEW:
-            of, given = str(self.result(out, arguments[1])), ("--recording", str(recording))
-            return ("view", of, "-o", str(result), *given, *arguments[2:])
+            drawn, given = str(self.result(out, of)), ("--recording", str(recording))
+            return (VIEW, drawn, "-o", str(result), *given, *arguments[2:])
         if kind == CALIBRATE:
             return ("hand", CALIBRATE, str(recording), "-o", str(result), *arguments[1:])
         paths = {MESH: recording.with_name("hand.glb"), TRUTH: recording.with_name("truth.csv")}
-        if of := self._of(entrant):
+        if of:
             found = paths[HAND_OF + of] = recording.with_name("found.toml")
             found.write_text(hand_found(self.result(out, of)), encoding="utf-8")
         used = [str(paths.get(argument, argument)) for argument in arguments]
         return ("hand", "run", str(recording), "-o", str(result), *used)
 
-    def _kind(self, entrant: str) -> str:
-        """``VIEW``, ``CALIBRATE`` or nothing."""
-        first = self.entrants[entrant][:1]
-        return first[0] if first and first[0] in _SUFFIXES else ""
 
-    def _of(self, entrant: str) -> str:
-        """The entrant whose result is used; nothing where there is none."""
-        arguments = self.entrants[entrant]
-        told = [argument.removeprefix(HAND_OF) for argument in arguments if argument.startswith(HAND_OF)]
-        return arguments[1] if self._kind(entrant) == VIEW else "".join(told)
+def _kind(arguments: tuple[str, ...]) -> str:
+    """``VIEW``, ``CALIBRATE`` or nothing: what an entrant's arguments begin with."""
+    return arguments[0] if arguments and arguments[0] in _SUFFIXES else ""
+
+
+def _source(arguments: tuple[str, ...]) -> str:
+    """The entrant whose result another one's arguments use; nothing where there is none."""
+    if _kind(arguments) == VIEW:
+        return arguments[1]
+    told = (argument.removeprefix(HAND_OF) for argument in arguments if argument.startswith(HAND_OF))
+    return next(told, "")
 
 
 def hand_found(result: Path) -> str:
@@ -129,8 +133,7 @@ def merged(tasks: Iterable[Kind]) -> list[Kind]:
 
 
 def _last(entrant: tuple[str, tuple[str, ...]]) -> bool:
-    arguments = entrant[1]
-    return arguments[:1] == (VIEW,) or any(argument.startswith(HAND_OF) for argument in arguments)
+    return bool(_source(entrant[1]))
 
 
 if __name__ == "__main__":

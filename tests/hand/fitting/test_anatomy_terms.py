@@ -128,19 +128,16 @@ def closed_part(mcp: float, pip: float) -> tuple[float, NormalEquations]:
 def test_a_finger_is_relaxed_or_closed(bend: tuple[float, float]) -> None:
     """-log of two Gaussians' sum, by their formula; the other three fingers are relaxed."""
 
-    def two_gaussians(angles: FloatArray) -> float:
-        rest = ABOUT.rest[[9, 11]] @ np.square(angles - RELAXED[[9, 11]])
+    def two_gaussians(finger: int, angles: FloatArray | None = None) -> float:
+        flexions = [3 * finger, 3 * finger + 2]
+        angles = RELAXED[flexions] if angles is None else angles
+        rest = ABOUT.rest[flexions] @ np.square(angles - RELAXED[flexions])
         closed = ABOUT.closed_weight * np.square(angles - ABOUT.closed).sum()
         return float(-np.logaddexp(-0.5 * rest, ABOUT.closed_odds - 0.5 * closed))
 
-    others = sum(two_gaussians_at_rest(finger) for finger in (1, 2, 4))
+    others = sum(two_gaussians(finger) for finger in (1, 2, 4))
     value = closed_part(*bend)[0]
-    assert value == pytest.approx(two_gaussians(np.array(bend)) + others, abs=1e-9)
-
-
-def two_gaussians_at_rest(finger: int) -> float:
-    off = RELAXED[[3 * finger, 3 * finger + 2]] - ABOUT.closed
-    return float(-np.logaddexp(0.0, ABOUT.closed_odds - 0.5 * ABOUT.closed_weight * off @ off))
+    assert value == pytest.approx(two_gaussians(3, np.array(bend)) + others, abs=1e-9)
 
 
 def test_what_nothing_shows_of_a_half_closed_finger_is_closed_and_a_little_bent_one_is_left() -> None:
