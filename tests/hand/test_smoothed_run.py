@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import load_arrays
 from posetrack_cli.results.tracks import TRACKS, estimate_topic
 from posetrack_cli.tracking.smoothing import smoothing_path
-from support.hand_scene import HANDS, Drawn, Stage, pose_file, relaxed
+from support.hand_scene import HANDS, Drawn, Stage, closing_hand, pose_file
 
 COUNT = 12
 CONFIG = HandConfig.model_validate(
@@ -25,24 +24,14 @@ CONFIG = HandConfig.model_validate(
 )
 
 
-def poses() -> list[FloatArray]:
-    """A hand that comes nearer, turns and closes two fingers, ever faster."""
-    out = []
-    for t in np.linspace(0.0, 1.0, COUNT):
-        pose = relaxed(x=40.0 * t * t, z=650.0 - 30.0 * t, turn=(0.15, -0.2 + 0.3 * t * t, 0.1))
-        pose[[10, 12, 13, 15]] += 0.6 * t * t
-        out.append(pose)
-    return out
-
-
 @pytest.fixture(scope="module")
 def drawn(device: RenderingDevice) -> Drawn:
-    return Drawn.of(Stage(device, HANDS["right"]), poses())
+    return Drawn.of(Stage(device, HANDS["right"]), closing_hand(COUNT))
 
 
 @pytest.fixture
 def track(device: RenderingDevice, tmp_path: Path, drawn: Drawn) -> Callable[..., Path]:
-    pose = pose_file(tmp_path / "start.json", poses()[0])
+    pose = pose_file(tmp_path / "start.json", closing_hand(COUNT)[0])
 
     def run(name: str, stopped: Callable[[], bool] = lambda: False, **options: Any) -> Path:
         chosen = RunOptions(tmp_path / name, init=str(pose), smooth=True, **options)
@@ -58,7 +47,9 @@ def test_smoothed_joints_are_nearer_to_the_truth(device: RenderingDevice, track:
     for name in TRACKS:
         found = load_arrays(path, estimate_topic("hand", name))
         estimated = np.hstack([found["position"], found["quaternion"], found["shape"]])
-        errors.append(np.mean([stage.error(e, p) for e, p in zip(estimated, poses(), strict=True)]))
+        errors.append(
+            np.mean([stage.error(e, p) for e, p in zip(estimated, closing_hand(COUNT), strict=True)])
+        )
     assert errors[0] < 3.0
     assert errors[1] < 0.95 * errors[0]
     assert not smoothing_path(path).exists()

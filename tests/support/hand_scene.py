@@ -42,6 +42,16 @@ def relaxed(
     return pose
 
 
+def closing_hand(count: int) -> list[FloatArray]:
+    """Poses of a hand that comes nearer, turns and closes two fingers, ever faster."""
+    out = []
+    for t in np.linspace(0.0, 1.0, count):
+        pose = relaxed(x=40.0 * t * t, z=650.0 - 30.0 * t, turn=(0.15, -0.2 + 0.3 * t * t, 0.1))
+        pose[[10, 12, 13, 15]] += 0.6 * t * t
+        out.append(pose)
+    return out
+
+
 def turned_about_its_length(pose: FloatArray, angle: float) -> FloatArray:
     """The pose with the back of the hand where the palm was, at 180 degrees."""
     out = pose.copy()
