@@ -223,7 +223,7 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
     if options["curve_path"] is not None:
         _write(options["curve_path"], curve_report(found.evaluations))
     if options["html_path"] is not None:
-        _write_page(found, options["html_path"], options["recording"])
+        write_page(found, options["html_path"], options["recording"])
 
 
 def _write(path: Path, text: str) -> None:
@@ -235,7 +235,14 @@ def _write(path: Path, text: str) -> None:
         write_report(path, text)
 
 
-def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
+def write_page(found: Assessment, path: Path, recording: Path | None) -> None:
+    """Write a page about results, with the worst frames as pictures where they can be drawn.
+
+    Args:
+        found: what was measured, with tracks kept.
+        path: of the page.
+        recording: to draw on; None looks for the one that each result was made from.
+    """
     from posetrack_cli.evaluation.html.writer import ReportPage, write_html
 
     pictures = {one.name: _pictures(one, recording) for one in found.on_page}

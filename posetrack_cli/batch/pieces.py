@@ -1,0 +1,88 @@
+"""A long recording in pieces that overlap: where they begin and end, and their results as one."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from pathlib import Path
+
+from posetrack_cli.batch.jobs import Piece
+from posetrack_cli.losses import LossLog
+from posetrack_cli.recording.recording import Recording
+from posetrack_cli.results.joining import Share
+from posetrack_cli.results.joining import join_results as join
+from posetrack_cli.results.reader import read_result
+
+_NS = 1_000_000_000
+
+
+def split_frames(
+    recording: Recording, chunk_s: float, overlap_s: float, start: int = 0, end: int | None = None, stride: int = 1
+) -> list[Piece]:
+    """Return the pieces of a recording, of equal length by its stamps; one where it is hardly longer than that.
+
+    Args:
+        recording: is read once, without decoding its images.
+        chunk_s: length of a piece, s; the last takes what is left of half a piece or less.
+        overlap_s: what a piece is tracked for before and after its own frames, s.
+        start, end, stride: which frames are tracked of all.
+    """
+    stamps: list[int] = []
+    numbers: list[int] = []
+    for number, frame in recording.stored_frames(LossLog()):
+        is_in = number >= start and (number - start) % stride == 0
+        if end is not None and number >= end:
+            break
+        if is_in:
+            numbers.append(number)
+            stamps.append(frame.stamp_ns)
+    return pieces_of(numbers, stamps, chunk_s, overlap_s, start)
+
+
+def pieces_of(
+    numbers: Sequence[int], stamps: Sequence[int], chunk_s: float, overlap_s: float, start: int = 0
+) -> list[Piece]:
+    """Return the pieces of frames with these numbers and stamps (ns), both increasing.
+
+    Every frame is one piece's own: ``first`` of a piece is ``last`` of the one before.
+    """
+    if not numbers:
+        return [Piece(start, start + 1, start, start + 1)]  # tracking it tells that there is nothing
+    length, overlap = round(chunk_s * _NS), round(overlap_s * _NS)
+    count = max(1, round((stamps[-1] - stamps[0]) / length))
+    begins = [stamps[0] + k * length for k in range(count)]
+    cuts = [*(bisect_left(stamps, begin) for begin in begins), len(stamps)]
+    pieces = []
+    for own, after in zip(cuts, cuts[1:], strict=False):
+        if own == after:
+            continue  # a gap in the recording
+        before = bisect_left(stamps, stamps[own] - overlap)
+        behind = bisect_left(stamps, stamps[after - 1] + overlap + 1)
+        pieces.append(Piece(numbers[before], numbers[behind - 1] + 1, numbers[own], _last(numbers, after)))
+    return pieces
+
+
+def _last(numbers: Sequence[int], after: int) -> int:
+    """The number of the frame behind a piece's own."""
+    return numbers[after] if after < len(numbers) else numbers[-1] + 1
+
+
+def join_results(
+    pieces: Sequence[tuple[Path, Piece]], output: Path, chunk_s: float, overlap_s: float
+) -> bool:
+    """Write one result of those of the pieces, whose record says how it was made; an older one is replaced.
+
+    Returns:
+        Whether some of the recording could not be used.
+    """
+    first, last = pieces[0][1], pieces[-1][1]
+    changes = {
+        "start": str(first.first),
+        "end": str(last.last),
+        "chunk_s": f"{chunk_s:g}",
+        "overlap_s": f"{overlap_s:g}",
+        "pieces": str(len(pieces)),
+    }
+    shares = [Share(path, piece.first, piece.last) for path, piece in pieces]
+    join(shares, output, changes, overwrite=True)
+    return "losses" in read_result(output).summary
