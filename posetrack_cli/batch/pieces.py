@@ -17,15 +17,23 @@ _NS = 1_000_000_000
 
 
 def split_frames(
-    recording: Recording, chunk_s: float, overlap_s: float, start: int = 0, end: int | None = None, stride: int = 1
+    recording: Recording,
+    chunk_s: float,
+    overlap_s: float,
+    *,
+    start: int = 0,
+    end: int | None = None,
+    stride: int = 1,
+    looks_ahead: bool = False,
 ) -> list[Piece]:
     """Return the pieces of a recording, of equal length by its stamps; one where it is hardly longer than that.
 
     Args:
         recording: is read once, without decoding its images.
         chunk_s: length of a piece, s; the last takes what is left of half a piece or less.
-        overlap_s: what a piece is tracked for before and after its own frames, s.
+        overlap_s: what a piece is tracked for before its own frames, s.
         start, end, stride: which frames are tracked of all.
+        looks_ahead: whether later frames matter, too (a smoothed track): pieces then overlap on both sides.
     """
     stamps: list[int] = []
     numbers: list[int] = []
@@ -36,19 +44,24 @@ def split_frames(
         if is_in:
             numbers.append(number)
             stamps.append(frame.stamp_ns)
-    return pieces_of(numbers, stamps, chunk_s, overlap_s, start)
+    if not numbers:
+        return [Piece(start, start + 1, start, start + 1)]  # tracking it tells that there is nothing
+    return pieces_of(numbers, stamps, chunk_s, overlap_s, overlap_s if looks_ahead else 0.0)
 
 
 def pieces_of(
-    numbers: Sequence[int], stamps: Sequence[int], chunk_s: float, overlap_s: float, start: int = 0
+    numbers: Sequence[int], stamps: Sequence[int], chunk_s: float, before_s: float, after_s: float
 ) -> list[Piece]:
     """Return the pieces of frames with these numbers and stamps (ns), both increasing.
 
     Every frame is one piece's own: ``first`` of a piece is ``last`` of the one before.
+
+    Args:
+        numbers, stamps: at least one.
+        chunk_s: length of a piece, s.
+        before_s, after_s: what it is tracked for before and after its own frames, s.
     """
-    if not numbers:
-        return [Piece(start, start + 1, start, start + 1)]  # tracking it tells that there is nothing
-    length, overlap = round(chunk_s * _NS), round(overlap_s * _NS)
+    length, ahead, later = (round(seconds * _NS) for seconds in (chunk_s, before_s, after_s))
     count = max(1, round((stamps[-1] - stamps[0]) / length))
     begins = [stamps[0] + k * length for k in range(count)]
     cuts = [*(bisect_left(stamps, begin) for begin in begins), len(stamps)]
@@ -56,8 +69,8 @@ def pieces_of(
     for own, after in zip(cuts, cuts[1:], strict=False):
         if own == after:
             continue  # a gap in the recording
-        before = bisect_left(stamps, stamps[own] - overlap)
-        behind = bisect_left(stamps, stamps[after - 1] + overlap + 1)
+        before = bisect_left(stamps, stamps[own] - ahead)
+        behind = bisect_left(stamps, stamps[after - 1] + later + 1)
         pieces.append(Piece(numbers[before], numbers[behind - 1] + 1, numbers[own], _last(numbers, after)))
     return pieces
 

@@ -102,7 +102,7 @@ BATCH_OPTIONS: tuple[click.Option, ...] = (
         type=FiniteRange(min=0.0),
         default=2.0,
         show_default=True,
-        help="What a piece is tracked for before and after its own frames.",
+        help="What a piece is tracked for before its own frames, with --smooth also after them.",
     ),
     click.Option(
         ["--reports/--no-reports"], default=True, show_default=True, help="Write a page about each result."

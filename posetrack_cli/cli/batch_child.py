@@ -113,8 +113,15 @@ def _split(task: dict[str, Any]) -> list[list[int]]:
 
     command = BATCH_COMMANDS[tuple(task["command"])]
     recording, options = command.opened(Path(task["recording"]), task["options"])
-    chosen = options["start"], options["end"], options["stride"]
-    pieces = split_frames(recording, task["chunk_s"], task["overlap_s"], *chosen)
+    pieces = split_frames(
+        recording,
+        task["chunk_s"],
+        task["overlap_s"],
+        start=options["start"],
+        end=options["end"],
+        stride=options["stride"],
+        looks_ahead=options["smooth"],
+    )
     return [[piece.start, piece.end, piece.first, piece.last] for piece in pieces]
 
 

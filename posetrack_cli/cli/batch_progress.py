@@ -81,6 +81,8 @@ def line_of(outcome: Outcome) -> str:
     """What came of a recording, in one line."""
     if outcome.state == "failed":
         return f"{outcome.name}: failed: {outcome.reason}"
+    if outcome.state == "kept":
+        return f"{outcome.name}: kept"
     rate = f" ({outcome.frames / outcome.seconds:.1f} frames/s)" if outcome.seconds and outcome.frames else ""
     done = f"{outcome.frames} frames in {outcome.seconds:.1f} s{rate}"
     return f"{outcome.name}: {outcome.state.value}, {done}"

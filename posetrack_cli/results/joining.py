@@ -76,15 +76,16 @@ def join_results(
     """
     results = [read_result(share.path) for share in shares]
     first = results[0]
+    camera, *others = first.cameras()
     for result in results:
         _check(result, first)
     run = {**first.run, **changes}
     with ResultWriter(
         output,
         first.subject,
-        first.cameras[0],
+        camera,
         run,
-        others=first.cameras[1:],
+        others=others,
         flush_frames=_flush_frames(first),
         overwrite=overwrite,
     ) as writer:
@@ -115,7 +116,7 @@ def _told_of(result: Result) -> dict[str, object]:
     subject = result.subject
     return {
         "subject": (subject.name, subject.shape_names, subject.point_names),
-        "camera": tuple(camera.values() for camera in result.cameras),
+        "camera": tuple(camera.values() for camera in result.cameras()),
         "recording": result.run.get("input.sha256"),
     }
 
