@@ -134,6 +134,7 @@ class _Performance:
         if self.is_kept:
             return self._kept(progress, stopped)
         way = self.way
+        self._job.output.parent.mkdir(parents=True, exist_ok=True)
         _wait_for_writer(self._job)
         self._remember(_RUNNING)
         ending = self._child(way, progress, stopped)

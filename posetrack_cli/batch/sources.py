@@ -31,6 +31,7 @@ class Source:
         options: of the command, by long name without dashes: text, numbers, true for switches, or lists.
         truth: that its result is measured with.
         gates: conditions under which that fails.
+        manifest: that it is of, if any.
     """
 
     path: Path
@@ -38,6 +39,7 @@ class Source:
     options: Mapping[str, Any] = field(default_factory=dict)
     truth: Path | None = None
     gates: tuple[str, ...] = ()
+    manifest: Path | None = None
 
 
 class ManifestRecording(Settings):
@@ -168,10 +170,16 @@ def _of_manifest(path: Path, manifest: Manifest, one: ManifestRecording) -> Iter
     truth = None if one.truth is None else path.parent / one.truth
     if truth is not None and not truth.exists():
         raise UsageError("no such truth", where=path, found=one.truth)
-    options = {**manifest.options, **one.options}
+    options = {key: _reachable(path, value) for key, value in {**manifest.options, **one.options}.items()}
     gates = (*manifest.gates, *one.gates)
     for recording, name in found:
-        yield Source(recording, _checked_name(path, one.name or name), options, truth, gates)
+        yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path)
+
+
+def _reachable(manifest: Path, value: Any) -> Any:
+    """A value of an option; a file that lies where the manifest does is named from here."""
+    is_beside = isinstance(value, str) and value and (manifest.parent / value).exists()
+    return str(manifest.parent / value) if is_beside else value
 
 
 def _checked_name(path: Path, name: str) -> str:

@@ -214,8 +214,9 @@ def _planned(
     folder, chunk_s = options["results"], options["chunk_s"]
     jobs = []
     for source in sources:
-        own = (*command.arguments_of(source.options, source.path), *arguments)
-        command.check(own, source.path if source.options else "")
+        where = source.manifest or ""
+        own = (*arguments, *command.arguments_of(source.options, where))
+        command.check(own, where)
         for gate in source.gates:
             parse_gate(gate)
         output = folder / f"{source.name}.mcap"
