@@ -186,7 +186,7 @@ def check_gates(
 
 def check_gate(gate: Gate, evaluation: Measured) -> GateOutcome:
     """Apply one gate to one result, or to one pool."""
-    return _outcome(gate, evaluation.name, _judged(evaluation, gate.address))
+    return judge_figure(gate, evaluation.name, _judged(evaluation, gate.address))
 
 
 def _check_over(gate: Gate, pool: Pool, members: Sequence[Evaluation]) -> GateOutcome:
@@ -198,12 +198,20 @@ def _check_over(gate: Gate, pool: Pool, members: Sequence[Evaluation]) -> GateOu
     if lacking:
         name, reason = lacking[0]
         more = f", and {len(lacking) - 1} more without it" if len(lacking) > 1 else ""
-        return _outcome(gate, pool.name, Figure(None, f"{name}: {reason}{more}"))
+        return judge_figure(gate, pool.name, Figure(None, f"{name}: {reason}{more}"))
     values = [figure.value for figure in figures if figure.value is not None]
-    return _outcome(gate, pool.name, Figure(float(getattr(statistics(values), gate.over))), len(values))
+    return judge_figure(gate, pool.name, Figure(float(getattr(statistics(values), gate.over))), len(values))
 
 
-def _outcome(gate: Gate, name: str, figure: Figure, results: int = 0) -> GateOutcome:
+def judge_figure(gate: Gate, name: str, figure: Figure, results: int = 0) -> GateOutcome:
+    """Apply a gate to a figure.
+
+    Args:
+        gate: the condition.
+        name: whose figure it is.
+        figure: or why there is none.
+        results: over how many results it is; 0 for that of one or of a pool.
+    """
     title = gate.title or gate.text
     if figure.value is None:
         return GateOutcome(gate.text, name, None, True, figure.reason, title)

@@ -7,7 +7,7 @@ as a whole (``metrics.catalogue.is_pooled``). A gate addresses them by ``pooled.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TypeAlias
 
 from posetrack_cli.evaluation.coverage import Coverage
@@ -38,6 +38,7 @@ class Pool:
         metrics: values by address, as of an ``Evaluation``; only what every member has.
         absent: the addresses that are pooled and have no value, and why.
         judged: all their frames with a truth; None where a member has none.
+        grouped: whether they are a group.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Pool:
     metrics: Mapping[str, Value]
     absent: Mapping[str, str]
     judged: JudgedFrames | None
+    grouped: bool = False
 
     @property
     def says_more(self) -> bool:
@@ -97,8 +99,8 @@ def make_pools(
     for one in evaluations:
         kinds.setdefault((one.subject, one.which), []).append(one)
     alone = [pool(_name(of, kinds), of, _same_recording(of), known.get(kind)) for kind, of in kinds.items()]
-    of_groups = (pool(f"{POOLED} {name}", of, "", known.get(name)) for name, of in groups.items())
-    return (*alone, *of_groups)
+    together = (pool(f"{POOLED} {name}", of, "", known.get(name)) for name, of in groups.items())
+    return (*alone, *(replace(one, grouped=True) for one in together))
 
 
 def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> str:
