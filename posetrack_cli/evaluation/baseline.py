@@ -60,7 +60,8 @@ class StoredFigures(_Stored):
 def _number(value: Any) -> float | None:
     """The value as a finite number, if it is one."""
     try:
-        number = float(value) if isinstance(value, int | float) else math.nan
+        known = isinstance(value, int | float) and not isinstance(value, bool)
+        number = float(value) if known else math.nan
     except OverflowError:  # JSON has integers without end
         return None
     return number if math.isfinite(number) else None
@@ -251,7 +252,8 @@ def _judge_common(
         else:
             continue
         if before is not None and after is not None:
-            yield judge_figure(_gate(figure, before, tolerance, pooled=True), pool.name, Figure(after))
+            gate = _gate(figure, before, tolerance, pooled=True)
+            yield judge_figure(gate, pool.name, Figure(after), len(now))
 
 
 def _count(address: Address) -> Address:

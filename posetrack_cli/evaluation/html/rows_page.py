@@ -20,6 +20,8 @@ from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, pool_l
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, worst_first
 
 SCRIPTS = ("rows",)
+MOST_UNFOLDED = 20
+"""Failed gates that are shown at once."""
 NOTHING = "\u2013"
 
 
@@ -66,10 +68,11 @@ def rows_page(page: RowsPage) -> str:
         style=style,
         script=script,
         lead=_lead(page, failed),
+        notices=_against(page.notes),
         failed=_failed(failed),
         sets="".join(_set(one) for one in page.sets),
         comparison=element("section", comparison, id="comparison") if comparison else "",
-        remarks=_remarks(page, evaluations),
+        remarks=_remarks(evaluations),
     )
 
 
@@ -82,15 +85,22 @@ def _lead(page: RowsPage, failed: Sequence[GateOutcome]) -> str:
 
 def _failed(failed: Sequence[GateOutcome]) -> str:
     lines = [text(one.line) for one in failed]
-    return details(f"Failed gates ({len(lines)})", listed(lines), open="") if lines else ""
+    if not lines:
+        return ""
+    few = {"open": ""} if len(lines) <= MOST_UNFOLDED else {}
+    return details(f"Failed gates ({len(lines)})", listed(lines), **few)
 
 
-def _remarks(page: RowsPage, evaluations: Sequence[Evaluation]) -> str:
+def _against(notes: Sequence[str]) -> str:
+    """What limits the comparison with the baseline, before any figure."""
+    lines = listed(text(f"Baseline: {note}") for note in notes)
+    return element("div", lines, class_="notices", role="note") if lines else ""
+
+
+def _remarks(evaluations: Sequence[Evaluation]) -> str:
     lines = closing_lines(evaluations)
-    found = [("Against the baseline", list(page.notes)), ("Notes, and what has no value", lines)]
-    return "".join(
-        details(f"{title} ({len(of)})", listed(text(line) for line in of)) for title, of in found if of
-    )
+    shown_lines = listed(text(line) for line in lines)
+    return details(f"Notes, and what has no value ({len(lines)})", shown_lines) if lines else ""
 
 
 def _set(results: ResultSet) -> str:
@@ -107,19 +117,19 @@ def _totals(results: ResultSet) -> str:
     total = results.total
     figures = dict.fromkeys((*results.figures, *results.further))
     known = [figure for figure in figures if total.value(figure) is not None]
-    remark = element("div", listed(text(line) for line in pool_lines([results.pool])), class_="remark")
     if not known:
-        return remark
-    columns = ["now", *(("baseline", "change") if results.compared else ())]
+        return element("div", listed(text(line) for line in pool_lines([results.pool])), class_="remark")
+    compared = total.earlier is not None
+    columns = ["now", *(("baseline", "change") if compared else ())]
     head = element(
         "thead", row([element("th", "", scope="col"), *(element("th", c, scope="col") for c in columns)])
     )
     lines = (
-        row([element("th", _label(figure), scope="row"), *_total_cells(total, figure, results.compared)])
+        row([element("th", _label(figure), scope="row"), *_total_cells(total, figure, compared)])
         for figure in known
     )
     table = element("table", head + element("tbody", "".join(lines)), class_="figures")
-    return scrolling(table, "All results together") + remark
+    return scrolling(table, "All results together")
 
 
 def _total_cells(total: ResultRow, figure: str, compared: bool) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN, shown_change
+from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN, NEW, shown_change
 from posetrack_cli.evaluation.reports.table import ABSENT, pool_lines, shown
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, heading
 from posetrack_cli.losses import loss_line
@@ -36,7 +36,8 @@ def markdown_report(
     failed = [one for one in outcomes if one.failed]
     lines = [f"## {_verdict(sets, outcomes, failed)}", ""]
     if failed:
-        lines += _table(("failed gate", "result", "why"), [_failure(one) for one in failed[:MOST_FAILED]])
+        rows = [_failure(one) for one in failed[:MOST_FAILED]]
+        lines += _table(("failed gate", "result", "why"), rows, numbers=False)
         if len(failed) > MOST_FAILED:
             lines += [f"{len(failed) - MOST_FAILED} more failed.", ""]
     lines += [f"- {code(note)}" for note in notes] + ([""] if notes else [])
@@ -79,14 +80,14 @@ def _totals(results: ResultSet) -> Iterator[str]:
         yield from (f"- {code(line)}" for line in pool_lines([results.pool]))
         yield ""
         return
-    columns = ("figure", "now", *(("baseline", "change") if results.compared else ()))
-    yield from _table(columns, [(code(figure), *_now_and_then(row, figure, results)) for figure in figures])
+    columns = ("figure", "now", *(("baseline", "change") if row.earlier is not None else ()))
+    yield from _table(columns, [(code(figure), *_now_and_then(row, figure)) for figure in figures])
 
 
-def _now_and_then(row: ResultRow, figure: str, results: ResultSet) -> tuple[str, ...]:
+def _now_and_then(row: ResultRow, figure: str) -> tuple[str, ...]:
     now, change = row.value(figure), row.change(figure)
     cells = (ABSENT if now is None else shown(now),)
-    if not results.compared:
+    if row.earlier is None:
         return cells
     then = ABSENT if now is None or change is None else shown(now - change)
     return (*cells, then, shown_change(row, figure))
@@ -113,7 +114,8 @@ def _cell(row: ResultRow, figure: str, results: ResultSet) -> str:
     if not results.compared or figure == "frames":
         return text
     change = shown_change(row, figure)
-    return text if change in (ABSENT, "0") else f"{text} ({change})"
+    told = change not in (ABSENT, "0") and (change != NEW or figure == results.worst_by)
+    return f"{text} ({change})" if told else text
 
 
 def _losses(evaluations: Iterable[Evaluation]) -> list[str]:
@@ -122,8 +124,10 @@ def _losses(evaluations: Iterable[Evaluation]) -> list[str]:
     return ["### Measured over what can be read", "", *lines[:MOST_FAILED], *more] if lines else []
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    lines = [f"| {' | '.join(columns)} |", f"| --- |{' ---: |' * (len(columns) - 1)}"]
+def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = True) -> list[str]:
+    """A table whose columns but the first are numbers, or none."""
+    sign = " ---: |" if numbers else " --- |"
+    lines = [f"| {' | '.join(columns)} |", f"| --- |{sign * (len(columns) - 1)}"]
     return [*lines, *(f"| {' | '.join(cells)} |" for cells in rows), ""]
 
 

@@ -33,7 +33,7 @@ def row_table(results: ResultSet, most: int = MOST_SHOWN) -> Table:
     body = [Row("", tuple(below for _, below in headings))]
     body += [Row(one.name, _cells(one, results)) for one in kept]
     total = Row(f"TOTAL of {len(results.rows)}", _cells(results.total, results))
-    title = f"Results, worst first{f': {results.title}' if results.title else ''}"
+    title = f"Worst first{f': {results.title}' if results.title else ''}"
     return Table(title, tuple(above for above, _ in headings), (Section("", (*body, total)),))
 
 
