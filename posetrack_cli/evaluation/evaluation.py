@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,9 @@ from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.losses import Loss
 from posetrack_cli.results.tracks import FILTERED
+
+if TYPE_CHECKING:
+    from posetrack_cli.evaluation.distribution import Distribution
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,25 @@ def _deviation(flat: FloatArray) -> float:
     """The standard deviation, scaled first: squares of a NEES with next to no variance would overflow."""
     largest = float(np.abs(flat).max())
     return largest * float((flat / largest).std()) if 0.0 < largest < np.inf else float(flat.std())
+
+
+def percentiles_of_ranked(
+    ranked: Callable[[int], float], count: int, percent: Sequence[float]
+) -> list[float]:
+    """Return percentiles, linear between the two nearest values, of values that are known by their rank.
+
+    Args:
+        ranked: returns the value that has so many smaller ones, 0 to ``count`` - 1.
+        count: how many values; at least one.
+        percent: 0 to 100 each.
+    """
+    found = []
+    for one in percent:
+        place = one / 100.0 * (count - 1)
+        low, high = ranked(math.floor(place)), ranked(math.ceil(place))
+        between = math.isfinite(low) and math.isfinite(high)
+        found.append(low + (place - math.floor(place)) * (high - low) if between else high)
+    return found
 
 
 def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
@@ -133,6 +156,7 @@ class Evaluation:
         joint_offsets: the constant offset that each joint was rid of; None where that was not asked for.
         judged: the frames with a truth, right or wrong, and what the track says of them; None without.
         counts: what the shares among the metrics are made from, where they are of single frames or entries.
+        distributions: of the metrics as wholes that are ``Statistics``, what pooling needs of their values.
     """
 
     name: str
@@ -154,3 +178,4 @@ class Evaluation:
     joint_offsets: JointOffsets | None = None
     judged: JudgedFrames | None = None
     counts: Mapping[str, Count] = field(default_factory=dict)
+    distributions: Mapping[str, Distribution] = field(default_factory=dict)
