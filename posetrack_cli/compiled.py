@@ -176,8 +176,8 @@ def _listening(start: Callable[[], None], end: Callable[[], None]) -> Iterator[N
 def thread_count() -> int:
     """Return how many threads share compiled work: one for each core that this process may use, 8 at most.
 
-    Whoever starts several processes at a time says how many each may have, in POSETRACK_THREADS. Results do not
-    depend on it.
+    Whoever starts several processes at a time says how many each may have, in POSETRACK_THREADS. Results do
+    not depend on it.
     """
     told = os.environ.get(THREADS_VARIABLE, "")
     if told.isdecimal() and 0 < int(told) <= _MOST_THREADS:

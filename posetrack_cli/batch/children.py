@@ -122,14 +122,6 @@ def last_lines(log: Path) -> tuple[str, ...]:
 
 
 def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any]:
-    judging = job.judging
-    judged = None
-    if judging is not None:
-        judged = {
-            "truth": None if judging.truth is None else str(judging.truth),
-            "gates": judging.gates,
-            "report": None if judging.report is None else str(judging.report),
-        }
     return {
         "kind": job.kind,
         "command": job.command,
@@ -137,7 +129,8 @@ def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any
         "output": os.fspath(job.output),
         "options": job.arguments,
         "arguments": arguments,
-        "judging": judged,
+        "truth": None if job.truth is None else os.fspath(job.truth),
+        "page": None if job.page is None else os.fspath(job.page),
         "memory_bytes": limits.memory_bytes,
         "chunk_s": job.chunk_s,
         "overlap_s": job.overlap_s,
@@ -235,5 +228,3 @@ def way_of(ending: Ending, timeout_s: float | None) -> str:
 def was_interrupted(ending: Ending) -> bool:
     """Whether a process stopped as it was asked to, with what it has kept to go on with."""
     return ending.stopped or (ending.code == EXIT_INTERRUPTED and not ending.timed_out)
-
-

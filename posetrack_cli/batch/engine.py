@@ -1,8 +1,8 @@
 """Jobs given to Dask: on this machine, or on a cluster that exists. The only module that knows Dask.
 
 A job's work is done by a process of its own (``children``), so on one machine the workers are threads of this
-process: nothing has to start. On a cluster each thread of each worker does one job at a time; results, records and
-recordings lie in folders that all of them see under the same names.
+process: nothing has to start. On a cluster each thread of each worker does one job at a time; results,
+records and recordings lie in folders that all of them see under the same names.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from posetrack_cli.errors import PosetrackError, UsageError
 try:
     import dask
     import distributed
-    from distributed import Client, Event, LocalCluster
     from dask.system import CPU_COUNT
+    from distributed import Client, Event, LocalCluster
 except ModuleNotFoundError as missing:  # the extra is not installed
     raise UsageError(
         f"posetrack batch needs the extra packages of posetrack[batch], and {missing.name} is missing",
@@ -171,7 +171,7 @@ def open_engine(
 
 @contextmanager
 def _started(jobs: int) -> Iterator[Client]:
-    """A client of workers in this process: one with so many threads, each of which waits for a job's process."""
+    """A client of one worker in this process, whose threads each wait for the process of a job."""
     with (
         LocalCluster(
             n_workers=1,
@@ -265,5 +265,3 @@ def _line_of(error: BaseException) -> str:
     if isinstance(error, distributed.CancelledError):
         return "the connection to the scheduler was lost"
     return f"{type(error).__name__}: {error}"
-
-

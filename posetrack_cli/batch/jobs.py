@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -45,21 +44,6 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Judging:
-    """How a finished result is measured.
-
-    Attributes:
-        truth: file that it is compared with; None takes what the result carries.
-        gates: conditions under which it fails.
-        report: page to write; None writes none.
-    """
-
-    truth: Path | None = None
-    gates: tuple[str, ...] = ()
-    report: Path | None = None
-
-
-@dataclass(frozen=True)
 class Job:
     """One recording, or a piece of one, and what becomes of it.
 
@@ -70,9 +54,12 @@ class Job:
         arguments: the command's options, without recording, output and what to do with an earlier output.
         output: the result.
         record: what is known of the job (``records.JobRecord``); its log lies beside it.
-        judging: how the result is measured; None leaves that out.
+        truth: file that the result is compared with; None takes what the result carries.
+        gates: conditions under which the result fails.
+        page: about the result, to be written; None writes none.
         kind: what is done.
-        chunk_s, overlap_s: of a recording that is split: length of a piece, and what it shares with others, s.
+        chunk_s, overlap_s: of a recording that is split: length of a piece, and what it shares with others,
+        s.
         pieces: of a recording that is joined.
     """
 
@@ -82,7 +69,9 @@ class Job:
     arguments: tuple[str, ...]
     output: Path
     record: Path
-    judging: Judging | None = field(default_factory=Judging)
+    truth: Path | None = None
+    gates: tuple[str, ...] = ()
+    page: Path | None = None
     kind: Kind = Kind.TRACK
     chunk_s: float = 0.0
     overlap_s: float = 0.0
@@ -129,7 +118,6 @@ class Outcome:
         peak_bytes: the most memory it held.
         frames: that it tracked.
         lost_data: whether some of the recording could not be used (exit code 3).
-        measured: figures of the result (``summary.measured_row``); empty where it was not measured.
         pieces: of a recording that was split.
         remarks: what the command said that a user should know.
     """
@@ -144,7 +132,6 @@ class Outcome:
     peak_bytes: int = 0
     frames: int = 0
     lost_data: bool = False
-    measured: Mapping[str, Any] = field(default_factory=dict)
     pieces: tuple[Piece, ...] = ()
     remarks: tuple[str, ...] = ()
 

@@ -21,8 +21,8 @@ from posetrack_cli.batch.records import (
     JobRecord,
     input_digest,
     job_key,
-    judging_key,
     output_stamp,
+    page_key,
     read_record,
     write_record,
 )
@@ -32,7 +32,7 @@ from posetrack_cli.outputs import check_not_written, part_path, state_path
 _RUNNING = "running"
 _NOT_OURS = "exists already, and no batch made it"
 _WAIT_S = 10.0
-"""A process that was left alone ends within a second; as long the file that it wrote cannot be gone on with."""
+"""A process that was left alone ends within a second; until then it holds its file."""
 
 
 def perform(
@@ -71,7 +71,7 @@ def planned(job: Job, limits: Limits) -> str:
     """
     performance = _Performance(job, limits)
     if performance.is_kept:
-        return "keep" if performance.is_measured else "keep, measure again"
+        return "keep" if performance.has_page else "keep, and write its page"
     return performance.way
 
 
@@ -83,11 +83,11 @@ class _Performance:
         self._known = read_record(job.record)
         self._input = input_digest(job.recording, {} if self._known is None else self._known.input)
         self._key = job_key(job, self._input["sha256"])
-        self._judging, self._stamp = judging_key(job.judging), output_stamp(job.output)
+        self._page, self._stamp = page_key(job), output_stamp(job.output)
 
     @property
     def is_finished(self) -> bool:
-        """Whether this very job has a finished result, be it one whose batch died before it could note that."""
+        """Whether this very job has a finished result, also where its batch died before noting it."""
         known = self._known
         if known is None or known.key != self._key or not self._stamp:
             return False
@@ -100,11 +100,10 @@ class _Performance:
         return self.is_finished and not self._limits.redo
 
     @property
-    def is_measured(self) -> bool:
-        """Whether it was measured as is asked for."""
-        judging, known = self._job.judging, self._known
-        is_there = judging is None or judging.report is None or judging.report.is_file()
-        return is_there and known is not None and known.judging == self._judging
+    def has_page(self) -> bool:
+        """Whether the page that is asked for is there."""
+        page, known = self._job.page, self._known
+        return page is None or (page.is_file() and known is not None and known.page == self._page)
 
     @property
     def way(self) -> str:
@@ -154,16 +153,14 @@ class _Performance:
         return (*job.command, *job.arguments, *how, "-o", str(job.output), "--", str(job.recording))
 
     def _kept(self, progress: Progress, stopped: Callable[[], bool]) -> Outcome:
-        """The outcome of before; the result is measured once more where that was done in another way."""
+        """The outcome of before; the page is written where it is missing."""
         assert self._known is not None
         outcome = _outcome_from(self._job.name, self._known.outcome, State.KEPT)
-        if self.is_measured:
-            return outcome
-        ending = run_child(self._job, (), self._limits, progress, stopped)
-        if ending.code != EXIT_DONE:
-            return replace(_failure(self._job, ending, self._limits), seconds=ending.seconds)
-        outcome = replace(outcome, measured=ending.told.get("measured", {}))
-        self._remember(State.DONE, outcome)
+        if not self.has_page:
+            ending = run_child(self._job, (), self._limits, progress, stopped)
+            if ending.code != EXIT_DONE:
+                return _failure(self._job, ending, self._limits)
+            self._remember(State.DONE, outcome)
         return outcome
 
     def _finish(self, ending: Ending) -> Outcome:
@@ -171,9 +168,7 @@ class _Performance:
             outcome = _failure(self._job, ending, self._limits)
             self._remember(outcome.state, outcome)
             return outcome
-        outcome = replace(
-            _measured(self._job, ending), state=State.DONE, lost_data=ending.code == EXIT_DATA_LOST
-        )
+        outcome = replace(_told(self._job, ending), state=State.DONE, lost_data=ending.code == EXIT_DATA_LOST)
         self._remember(State.DONE, outcome)
         if self._job.kind is Kind.JOIN:
             _delete_pieces(self._job)
@@ -183,7 +178,7 @@ class _Performance:
         is_made = state == State.DONE
         stamp = output_stamp(self._job.output) if is_made else self._stamp
         plain = {} if outcome is None else _plain(outcome)
-        record = JobRecord(self._key, self._judging if is_made else "", self._input, stamp, state, plain)
+        record = JobRecord(self._key, self._page if is_made else "", self._input, stamp, state, plain)
         self._job.record.parent.mkdir(parents=True, exist_ok=True)
         write_record(self._job.record, record)
 
@@ -195,7 +190,7 @@ def _split(job: Job, limits: Limits, stopped: Callable[[], bool]) -> Outcome:
     if ending.code != EXIT_DONE:
         return _failure(job, ending, limits)
     return replace(
-        _measured(job, ending),
+        _told(job, ending),
         state=State.DONE,
         pieces=tuple(Piece(*piece) for piece in ending.told["pieces"]),
     )
@@ -225,15 +220,15 @@ def _was_refused(ending: Ending) -> bool:
 
 def _failure(job: Job, ending: Ending, limits: Limits) -> Outcome:
     if was_interrupted(ending):
-        return replace(_measured(job, ending), state=State.STOPPED)
+        return replace(_told(job, ending), state=State.STOPPED)
     return replace(
-        _measured(job, ending),
+        _told(job, ending),
         reason=way_of(ending, limits.timeout_s),
         last_lines=ending.last_lines,
     )
 
 
-def _measured(job: Job, ending: Ending) -> Outcome:
+def _told(job: Job, ending: Ending) -> Outcome:
     """What a process told and took."""
     told = ending.told
     return Outcome(
@@ -244,7 +239,6 @@ def _measured(job: Job, ending: Ending) -> Outcome:
         cpu_s=told.get("cpu_s", 0.0),
         peak_bytes=told.get("peak_bytes", 0),
         frames=told.get("tracked", 0),
-        measured=told.get("measured", {}),
         remarks=tuple(ending.remarks),
     )
 
@@ -253,12 +247,12 @@ _PLAIN = ("reason", "last_lines", "exit_code", "seconds", "cpu_s", "peak_bytes",
 
 
 def _plain(outcome: Outcome) -> dict[str, Any]:
-    plain = {name: getattr(outcome, name) for name in (*_PLAIN, "remarks", "measured")}
+    plain = {name: getattr(outcome, name) for name in (*_PLAIN, "remarks")}
     return {name: list(value) if isinstance(value, tuple) else value for name, value in plain.items()}
 
 
 def _outcome_from(name: str, plain: Any, state: State) -> Outcome:
     """What ``_plain`` made, of a result that is kept."""
-    values = {key: plain[key] for key in (*_PLAIN, "measured") if key in plain}
+    values = {key: plain[key] for key in _PLAIN if key in plain}
     lists = {key: tuple(plain.get(key, ())) for key in ("last_lines", "remarks")}
     return Outcome(name, state, **{**values, **lists})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from posetrack_cli.batch.jobs import Piece
@@ -26,7 +27,7 @@ def split_frames(
     stride: int = 1,
     looks_ahead: bool = False,
 ) -> list[Piece]:
-    """Return the pieces of a recording, of equal length by its stamps; one where it is hardly longer than that.
+    """Return the pieces of a recording, of equal length by its stamps; one where it is short.
 
     Args:
         recording: is read once, without decoding its images.
@@ -66,7 +67,7 @@ def pieces_of(
     begins = [stamps[0] + k * length for k in range(count)]
     cuts = [*(bisect_left(stamps, begin) for begin in begins), len(stamps)]
     pieces = []
-    for own, after in zip(cuts, cuts[1:], strict=False):
+    for own, after in pairwise(cuts):
         if own == after:
             continue  # a gap in the recording
         before = bisect_left(stamps, stamps[own] - ahead)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from posetrack_cli import __version__, limits
-from posetrack_cli.batch.jobs import Job, Judging
+from posetrack_cli.batch.jobs import Job
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input, read_text, write_output
 from posetrack_cli.outputs import whole_or_nothing
@@ -27,7 +27,7 @@ class JobRecord:
 
     Attributes:
         key: of the job that began last (``job_key``).
-        judging: key of how its result was measured (``judging_key``).
+        page: key of the page about its result (``page_key``); empty without one.
         input: size, time and digest of the recording's files as they were then (``InputDigest``).
         output: the finished result (``output_stamp``), also one that is about to be replaced; empty if there
             is none.
@@ -36,7 +36,7 @@ class JobRecord:
     """
 
     key: str
-    judging: str = ""
+    page: str = ""
     input: Mapping[str, Any] = field(default_factory=dict)
     output: tuple[int, str] | tuple[()] = ()
     state: str = "running"
@@ -51,7 +51,7 @@ def read_record(path: Path) -> JobRecord | None:
             return None
         return JobRecord(
             key=str(values["key"]),
-            judging=str(values["judging"]),
+            page=str(values["page"]),
             input=dict(values["input"]),
             output=tuple(values["output"]),
             state=str(values["state"]),
@@ -87,12 +87,11 @@ def job_key(job: Job, digest: str) -> str:
     return _digest_of([__version__, job.command, job.arguments, digest, chunks, files])
 
 
-def judging_key(judging: Judging | None) -> str:
-    """Return what tells ways of measuring a result apart."""
-    if judging is None:
+def page_key(job: Job) -> str:
+    """Return what tells pages about one result apart; nothing where none is written."""
+    if job.page is None:
         return ""
-    truth = "" if judging.truth is None else input_digest(judging.truth, {})["sha256"]
-    return _digest_of([__version__, truth, judging.gates, judging.report is not None])
+    return _digest_of([__version__, "" if job.truth is None else input_digest(job.truth, {})["sha256"]])
 
 
 def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:

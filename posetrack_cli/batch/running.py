@@ -145,7 +145,7 @@ class _Recording:
             ),
             output=self._output(number),
             record=folder / f"{number:05d}.json",
-            judging=None,
+            page=None,
             chunk_s=0.0,
             overlap_s=0.0,
         )

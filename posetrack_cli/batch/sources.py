@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -78,7 +77,8 @@ def find_sources(given: Sequence[str]) -> list[Source]:
     """Return the recordings that arguments stand for.
 
     Args:
-        given: each a file or folder, a pattern (``**`` goes through folders), a list of those (``.txt``, one a
+        given: each a file or folder, a pattern (``**`` goes through folders), a list of those (``.txt``, one
+        a
             line) or a manifest (``.toml``).
 
     Raises:
@@ -106,10 +106,12 @@ def _matched(pattern: str, base: Path | None = None) -> list[tuple[Path, str]]:
             raise UsageError("no such recording", where=path)
         return [(path, _plain_name(path))]
     fixed = _fixed_part(path)
-    found = [Path(one) for one in sorted(glob.glob(str(path), recursive=True))]
+    found = [Path(one) for one in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207 ** of any root
     recordings = [one for one in found if one != fixed and _may_be_recording(one, found)]
     if not recordings:
-        raise UsageError("no recording matches", where=path, hint="quote the pattern, so that ** is seen by posetrack")
+        raise UsageError(
+            "no recording matches", where=path, hint="quote the pattern, so that ** is seen by posetrack"
+        )
     return [(one, str(one.relative_to(fixed).with_suffix(""))) for one in recordings]
 
 
@@ -129,7 +131,7 @@ def _may_be_recording(path: Path, found: Sequence[Path]) -> bool:
 
 
 def _plain_name(path: Path) -> str:
-    name = Path(os.path.abspath(path)).name  # of . and ..
+    name = path.resolve().name if path.name in ("", "..") else path.name
     return Path(name).stem if path.is_file() else name
 
 
@@ -137,10 +139,7 @@ def _read_list(path: Path) -> list[Source]:
     """The recordings of a file with one name or pattern a line, relative to it; # begins a remark."""
     lines = [line.partition("#")[0].strip() for line in _text_of(path).splitlines()]
     found = [
-        Source(recording, name)
-        for line in lines
-        if line
-        for recording, name in _matched(line, path.parent)
+        Source(recording, name) for line in lines if line for recording, name in _matched(line, path.parent)
     ]
     if not found:
         raise UsageError("names no recording", where=path)

@@ -16,7 +16,7 @@ from posetrack_cli.cli.batch_commands import BATCH_COMMANDS, BatchCommand
 from posetrack_cli.cli.batch_progress import BatchProgress
 from posetrack_cli.cli.options import FiniteRange
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.standard_output import print_line, print_note
+from posetrack_cli.cli.standard_output import print_data, print_line, print_note
 from posetrack_cli.errors import (
     EXIT_DATA_LOST,
     EXIT_FAILED,
@@ -29,13 +29,15 @@ if TYPE_CHECKING:
     from posetrack_cli.batch.jobs import Job, Limits, Outcome
     from posetrack_cli.batch.running import Chunking
     from posetrack_cli.batch.sources import Source
+    from posetrack_cli.batch.summary import Judging, Summary
 
+STANDARD_OUTPUT = Path("-")
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _LEAST_BYTES = 1 << 28
 
 
-class Size(click.ParamType):
+class Size(click.ParamType[int]):
     """A number of bytes, such as ``2G`` or ``1500M``."""
 
     name = "size"
@@ -70,7 +72,9 @@ BATCH_OPTIONS: tuple[click.Option, ...] = (
         type=click.IntRange(1, 1024),
         help="Recordings at a time on this machine.  [default: one for each core]",
     ),
-    click.Option(["--scheduler"], metavar="ADDRESS", help="A Dask cluster that exists, such as tcp://host:8786."),
+    click.Option(
+        ["--scheduler"], metavar="ADDRESS", help="A Dask cluster that exists, such as tcp://host:8786."
+    ),
     click.Option(
         ["--scheduler-file"],
         type=click.Path(path_type=Path),
@@ -82,7 +86,7 @@ BATCH_OPTIONS: tuple[click.Option, ...] = (
         ["--timeout", "timeout_s"],
         metavar="S",
         type=FiniteRange(min=0.0, min_open=True),
-        help="Stop a recording, or a piece of one, after so many seconds; it fails, and goes on in the next batch.",
+        help="Stop a recording, or a piece of one, after so many seconds; the next batch goes on with it.",
     ),
     click.Option(
         ["--memory-limit"],
@@ -108,10 +112,41 @@ BATCH_OPTIONS: tuple[click.Option, ...] = (
         ["--reports/--no-reports"], default=True, show_default=True, help="Write a page about each result."
     ),
     click.Option(
-        ["--gate", "gates"],
+        ["--fail-if", "conditions"],
         metavar="CONDITION",
         multiple=True,
-        help="Gate of every result, as of eval --fail-if, such as 'joint_error_mm.mean > 10'; repeatable.",
+        help="Gate on results, as of posetrack eval: 'joint_error_mm.mean > 10' on each, "
+        "'pooled.joint_error_mm.mean > 8' on all together, 'p95(joint_error_mm.mean) > 12'; repeatable.",
+    ),
+    click.Option(
+        ["--gates", "gate_files"],
+        type=click.Path(path_type=Path),
+        multiple=True,
+        help="File of gates, one a line; repeatable.",
+    ),
+    click.Option(
+        ["--baseline"],
+        type=click.Path(path_type=Path),
+        help="Earlier summary.json, or --json of eval; worse figures fail.",
+    ),
+    click.Option(
+        ["--baseline-tolerance"],
+        type=FiniteRange(min=0.0),
+        default=0.05,
+        show_default=True,
+        help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
+    ),
+    click.Option(
+        ["--junit"],
+        metavar="FILE",
+        type=click.Path(path_type=Path),
+        help="Write JUnit XML: whether each recording was tracked, and each gate.",
+    ),
+    click.Option(
+        ["--markdown"],
+        metavar="FILE|-",
+        type=click.Path(path_type=Path, allow_dash=True),
+        help="Write a summary as Markdown.",
     ),
 )
 
@@ -149,12 +184,12 @@ def _command(command: BatchCommand) -> click.Command:
         help=f"""Run posetrack {line} over each RECORDING: files, folders, quoted patterns such as
         'in/**/*.mcap', lists of those (.txt, one a line), or manifests (.toml) with options of each.
 
-        Results lie below -o under the recordings' names, beside summary.csv, summary.json and index.html; each is,
-        byte for byte, that of posetrack {line} alone. Run it again after an interruption or a failure: what is
-        finished and of the same input, options and version is kept, what was begun goes on.
+        Results lie below -o under the recordings' names, beside summary.csv, summary.json and index.html;
+        each is, byte for byte, that of posetrack {line} alone. Run it again after an interruption or a
+        failure: what is finished and of the same input, options and version is kept, what was begun goes on.
 
-        Exit code 1: a gate failed. Exit code 3: a recording failed, or some of its data could not be used. 130:
-        stopped by Ctrl-C. All other options are those of posetrack {line}.
+        Exit code 1: a gate failed. Exit code 3: a recording failed, or some of its data could not be used.
+        130: stopped by Ctrl-C. All other options are those of posetrack {line}.
         """,
     )
 
@@ -188,29 +223,59 @@ def run_batch_command(
     if options["scheduler"] is not None and options["scheduler_file"] is not None:
         raise UsageError("--scheduler and --scheduler-file both say where", hint="leave one of them out")
     plan = _planned(command, find_sources(recordings), arguments, options)
+    judging = _judging(options)
     if options["dry_run"]:
         _show_plan(plan)
         return
-    from posetrack_cli.batch.summary import write_summary
+    from posetrack_cli.batch.summary import markdown_of, summarise, write_summary
 
     folder = options["results"]
     _make_folder(folder)
     with _locked(folder):
         outcomes = _run(plan, options)
-        summary = write_summary(folder, plan.jobs, outcomes)
-    _close(folder, outcomes, summary.gates_failed)
+        summary = summarise(plan.jobs, outcomes, judging)
+        write_summary(folder, summary, judging)
+    if options["markdown"] == STANDARD_OUTPUT:
+        print_data(markdown_of(summary, judging))
+    _close(folder, summary)
+
+
+def _judging(options: dict[str, Any]) -> Judging:
+    """How results are judged; what cannot be meant is refused before the first is made."""
+    from posetrack_cli.batch.summary import Judging
+    from posetrack_cli.evaluation.assessment import Request
+    from posetrack_cli.evaluation.baseline import read_baseline
+    from posetrack_cli.evaluation.gates import parse_gate, read_gates
+    from posetrack_cli.evaluation.reports.report_files import check_reports
+    from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN
+    from posetrack_cli.evaluation.reports.writing import Reports
+
+    gates = [parse_gate(text) for text in options["conditions"]]
+    gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
+    baseline = options["baseline"]
+    request = Request(
+        gates=tuple(gates),
+        baseline=None if baseline is None else read_baseline(baseline),
+        baseline_tolerance=options["baseline_tolerance"],
+    )
+    reports = Reports(
+        junit=options["junit"],
+        markdown=None if options["markdown"] == STANDARD_OUTPUT else options["markdown"],
+    )
+    written = [path for path in (reports.junit, reports.markdown) if path is not None]
+    inputs = [*options["gate_files"], *([] if baseline is None else [baseline])]
+    check_reports(written, inputs, overwrite=True)
+    return Judging(request, reports, MOST_SHOWN)
 
 
 def _planned(
     command: BatchCommand, sources: Sequence[Source], arguments: tuple[str, ...], options: dict[str, Any]
 ) -> _Plan:
     """The jobs; everything that can be refused is refused here."""
-    from posetrack_cli.batch.jobs import RECORDS_FOLDER, Job, Judging, Limits
+    from posetrack_cli.batch.jobs import RECORDS_FOLDER, Job, Limits
     from posetrack_cli.batch.running import Chunking
     from posetrack_cli.evaluation.gates import parse_gate
 
-    for gate in options["gates"]:
-        parse_gate(gate)
     folder, chunk_s = options["results"], options["chunk_s"]
     jobs = []
     for source in sources:
@@ -220,11 +285,6 @@ def _planned(
         for gate in source.gates:
             parse_gate(gate)
         output = folder / f"{source.name}.mcap"
-        judging = Judging(
-            source.truth,
-            (*options["gates"], *source.gates),
-            folder / f"{source.name}.html" if options["reports"] else None,
-        )
         jobs.append(
             Job(
                 source.name,
@@ -233,7 +293,9 @@ def _planned(
                 own,
                 output,
                 folder / RECORDS_FOLDER / f"{source.name}.json",
-                judging,
+                source.truth,
+                source.gates,
+                folder / f"{source.name}.html" if options["reports"] else None,
                 chunk_s=chunk_s or 0.0,
                 overlap_s=options["overlap_s"] if chunk_s else 0.0,
             )
@@ -280,7 +342,9 @@ def _locked(folder: Path) -> Iterator[None]:
     try:
         check_not_written(path)
     except UsageError as error:
-        raise UsageError("another batch writes there", where=folder, hint="wait for it, or choose another") from error
+        raise UsageError(
+            "another batch writes there", where=folder, hint="wait for it, or choose another"
+        ) from error
     with open_output(path) as stream:
         lock(stream)
         yield
@@ -303,28 +367,30 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
         return run_batch(engine, plan.jobs, plan.limits, plan.chunking, shown.on_outcome, stopped)
 
 
-def _close(folder: Path, outcomes: Sequence[Outcome], gates_failed: Sequence[str]) -> None:
+def _close(folder: Path, summary: Summary) -> None:
     """Say what came of the batch, and set the exit code."""
     from posetrack_cli.batch.jobs import State
     from posetrack_cli.batch.running import count_states
+    from posetrack_cli.batch.summary import PAGE
 
+    outcomes = summary.outcomes
     counts = count_states(outcomes)
     said = ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
-    print_line(f"{len(outcomes)} recordings: {said}: {folder / 'index.html'}")
+    print_note(f"{len(outcomes)} recordings: {said}: {folder / PAGE}")
     failed = [one for one in outcomes if one.state is State.FAILED]
     for one in failed:
         print_note(f"failed: {one.name}: {one.reason}")
-    for line in gates_failed:
-        print_note(f"gate failed: {line}")
+    for name, reason in summary.unmeasured.items():
+        print_note(f"not measured: {name}: {reason}")
+    for gate in summary.failed:
+        print_note(gate.line)
     if counts[State.STOPPED]:
         print_note("interrupted; the same command goes on")
         code = EXIT_INTERRUPTED
-    elif gates_failed:
+    elif summary.failed:
         code = EXIT_FAILED
     elif failed or any(one.lost_data for one in outcomes):
         code = EXIT_DATA_LOST
     else:
         return
     click.get_current_context().exit(code)
-
-

@@ -1,8 +1,9 @@
-"""The process of one job of a batch: does it, measures the result, and tells whoever started it.
+"""The process of one job of a batch: does it, writes a page about the result, and tells whoever started it.
 
-What is to be done comes as one line of JSON on standard input, which then stays open as long as somebody waits
-for this process: where it ends, so does the process. What is told goes to the descriptor that the command line
-names, one line of JSON each: progress, and in the end what came of it.
+What is to be done comes as one line of JSON on standard input, which then stays open as long as somebody
+waits
+for this process: where it ends, so does the process. What is told goes to the descriptor that the command
+line names, one line of JSON each: progress, and in the end what came of it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def main() -> None:
 
 
 def _line() -> bytes:
-    """The first line of standard input, past Python's stream of it: a thread reads on, and would hold that."""
+    """The first line of standard input, not through Python's stream of it: a thread reads on."""
     read = b""
     while not read.endswith(b"\n"):
         if not (piece := os.read(_INPUT, _READ_BYTES)):
@@ -67,14 +68,14 @@ def _peak_bytes() -> int:
 
 
 def _do(task: dict[str, Any], told: IO[str]) -> int:
-    """Do the job and measure what it made; the exit code is its own, not the measurement's."""
+    """Do the job, and write a page about what it made; the exit code is the job's own."""
     if task["kind"] == "split":
         pieces = _split(task)
         _tell(told, {"pieces": pieces})
         return EXIT_DONE
     code = _joined(task) if task["kind"] == "join" else _tracked(task, told)
-    if code in (EXIT_DONE, EXIT_DATA_LOST) and task["judging"] is not None:
-        _tell(told, {"measured": _measured(task)})
+    if code in (EXIT_DONE, EXIT_DATA_LOST) and task["page"] is not None:
+        _write_page(task)
     return code
 
 
@@ -101,7 +102,7 @@ def _tell(told: IO[str], what: dict[str, Any]) -> None:
 
 
 def _tracked(task: dict[str, Any], told: IO[str]) -> int:
-    if not task["arguments"]:  # the result is there, and only measured anew
+    if not task["arguments"]:  # the result is there, and only its page is missing
         return EXIT_DONE
     with told_to(_Teller(told)):
         return run(task["arguments"])
@@ -134,25 +135,18 @@ def _joined(task: dict[str, Any]) -> int:
     return EXIT_DATA_LOST if has_losses else EXIT_DONE
 
 
-def _measured(task: dict[str, Any]) -> dict[str, Any]:
-    """Measure the result, and write its page; what cannot be measured or drawn is told, and the result stays."""
-    from posetrack_cli.batch.judging import measured_row, request_of, unmeasured_row
-    from posetrack_cli.evaluation.assessment import assess
+def _write_page(task: dict[str, Any]) -> None:
+    """Measure the result, and write the page about it; where that fails the result is there all the same."""
+    from posetrack_cli.cli.eval import write_page
+    from posetrack_cli.evaluation.assessment import Request, assess
+    from posetrack_cli.evaluation.evaluate import EvalOptions
 
-    judging = task["judging"]
+    truth = None if task["truth"] is None else Path(task["truth"])
+    request = Request((Path(task["output"]),), options=EvalOptions(truth=truth), keep_tracks=True, page=True)
     try:
-        found = assess(request_of(Path(task["output"]), judging))
+        write_page(assess(request), Path(task["page"]), Path(task["recording"]))
     except PosetrackError as error:
-        return unmeasured_row(str(error), judging)
-    row = measured_row(found)
-    if judging["report"] is not None:
-        from posetrack_cli.cli.eval import write_page
-
-        try:
-            write_page(found, Path(judging["report"]), Path(task["recording"]))
-        except PosetrackError as error:
-            print_note(f"{judging['report']}: no page: {error}")
-    return row
+        print_note(f"{task['page']}: no page: {error}")
 
 
 if __name__ == "__main__":

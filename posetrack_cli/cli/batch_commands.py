@@ -1,4 +1,4 @@
-"""The commands that a batch runs: their options as arguments of other processes, and how they open a recording."""
+"""The commands that a batch runs: their options as arguments, and how they open a recording."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ class BatchCommand:
         Raises:
             UsageError: an option that the command has not, or that a batch sets itself.
         """
-        known = {name.lstrip("-"): one for one in self.parameters for name in (*one.opts, *one.secondary_opts)}
+        known = {
+            name.lstrip("-"): one for one in self.parameters for name in (*one.opts, *one.secondary_opts)
+        }
         tokens: list[str] = []
         for name, value in options.items():
             if name not in known:
@@ -111,7 +113,7 @@ def _tokens(parameter: click.Parameter, value: Any) -> list[str]:
     long = max(parameter.opts, key=len)
     if isinstance(parameter, click.Option) and parameter.is_flag:
         return [long if value else max(parameter.secondary_opts, key=len)]
-    values = value if parameter.multiple else [value]  # type: ignore[attr-defined]
+    values = value if parameter.multiple else [value]
     return [f"{long}={one}" for one in values]
 
 

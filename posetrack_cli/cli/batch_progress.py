@@ -1,4 +1,4 @@
-"""How far a batch is: a bar and a line for each failure where a person looks, else a line for each recording."""
+"""How far a batch is: a bar and failures where a person looks, else a line for each recording."""
 
 from __future__ import annotations
 

@@ -172,9 +172,7 @@ class ResultWriter:
             ResultError: as in the class; also when arrays do not fit the subject or are not finite, or the
                 smoothed track has begun.
         """
-        return self._add_filtered(
-            estimate, lambda: self._channels.write_estimate(estimate, vertices)
-        )
+        return self._add_filtered(estimate, lambda: self._channels.write_estimate(estimate, vertices))
 
     def copy(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> bool:
         """Write what another result of this kind says of a frame, as ``write`` does.

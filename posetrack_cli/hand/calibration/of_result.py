@@ -25,7 +25,9 @@ def hand_assignments(path: Path) -> tuple[str, ...]:
     try:
         settings = HandSettings.model_validate(json.loads(run["configuration"])["hand"])
     except (KeyError, TypeError, ValueError, RecursionError, ValidationError) as error:
-        raise ResultError("tells no hand's shape", where=path, expected="a result of posetrack hand run") from error
+        raise ResultError(
+            "tells no hand's shape", where=path, expected="a result of posetrack hand run"
+        ) from error
     # texts, numbers and lists of numbers are the same in JSON and in TOML
     told = settings.model_dump(mode="json", exclude_none=True)
     return tuple(f"hand.{name}={json.dumps(value)}" for name, value in told.items())
