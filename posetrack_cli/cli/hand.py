@@ -27,6 +27,7 @@ from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.geometry.camera import Camera
+    from posetrack_cli.hand.calibration.before_run import HandFound
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.keypoints.file import KeypointFile
     from posetrack_cli.hand.run import HandRun
@@ -144,12 +145,15 @@ def hand_run(recording: Path, **options: Any) -> None:
             kept(output),
         ):
             outcome = run.track(report, stopped)
-    if found:
-        print_remark(recording, found)
+    if found.line:
+        if found.is_doubtful:
+            print_remark(recording, found.line)
+        else:
+            print_note(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 
-def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, str]:
+def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, HandFound]:
     """Refuse what can be refused before the first frame, and settle what is left open."""
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
@@ -165,7 +169,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], _say, keypoints)
     run = HandRun(source, found.config, run_options, device)
-    return run, frames_ahead(source, run_options), found.line
+    return run, frames_ahead(source, run_options), found
 
 
 def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
