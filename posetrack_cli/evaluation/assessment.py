@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
+from posetrack_cli.errors import PosetrackError, ResultError, TruthError
 from posetrack_cli.evaluation.baseline import BaselineCheck, StoredReport, check_baseline
 from posetrack_cli.evaluation.comparing.comparison import Comparison, compare
 from posetrack_cli.evaluation.comparing.groups import compare_groups
@@ -133,8 +134,8 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
         report: called after each result.
 
     Raises:
-        PosetrackError: a result or its truth cannot be read, no result has a track that is asked for, or a
-            gate names what no result has.
+        PosetrackError: a result or its truth cannot be read (of more than ``rows.MOST_BESIDE`` results: none
+            can), no result has a track that is asked for, or a gate names what no result has.
     """
     measuring = _Measuring(request)
     measuring.measure(report)
@@ -146,7 +147,7 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
     results = set(request.results)
     given = [one for (path, _), one in evaluations.items() if path in results]
     pools = make_pools(given, groups, measuring.gathered)
-    outcomes = check_gates(request.gates, measured, pools)
+    outcomes = [*measuring.unread, *check_gates(request.gates, measured, pools)]
     notes: tuple[str, ...] = ()
     against: BaselineCheck | None = None
     if request.baseline is not None:
@@ -174,6 +175,7 @@ class _Measuring:
         beside: other tracks of the results, for a page.
         gathered: the values of what is pooled.
         rows: whether results are rows.
+        unread: of results that cannot be measured, where there are many: failures that say why.
     """
 
     def __init__(self, request: Request) -> None:
@@ -181,24 +183,38 @@ class _Measuring:
         self.beside: list[Evaluation] = []
         self.gathered: dict[PoolKey, Gathered] = defaultdict(Gathered)
         self.rows = request.layout == "rows"
+        self.unread: list[GateOutcome] = []
         self._request = request
         self._recordings: set[str] = set()
         self._pool_keys = _pool_keys(request)
 
     def measure(self, report: Callable[[], Any]) -> None:
-        """Measure all, in the order given."""
-        request, paths = self._request, _every_path(self._request)
+        """Measure all, in the order given; of many one that cannot be read does not stop the others."""
+        paths = _every_path(self._request)
         names = unique_names(list(paths))
-        several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
+        first: PosetrackError | None = None
         for path, name in zip(paths, names, strict=True):
-            for which in read_result(path).tracks if several else request.tracks:
-                own = track_name(name, which, names) if several else name
-                self._keep(path, evaluate(path, replace(request.options, track=which), own))
-            if adds_smoothed and not self.rows and SMOOTHED in read_result(path).tracks:
-                own = track_name(name, SMOOTHED, names)
-                smoothed = evaluate(path, replace(request.options, track=SMOOTHED), own)
-                self.beside.append(request.kept(smoothed, rows=False))
+            try:
+                self._measure(path, name, names)
+            except (ResultError, TruthError) as error:
+                if len(paths) <= MOST_BESIDE:
+                    raise
+                first = first or error
+                self.unread.append(GateOutcome("measured", name, None, True, str(error), "measured"))
             report()
+        if first is not None and not self.evaluations:
+            raise first
+
+    def _measure(self, path: Path, name: str, names: Sequence[str]) -> None:
+        request = self._request
+        several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
+        for which in read_result(path).tracks if several else request.tracks:
+            own = track_name(name, which, names) if several else name
+            self._keep(path, evaluate(path, replace(request.options, track=which), own))
+        if adds_smoothed and not self.rows and SMOOTHED in read_result(path).tracks:
+            own = track_name(name, SMOOTHED, names)
+            smoothed = evaluate(path, replace(request.options, track=SMOOTHED), own)
+            self.beside.append(request.kept(smoothed, rows=False))
 
     def _keep(self, path: Path, one: Evaluation) -> None:
         for key in self._pool_keys(path, one):

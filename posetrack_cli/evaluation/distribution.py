@@ -9,12 +9,11 @@ that. How much is kept depends on how far values spread, not on how many there a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.evaluation.evaluation import Statistics, percentiles_of_ranked
+from posetrack_cli.evaluation.evaluation import Distribution, Statistics
 
 STEP = 5e-4
 """Width of a bin, a share of the values in it: a pooled percentile is off by less than this share."""
@@ -24,42 +23,6 @@ INFINITE = 2**40
 """The bin of infinite values, behind all others."""
 FEWEST_TO_MERGE = 200_000
 """How many bins wait before they are merged: merging takes as long for one set as for a hundred."""
-
-
-@dataclass(frozen=True, eq=False)
-class Distribution:
-    """Values, summarised.
-
-    Attributes:
-        count: how many; at least one.
-        mean: of them, NaN if one of them is NaN.
-        sd: their standard deviation, see ``Statistics``.
-        largest: of them.
-        bins: (B,) numbers of the bins that have values, increasing as the values do.
-        counts: (B,) how many values are in each.
-        means: (B,) their mean.
-    """
-
-    count: int
-    mean: float
-    sd: float
-    largest: float
-    bins: IntArray
-    counts: IntArray
-    means: FloatArray
-
-    def statistics(self) -> Statistics:
-        """Return the summary of all values; percentiles are off by less than the share ``STEP``."""
-        if np.isnan(self.mean) and not np.isinf(self.means).any():
-            nan = float("nan")
-            return Statistics(nan, nan, nan, nan, nan, nan, self.count)
-        last = np.cumsum(self.counts)
-
-        def ranked(place: int) -> float:
-            return float(self.means[np.searchsorted(last, place, side="right")])
-
-        p5, median, p95 = percentiles_of_ranked(ranked, self.count, (5.0, 50.0, 95.0))
-        return Statistics(self.mean, self.sd, median, p95, self.largest, p5, self.count)
 
 
 def distribution(values: FloatArray, summary: Statistics) -> Distribution:

@@ -209,3 +209,26 @@ def test_groups_of_many_recordings_are_compared_and_rows(
     assert "Paired differences" in page and page.count("Total of 6") == 2
     totals = [line for line in (tmp_path / "r.csv").read_text().splitlines() if line.startswith("pooled")]
     assert [line.split(",")[0] for line in totals] == ["pooled old", "pooled new"]
+
+
+def test_one_that_cannot_be_read_fails_and_the_others_are_measured(
+    results: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"no MCAP")
+    assert evaluate(*results, bad, "--fail-if", "coverage < 0.5", "--junit", tmp_path / "r.xml") == 1
+    out, err = capsys.readouterr()
+    (line,) = err.splitlines()
+    assert line.startswith(f"bad: gate 'measured' cannot be judged: {bad}: ")
+    assert list(table_of(out))[-1] == "TOTAL of 6" and "gates: 6 passed, 1 failed" in out
+    suite = ET.fromstring((tmp_path / "r.xml").read_bytes())[0]
+    assert [test.get("classname") for test in suite if len(test)] == ["bad"] and len(suite) == 7
+
+
+def test_where_none_can_be_read_the_first_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = [tmp_path / f"{name}.mcap" for name in NAMES]
+    for path in bad:
+        path.write_bytes(b"no MCAP")
+    assert evaluate(*bad) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and len(err.splitlines()) == 1 and str(bad[0]) in err
