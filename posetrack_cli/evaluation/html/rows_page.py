@@ -117,8 +117,8 @@ def _totals(results: ResultSet) -> str:
     total = results.total
     figures = dict.fromkeys((*results.figures, *results.further))
     known = [figure for figure in figures if total.value(figure) is not None]
-    lines = listed(text(line) for line in total_lines(results))
-    remark = element("div", lines, class_="remark") if lines else ""
+    reasons = listed(text(line) for line in total_lines(results))
+    remark = element("div", reasons, class_="remark") if reasons else ""
     if not known:
         return remark
     compared = total.earlier is not None
