@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from posetrack_cli.batch.jobs import Job, Outcome, State
 from posetrack_cli.batch.running import count_states
-from posetrack_cli.evaluation.assessment import Assessment, Own, Request, assess, stated_options
+from posetrack_cli.evaluation.assessment import MEASURED, Assessment, Own, Request, assess, stated_options
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, parse_gate
 from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
@@ -49,13 +49,16 @@ class Summary:
     Attributes:
         jobs, outcomes: of every recording, in one order.
         found: what was measured of the results.
-        unmeasured: results that cannot be measured, by name, and why.
     """
 
     jobs: tuple[Job, ...]
     outcomes: tuple[Outcome, ...]
     found: Assessment
-    unmeasured: Mapping[str, str]
+
+    @property
+    def unmeasured(self) -> Mapping[str, str]:
+        """Results that cannot be measured, by name, and why."""
+        return {one.result: one.reason for one in self.found.outcomes if one.title == MEASURED}
 
     @property
     def missing(self) -> tuple[Outcome, ...]:
@@ -65,14 +68,7 @@ class Summary:
     @property
     def gates(self) -> tuple[GateOutcome, ...]:
         """Of every recording whether it was tracked, then the gates."""
-        tracked = (_tracked(one) for one in self.outcomes)
-        lost = (
-            GateOutcome(gate, job.name, None, True, self.unmeasured[job.name], gate)
-            for job in self.jobs
-            if job.name in self.unmeasured
-            for gate in job.gates
-        )
-        return (*tracked, *self.found.outcomes, *lost)
+        return (*map(_tracked, self.outcomes), *self.found.outcomes)
 
     @property
     def failed(self) -> tuple[GateOutcome, ...]:
@@ -97,16 +93,14 @@ def summarise(
         PosetrackError: a gate names what no result has.
     """
     there = [job for job, outcome in zip(jobs, outcomes, strict=True) if outcome.is_there]
-    unmeasured: dict[str, str] = {}
-    names = {job.output: job.name for job in there}
     request = replace(
         judging.request,
         results=tuple(job.output for job in there),
         layout="rows",
         own={job.output: Own(job.name, job.truth, _gates(job)) for job in there},
-        unmeasured=lambda path, error: unmeasured.update({names[path]: str(error)}),
+        lenient=True,
     )
-    return Summary(tuple(jobs), tuple(outcomes), assess(request, report), unmeasured)
+    return Summary(tuple(jobs), tuple(outcomes), assess(request, report))
 
 
 def _gates(job: Job) -> tuple[Gate, ...]:
@@ -227,7 +221,6 @@ def _page(summary: Summary) -> RowsPage:
     counts = count_states(summary.outcomes)
     said = ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
     missing = [(one.name, _failure(one)) for one in summary.missing]
-    missing += [(name, f"cannot be measured: {reason}") for name, reason in summary.unmeasured.items()]
     return RowsPage(
         found.sets,
         [one for one in summary.gates if one.title != TRACKED],

@@ -380,8 +380,6 @@ def _close(folder: Path, summary: Summary) -> None:
     failed = [one for one in outcomes if one.state is State.FAILED]
     for one in failed:
         print_note(f"failed: {one.name}: {one.reason}")
-    for name, reason in summary.unmeasured.items():
-        print_note(f"not measured: {name}: {reason}")
     for gate in summary.failed:
         print_note(gate.line)
     if counts[State.STOPPED]:

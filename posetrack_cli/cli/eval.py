@@ -158,7 +158,9 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     show_default=True,
     help="How many rows are shown here and in Markdown, the worst; 0 for all.",
 )
-@click.option("--parts", is_flag=True, help="Show every joint, finger, angle or point.")
+@click.option(
+    "--parts", is_flag=True, help="Show every joint, finger, angle or point; of rows in JSON and CSV."
+)
 @click.option(
     "--honesty",
     is_flag=True,
@@ -170,7 +172,8 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
 
     Several results stand beside each other; those of one recording are compared second by second with the
     first, groups recording by recording: Wilcoxon's signed-rank test and a bootstrap interval. Results of
-    many recordings have a row each, the worst first, and a total.
+    many recordings have a row each, the worst first, and a total; of five results or more one that cannot be
+    read fails, and the others are measured.
 
     Exit code 1: a gate failed or could not be judged, and a line on standard error names it with its figure.
     Exit code 3: a result is unfinished or damaged and was measured over what it holds. A failed gate comes

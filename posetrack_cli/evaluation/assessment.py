@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from posetrack_cli.errors import PosetrackError
+from posetrack_cli.errors import PosetrackError, ResultError, TruthError
 from posetrack_cli.evaluation.baseline import BaselineCheck, StoredReport, check_baseline
 from posetrack_cli.evaluation.comparing.comparison import Comparison, compare
 from posetrack_cli.evaluation.comparing.groups import compare_groups
@@ -29,6 +29,8 @@ Layout: TypeAlias = Literal["columns", "rows"]
 T = TypeVar("T")
 
 DEFAULT_TOLERANCE = 0.05
+MEASURED = "measured"
+"""What a result is that has figures; one that cannot be read fails this gate."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,7 @@ class Request:
             recordings on.
         parts: whether the figures of parts are kept in rows, too; those that gates name always are.
         own: what is asked of single results.
-        unmeasured: called with a result that cannot be measured, and why, which is then left out; by default
-        that
-            is an error.
+        lenient: whether what cannot be measured is a failure and never an error; of many results it is.
     """
 
     results: tuple[Path, ...] = ()
@@ -83,7 +83,7 @@ class Request:
     layout: Layout | None = None
     parts: bool = False
     own: Mapping[Path, Own] = field(default_factory=dict)
-    unmeasured: Callable[[Path, PosetrackError], None] | None = None
+    lenient: bool = False
 
     @property
     def every_gate(self) -> tuple[Gate, ...]:
@@ -169,8 +169,8 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
         report: called after each result.
 
     Raises:
-        PosetrackError: a result or its truth cannot be read, no result has a track that is asked for, or a
-            gate names what no result has.
+        PosetrackError: a result or its truth cannot be read (of more than ``rows.MOST_BESIDE`` results: none
+            can), no result has a track that is asked for, or a gate names what no result has.
     """
     measuring = _Measuring(request)
     measuring.measure(report)
@@ -182,7 +182,7 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
     results = set(request.results)
     given = [one for (path, _), one in evaluations.items() if path in results]
     pools = make_pools(given, groups, measuring.gathered)
-    outcomes = check_gates(request.gates, measured, pools)
+    outcomes = [*measuring.unread, *check_gates(request.gates, measured, pools)]
     for (path, _), one in evaluations.items():
         outcomes += check_gates(request.of(path).gates, [one])
     notes: tuple[str, ...] = ()
@@ -212,6 +212,7 @@ class _Measuring:
         beside: other tracks of the results, for a page.
         gathered: the values of what is pooled.
         rows: whether results are rows.
+        unread: of results that cannot be measured, where there are many: failures that say why.
     """
 
     def __init__(self, request: Request) -> None:
@@ -219,23 +220,28 @@ class _Measuring:
         self.beside: list[Evaluation] = []
         self.gathered: dict[PoolKey, Gathered] = defaultdict(Gathered)
         self.rows = request.layout == "rows"
+        self.unread: list[GateOutcome] = []
         self._request = request
         self._recordings: set[str] = set()
         self._pool_keys = _pool_keys(request)
 
     def measure(self, report: Callable[[], Any]) -> None:
-        """Measure all, in the order given."""
+        """Measure all, in the order given; of many one that cannot be read does not stop the others."""
         request, paths = self._request, _every_path(self._request)
         plain = unique_names(list(paths))
         names = [request.of(path).name or name for path, name in zip(paths, plain, strict=True)]
+        first: PosetrackError | None = None
         for path, name in zip(paths, names, strict=True):
             try:
                 self._measure(path, name, names)
-            except PosetrackError as error:
-                if request.unmeasured is None:
+            except (ResultError, TruthError) as error:
+                if len(paths) <= MOST_BESIDE and not request.lenient:
                     raise
-                request.unmeasured(path, error)
+                first = first or error
+                self.unread.append(GateOutcome(MEASURED, name, None, True, str(error), MEASURED))
             report()
+        if first is not None and not self.evaluations and not request.lenient:
+            raise first
 
     def _measure(self, path: Path, name: str, names: Sequence[str]) -> None:
         """Measure the tracks of one result."""

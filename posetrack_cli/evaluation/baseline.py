@@ -223,12 +223,13 @@ def _judge_pool(
     """Compare the figures of several results together."""
     if not pool.says_more:
         return BaselineCheck((), ())
+    members = set(pool.results)
     for stored in baseline.pooled:
-        same = stored.subject == pool.subject and set(stored.results) == set(pool.results)
+        same = stored.subject == pool.subject and set(stored.results) == members
         gates = list(_gates(stored, tolerance, pooled=True)) if same else []
         if len(gates) > 1:  # coverage alone is of a time when errors were not pooled
             return BaselineCheck(tuple(check_gate(gate, pool) for gate in gates), (), {pool.name: stored})
-    common = [one for one in evaluations if one.name in pool.results and one.name in earlier]
+    common = [one for one in evaluations if one.name in members and one.name in earlier]
     if not common:
         return BaselineCheck((), ())
     outcomes = tuple(_judge_common(pool, common, [earlier[one.name] for one in common], tolerance))

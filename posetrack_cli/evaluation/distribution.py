@@ -9,12 +9,12 @@ that. How much is kept depends on how far values spread, not on how many there a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.evaluation.evaluation import Statistics, percentiles_of_ranked
+from posetrack_cli.evaluation.evaluation import Distribution, Statistics
 
 STEP = 5e-4
 """Width of a bin, a share of the values in it: a pooled percentile is off by less than this share."""
@@ -24,42 +24,10 @@ INFINITE = 2**40
 """The bin of infinite values, behind all others."""
 FEWEST_TO_MERGE = 200_000
 """How many bins wait before they are merged: merging takes as long for one set as for a hundred."""
-
-
-@dataclass(frozen=True, eq=False)
-class Distribution:
-    """Values, summarised.
-
-    Attributes:
-        count: how many; at least one.
-        mean: of them, NaN if one of them is NaN.
-        sd: their standard deviation, see ``Statistics``.
-        largest: of them.
-        bins: (B,) numbers of the bins that have values, increasing as the values do.
-        counts: (B,) how many values are in each.
-        means: (B,) their mean.
-    """
-
-    count: int
-    mean: float
-    sd: float
-    largest: float
-    bins: IntArray
-    counts: IntArray
-    means: FloatArray
-
-    def statistics(self) -> Statistics:
-        """Return the summary of all values; percentiles are off by less than the share ``STEP``."""
-        if np.isnan(self.mean) and not np.isinf(self.means).any():
-            nan = float("nan")
-            return Statistics(nan, nan, nan, nan, nan, nan, self.count)
-        last = np.cumsum(self.counts)
-
-        def ranked(place: int) -> float:
-            return float(self.means[np.searchsorted(last, place, side="right")])
-
-        p5, median, p95 = percentiles_of_ranked(ranked, self.count, (5.0, 50.0, 95.0))
-        return Statistics(self.mean, self.sd, median, p95, self.largest, p5, self.count)
+PIECE = 2**17
+"""Values that are put into bins at a time: bounds the memory of long recordings."""
+Binned: TypeAlias = tuple[IntArray, IntArray, FloatArray]
+"""Numbers of bins, increasing, counts and means of their values."""
 
 
 def distribution(values: FloatArray, summary: Statistics) -> Distribution:
@@ -70,13 +38,24 @@ def distribution(values: FloatArray, summary: Statistics) -> Distribution:
         summary: of the same values.
     """
     flat = np.ravel(values)
-    flat = flat[~np.isnan(flat)]  # the mean tells that there were any
-    bins = _bins(flat)
-    used, places, counts = np.unique(bins, return_inverse=True, return_counts=True)
-    finite = np.where(np.isfinite(flat), flat, 0.0)
-    means = np.bincount(places, finite, minlength=len(used)) / counts
-    means = np.where(np.abs(used) == INFINITE, np.copysign(np.inf, used), means)
-    return Distribution(summary.count, summary.mean, summary.sd, summary.max, used, counts, means)
+    pieces = [_counted(flat[first : first + PIECE]) for first in range(0, flat.size, PIECE)]
+    return Distribution(summary.count, summary.mean, summary.sd, summary.max, *_together(pieces))
+
+
+def _counted(values: FloatArray) -> Binned:
+    """The bins of values (N,) that are used, how many values are in each, and their mean; of NaN none."""
+    values = values[~np.isnan(values)]  # the mean tells that there were any
+    used, places, counts = np.unique(_bins(values), return_inverse=True, return_counts=True)
+    return used, counts, np.bincount(places, np.where(np.isfinite(values), values, 0.0), len(used)) / counts
+
+
+def _together(pieces: Sequence[Binned]) -> Binned:
+    """Bins of several sets of values as those of one."""
+    numbers, counts, means = (np.concatenate([piece[k] for piece in pieces]) for k in range(3))
+    bins, places = np.unique(numbers, return_inverse=True)
+    total = np.bincount(places, counts, len(bins)).astype(np.int64)
+    sums = np.bincount(places, np.where(np.isfinite(means), means, 0.0) * counts, len(bins))
+    return bins, total, np.where(np.abs(bins) == INFINITE, np.copysign(np.inf, bins), sums / total)
 
 
 def _bins(values: FloatArray) -> IntArray:
@@ -103,14 +82,8 @@ def merged(members: Sequence[Distribution]) -> Distribution:
         scaled = spread / largest if 0.0 < largest < np.inf else spread
         share = float(np.tile(weights, 2) @ scaled**2)
     sd = float(np.sqrt(share)) * (largest if 0.0 < largest < np.inf else 1.0)
-    numbers = np.concatenate([one.bins for one in members])
-    counts = np.concatenate([one.counts for one in members])
-    own_means = np.concatenate([one.means for one in members])
-    bins, places = np.unique(numbers, return_inverse=True)
-    total = np.bincount(places, counts, minlength=len(bins)).astype(np.int64)
-    sums = np.bincount(places, np.where(np.isfinite(own_means), own_means, 0.0) * counts, minlength=len(bins))
-    together = np.where(np.abs(bins) == INFINITE, np.copysign(np.inf, bins), sums / total)
-    return Distribution(count, mean, sd, float(np.max([m.largest for m in members])), bins, total, together)
+    binned = _together([(one.bins, one.counts, one.means) for one in members])
+    return Distribution(count, mean, sd, float(np.max([one.largest for one in members])), *binned)
 
 
 class Collected:

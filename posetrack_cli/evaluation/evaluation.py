@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +19,6 @@ from posetrack_cli.evaluation.joint_offsets import JointOffsets
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.losses import Loss
 from posetrack_cli.results.tracks import FILTERED
-
-if TYPE_CHECKING:
-    from posetrack_cli.evaluation.distribution import Distribution
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def _deviation(flat: FloatArray) -> float:
     return largest * float((flat / largest).std()) if 0.0 < largest < np.inf else float(flat.std())
 
 
-def percentiles_of_ranked(
+def _percentiles_of_ranked(
     ranked: Callable[[int], float], count: int, percent: Sequence[float]
 ) -> list[float]:
     """Return percentiles, linear between the two nearest values, of values that are known by their rank.
@@ -101,6 +98,42 @@ def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
     with np.errstate(invalid="ignore"):
         between = np.where(finite, np.percentile(flat, percent), high)
     return np.where(low == high, low, between)
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """Values, summarised so that they can be pooled with others, see ``evaluation.distribution``.
+
+    Attributes:
+        count: how many; at least one.
+        mean: of them, NaN if one of them is NaN.
+        sd: their standard deviation, see ``Statistics``.
+        largest: of them.
+        bins: (B,) numbers of the bins that have values, increasing as the values do.
+        counts: (B,) how many values are in each.
+        means: (B,) their mean.
+    """
+
+    count: int
+    mean: float
+    sd: float
+    largest: float
+    bins: IntArray
+    counts: IntArray
+    means: FloatArray
+
+    def statistics(self) -> Statistics:
+        """Return the summary of all values; percentiles are off by less than the width of a bin."""
+        if np.isnan(self.mean) and not np.isinf(self.means).any():
+            nan = float("nan")
+            return Statistics(nan, nan, nan, nan, nan, nan, self.count)
+        last = np.cumsum(self.counts)
+
+        def ranked(place: int) -> float:
+            return float(self.means[np.searchsorted(last, place, side="right")])
+
+        p5, median, p95 = _percentiles_of_ranked(ranked, self.count, (5.0, 50.0, 95.0))
+        return Statistics(self.mean, self.sd, median, p95, self.largest, p5, self.count)
 
 
 Value: TypeAlias = Statistics | float

@@ -156,7 +156,7 @@ def kept_bytes(results: int, frames: int) -> int:
 
 
 def test_what_rows_hold_does_not_grow_with_their_frames() -> None:
-    """Per frame only what says whether it was right: a float and three flags; its joints alone take 504 bytes."""
+    """Per frame only what says whether it was right, a float and three flags; its joints take 504 bytes."""
     results, frames = 30, 2000
     more = kept_bytes(results, frames) - kept_bytes(results, frames // 2)
     per_frame = more / (results * frames / 2)

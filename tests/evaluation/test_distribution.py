@@ -12,11 +12,10 @@ from posetrack_cli.evaluation.distribution import (
     SMALLEST,
     STEP,
     Collected,
-    Distribution,
     distribution,
     merged,
 )
-from posetrack_cli.evaluation.evaluation import Statistics, statistics
+from posetrack_cli.evaluation.evaluation import Distribution, Statistics, statistics
 
 WIDTH = float(np.expm1(STEP))
 """How far two values of one bin may be apart, a share."""

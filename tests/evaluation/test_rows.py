@@ -12,7 +12,7 @@ from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.gates import check_gates, parse_gate
 from posetrack_cli.evaluation.pooling import make_pools
 from posetrack_cli.evaluation.reports.report_files import csv_rows
-from posetrack_cli.evaluation.reports.row_table import MOST_LINES, fewer, row_lines, row_table
+from posetrack_cli.evaluation.reports.row_table import MOST_LINES, fewer, row_lines, row_table, total_lines
 from posetrack_cli.evaluation.rows import Verdict, heading, result_sets, worst_first
 from support.html import head_evaluation
 from support.rows import Before, result, result_set
@@ -83,7 +83,18 @@ def test_without_a_total_the_reason_is_told() -> None:
     same = [result(name, 2.0, run={"input.sha256": "one"}) for name in "ab"]
     found = result_set(same)
     assert set(row_table(found).sections[0].rows[-1].cells) == {"-"}
-    assert any("a and b are of one recording" in line for line in row_lines([found]))
+    (line,) = total_lines(found)
+    assert line.startswith(
+        "no total of frames, coverage, joint_error_mm.mean, joint_error_mm.p95: a and b are"
+    )
+    assert line in row_lines([found])
+
+
+def test_a_column_that_one_lacks_has_no_total_and_says_why() -> None:
+    blind = result("b", 1.0, metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"})
+    found = result_set([result("a", 2.0), replace(blind, distributions={})])
+    assert row_table(found).sections[0].rows[-1].cells == ("8", "1", "-", "-")
+    assert total_lines(found) == ["no total of joint_error_mm.mean, joint_error_mm.p95: b: no truth"]
 
 
 def test_of_many_lines_some_are_shown() -> None:

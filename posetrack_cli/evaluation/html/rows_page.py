@@ -16,8 +16,8 @@ from posetrack_cli.evaluation.html.assets import asset, policy, scripts, write_p
 from posetrack_cli.evaluation.html.components import details, element, listed, row, scrolling, text
 from posetrack_cli.evaluation.html.summary import comparison_section
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of, split_address
-from posetrack_cli.evaluation.reports.row_table import shown_change
-from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, pool_lines, shown
+from posetrack_cli.evaluation.reports.row_table import shown_change, total_lines
+from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, shown
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, worst_first
 
 SCRIPTS = ("rows",)
@@ -135,8 +135,10 @@ def _totals(results: ResultSet) -> str:
     total = results.total
     figures = dict.fromkeys((*results.figures, *results.further))
     known = [figure for figure in figures if total.value(figure) is not None]
+    reasons = listed(text(line) for line in total_lines(results))
+    remark = element("div", reasons, class_="remark") if reasons else ""
     if not known:
-        return element("div", listed(text(line) for line in pool_lines([results.pool])), class_="remark")
+        return remark
     compared = total.earlier is not None
     columns = ["now", *(("baseline", "change") if compared else ())]
     head = element(
@@ -147,7 +149,7 @@ def _totals(results: ResultSet) -> str:
         for figure in known
     )
     table = element("table", head + element("tbody", "".join(lines)), class_="figures")
-    return scrolling(table, "All results together")
+    return scrolling(table, "All results together") + remark
 
 
 def _total_cells(total: ResultRow, figure: str, compared: bool) -> list[str]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.distribution import Distribution, distribution
-from posetrack_cli.evaluation.evaluation import Count, Value, statistics
+from posetrack_cli.evaluation.distribution import distribution
+from posetrack_cli.evaluation.evaluation import Count, Distribution, Value, statistics
 from posetrack_cli.evaluation.track import Track
 
 

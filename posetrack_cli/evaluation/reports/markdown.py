@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN, NEW, shown_change
-from posetrack_cli.evaluation.reports.table import ABSENT, pool_lines, shown
+from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN, NEW, shown_change, total_lines
+from posetrack_cli.evaluation.reports.table import ABSENT, shown
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, heading
 from posetrack_cli.losses import loss_line
 from posetrack_cli.text import one_line
@@ -76,12 +76,11 @@ def _totals(results: ResultSet) -> Iterator[str]:
         for figure in dict.fromkeys((*results.figures, *results.further))
         if row.value(figure) is not None
     ]
-    if not figures:
-        yield from (f"- {code(line)}" for line in pool_lines([results.pool]))
-        yield ""
-        return
     columns = ("figure", "now", *(("baseline", "change") if row.earlier is not None else ()))
-    yield from _table(columns, [(code(figure), *_now_and_then(row, figure)) for figure in figures])
+    if figures:
+        yield from _table(columns, [(code(figure), *_now_and_then(row, figure)) for figure in figures])
+    yield from (f"- {code(line)}" for line in total_lines(results))
+    yield ""
 
 
 def _now_and_then(row: ResultRow, figure: str) -> tuple[str, ...]:

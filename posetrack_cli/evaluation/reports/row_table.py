@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from posetrack_cli.evaluation.figures import figure_of
 from posetrack_cli.evaluation.pooling import Pool
-from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, pool_lines, shown
+from posetrack_cli.evaluation.reports.table import ABSENT, Row, Section, Table, shown
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, heading
 
 MOST_SHOWN = 50
@@ -68,9 +69,18 @@ def row_lines(sets: Sequence[ResultSet], most: int = MOST_SHOWN) -> list[str]:
                 f"{what}{most} of {len(one.rows)} results are shown, the worst: --worst 0 shows all, "
                 "--json, --csv and --html have them"
             )
-        if not one.pool.says_more:
-            lines += pool_lines([one.pool])
+        lines += [f"{what}{line}" for line in total_lines(one)]
     return lines
+
+
+def total_lines(results: ResultSet) -> list[str]:
+    """Why there is no total of some columns, one line a reason."""
+    reasons: dict[str, list[str]] = {}
+    for figure in results.figures:
+        reason = figure_of(results.pool, figure).reason
+        if reason:
+            reasons.setdefault(reason, []).append(figure)
+    return [f"no total of {', '.join(figures)}: {reason}" for reason, figures in reasons.items()]
 
 
 def fewer(lines: Sequence[str]) -> list[str]:

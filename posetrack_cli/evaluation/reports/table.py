@@ -103,7 +103,7 @@ def catalogue_lines() -> Iterator[str]:
     yield f"STATISTIC is one of {', '.join(STATISTIC_NAMES)}"
     lone = ", ".join(metric.name for metric in CATALOGUE if not is_pooled(metric.name))
     yield "pooled.NAME is the figure of the frames of all results together, or of each group; not of " + lone
-    yield "p95(NAME), and so every STATISTIC, is that of the figures that the results have: p95(coverage)"
+    yield "p95(NAME), and so every STATISTIC, is that of the figures that the results have: p5(coverage)"
 
 
 def pooled_table(pools: Sequence[Pool]) -> Table | None:

@@ -99,3 +99,9 @@ def test_code_shows_any_text_as_it_is(name: str) -> None:
     assert only.type == "code_inline"
     shown = one_line(name).replace("|", "\\|")  # a pipe is escaped for tables, where the sign is taken off
     assert only.content.strip() == shown.strip()
+
+
+def test_without_a_total_the_reason_is_told() -> None:
+    same = [result(name, 2.0, run={"input.sha256": "one"}) for name in "ab"]
+    text = markdown_report([result_set(same)])
+    assert "- `no total of frames, coverage, " in text and len(tables(text)) == 1
