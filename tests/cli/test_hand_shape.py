@@ -142,11 +142,11 @@ def test_a_file_is_a_shape(
 def test_a_result_is_a_shape(
     recording: Path, hand_file: Path, tmp_path: Path, estimated: list[CalibrationOptions]
 ) -> None:
-    """To the last bit what the earlier run tracked, side included; further options say otherwise."""
+    """To the last bit what the earlier run tracked; further options say otherwise."""
     hands = []
     first = str(tmp_path / "first" / "r.mcap")
     options = {
-        "first": ("--shape", str(hand_file), "--set", "hand.side=left"),
+        "first": ("--shape", str(hand_file)),
         "second": ("--shape", first),
         "third": ("--shape", first, "--scale", "0.7"),
     }
@@ -154,7 +154,7 @@ def test_a_result_is_a_shape(
         (tmp_path / name).mkdir()
         assert track(recording, tmp_path / name, *given) in (0, 3)
         hands.append(json.loads(read_result(tmp_path / name / "r.mcap").run["configuration"])["hand"])
-    assert hands[1] == hands[0] and hands[0]["side"] == "left" and not estimated
+    assert hands[1] == hands[0] and not estimated
     assert hands[2] == {**hands[0], "scale": 0.7}
 
 
