@@ -188,15 +188,18 @@ def _started(jobs: int) -> Iterator[Client]:
 @contextmanager
 def _connected(where: Where) -> Iterator[Client]:
     """A client of a scheduler that exists."""
+    place = where.scheduler_file if where.scheduler is None else where.scheduler
+    hint = "start one with: dask scheduler"
     try:
         client = _client_of(where)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise EngineError(
-            "no Dask scheduler answers",
-            where=where.scheduler_file if where.scheduler is None else where.scheduler,
-            found=f"nothing within {CONNECT_S:g} s" if isinstance(error, OSError) else str(error),
-            hint="start one with: dask scheduler",
-        ) from error
+    except FileNotFoundError as error:
+        found = f"no such file within {CONNECT_S:g} s"
+        raise EngineError("no Dask scheduler answers", where=place, found=found, hint=hint) from error
+    except OSError as error:
+        found = f"nothing within {CONNECT_S:g} s"
+        raise EngineError("no Dask scheduler answers", where=place, found=found, hint=hint) from error
+    except (ValueError, KeyError, TypeError) as error:  # no address, or no file of a scheduler
+        raise EngineError("tells of no Dask scheduler", where=place, found=error, hint=hint) from error
     with client:
         yield client
 
@@ -208,7 +211,7 @@ def _client_of(where: Where) -> Client:
     end_s = time.monotonic() + CONNECT_S
     while not where.scheduler_file.is_file():  # a scheduler writes it when it is up
         if time.monotonic() > end_s:
-            raise TimeoutError(f"no such file within {CONNECT_S:g} s")
+            raise FileNotFoundError(where.scheduler_file)
         time.sleep(0.2)
     return Client(scheduler_file=str(where.scheduler_file), timeout=CONNECT_S)
 

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from posetrack_cli.batch.jobs import Piece
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.joining import Share
 from posetrack_cli.results.joining import join_results as join
-from posetrack_cli.results.reader import read_result
+from posetrack_cli.results.reader import load_arrays, read_result
 
 _NS = 1_000_000_000
 
@@ -81,10 +83,33 @@ def _last(numbers: Sequence[int], after: int) -> int:
     return numbers[after] if after < len(numbers) else numbers[-1] + 1
 
 
+def meeting_frame(one: tuple[Path, Piece], other: tuple[Path, Piece]) -> int:
+    """Return the frame from which on the joined result is that of the next piece: where both agree best.
+
+    """Write one result of those of the pieces, whose record says how it was made; an older one goes.
+    by then, and has forgotten that it had to look for it. Where fingers are hidden two tracks may differ by a
+    centimetre for a while; they meet as soon as the fingers show.
+
+    Args:
+        one, other: results and pieces, one behind the other.
+    """
+    (before, after), first = (load_arrays(path) for path, _ in (one, other)), other[1].first
+    both, rows, columns = np.intersect1d(before["frame_index"], after["frame_index"], return_indices=True)
+    if not len(both):
+        return first
+    later = both >= both[len(both) // 2]
+    apart = before["points"][rows[later]] - after["points"][columns[later]]
+    distances = np.linalg.norm(apart, axis=2).mean(axis=1)
+    nearest = np.flatnonzero(distances == distances.min())[-1]
+    return int(both[later][nearest])
+
+
 def join_results(
     pieces: Sequence[tuple[Path, Piece]], output: Path, chunk_s: float, overlap_s: float
 ) -> bool:
     """Write one result of those of the pieces, whose record says how it was made; an older one is replaced.
+
+    One piece goes over to the next where they agree best (``meeting_frame``).
 
     Returns:
         Whether some of the recording could not be used.
@@ -97,6 +122,7 @@ def join_results(
         "overlap_s": f"{overlap_s:g}",
         "pieces": str(len(pieces)),
     }
-    shares = [Share(path, piece.first, piece.last) for path, piece in pieces]
+    cuts = [first.first, *(meeting_frame(*pair) for pair in pairwise(pieces)), last.last]
+    shares = [Share(path, *own) for (path, _), own in zip(pieces, pairwise(cuts), strict=True)]
     join(shares, output, changes, overwrite=True)
     return "losses" in read_result(output).summary
