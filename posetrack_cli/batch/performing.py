@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 from posetrack_cli.batch.children import (
     Ending,
@@ -18,6 +17,7 @@ from posetrack_cli.batch.children import (
 )
 from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, Piece, State
 from posetrack_cli.batch.records import (
+    RUNNING,
     JobRecord,
     input_digest,
     job_key,
@@ -29,7 +29,6 @@ from posetrack_cli.batch.records import (
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, UsageError
 from posetrack_cli.outputs import check_not_written, part_path, state_path
 
-_RUNNING = "running"
 _NOT_OURS = "exists already, and no batch made it"
 _WAIT_S = 10.0
 """A process that was left alone ends within a second; until then it holds its file."""
@@ -92,7 +91,7 @@ class _Performance:
         if known is None or known.key != self._key or not self._stamp:
             return False
         is_noted = known.state == State.DONE and known.output == self._stamp
-        return is_noted or (known.state == _RUNNING and known.output != self._stamp)
+        return is_noted or (known.state == RUNNING and known.output != self._stamp)
 
     @property
     def is_kept(self) -> bool:
@@ -115,7 +114,7 @@ class _Performance:
         job, known = self._job, self._known
         if self._limits.redo:
             return "replace"
-        is_ours = known is not None and (known.output == self._stamp or known.state == _RUNNING)
+        is_ours = known is not None and (known.output == self._stamp or known.state == RUNNING)
         if self._stamp and not is_ours:
             raise UsageError(_NOT_OURS, where=job.output, hint="--redo replaces it, or choose another folder")
         if known is None and state_path(job.output).exists():
@@ -135,7 +134,7 @@ class _Performance:
         way = self.way
         self._job.output.parent.mkdir(parents=True, exist_ok=True)
         _wait_for_writer(self._job)
-        self._remember(_RUNNING)
+        self._remember(RUNNING)
         ending = self._child(way, progress, stopped)
         if way == "go on" and _was_refused(ending):
             ending = self._child("replace", progress, stopped)
@@ -155,7 +154,8 @@ class _Performance:
     def _kept(self, progress: Progress, stopped: Callable[[], bool]) -> Outcome:
         """The outcome of before; the page is written where it is missing."""
         assert self._known is not None
-        outcome = _outcome_from(self._job.name, self._known.outcome, State.KEPT)
+        known = self._known.outcome or Outcome(self._job.name, State.KEPT)
+        outcome = replace(known, name=self._job.name, state=State.KEPT)
         if not self.has_page:
             ending = run_child(self._job, (), self._limits, progress, stopped)
             if ending.code != EXIT_DONE:
@@ -177,8 +177,7 @@ class _Performance:
     def _remember(self, state: str, outcome: Outcome | None = None) -> None:
         is_made = state == State.DONE
         stamp = output_stamp(self._job.output) if is_made else self._stamp
-        plain = {} if outcome is None else _plain(outcome)
-        record = JobRecord(self._key, self._page if is_made else "", self._input, stamp, state, plain)
+        record = JobRecord(self._key, self._page if is_made else "", self._input, stamp, state, outcome)
         self._job.record.parent.mkdir(parents=True, exist_ok=True)
         write_record(self._job.record, record)
 
@@ -241,18 +240,3 @@ def _told(job: Job, ending: Ending) -> Outcome:
         frames=told.get("tracked", 0),
         remarks=tuple(ending.remarks),
     )
-
-
-_PLAIN = ("reason", "last_lines", "exit_code", "seconds", "cpu_s", "peak_bytes", "frames", "lost_data")
-
-
-def _plain(outcome: Outcome) -> dict[str, Any]:
-    plain = {name: getattr(outcome, name) for name in (*_PLAIN, "remarks")}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in plain.items()}
-
-
-def _outcome_from(name: str, plain: Any, state: State) -> Outcome:
-    """What ``_plain`` made, of a result that is kept."""
-    values = {key: plain[key] for key in _PLAIN if key in plain}
-    lists = {key: tuple(plain.get(key, ())) for key in ("last_lines", "remarks")}
-    return Outcome(name, state, **{**values, **lists})

@@ -86,7 +86,7 @@ def _last(numbers: Sequence[int], after: int) -> int:
 def meeting_frame(one: tuple[Path, Piece], other: tuple[Path, Piece]) -> int:
     """Return the frame from which on the joined result is that of the next piece: where both agree best.
 
-    Of the frames that both have tracked the later half is looked at: the next piece has found the hand or head
+    Of the frames that both have tracked the later half is looked at: the next piece has found what it tracks
     by then, and has forgotten that it had to look for it. Where fingers are hidden two tracks may differ by a
     centimetre for a while; they meet as soon as the fingers show.
 

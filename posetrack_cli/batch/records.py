@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from posetrack_cli import __version__, limits
-from posetrack_cli.batch.jobs import Job
+from posetrack_cli.batch.jobs import Job, Outcome
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input, read_text, write_output
 from posetrack_cli.outputs import whole_or_nothing
@@ -19,6 +21,8 @@ from posetrack_cli.recording.identity import file_digest, files_digest
 
 FORMAT = "posetrack.batch.job/1"
 _STAMPED_BYTES = 1 << 16
+RUNNING = "running"
+"""State of a job that nobody has noted the end of."""
 
 
 @dataclass(frozen=True)
@@ -31,34 +35,29 @@ class JobRecord:
         input: size, time and digest of the recording's files as they were then (``InputDigest``).
         output: the finished result (``output_stamp``), also one that is about to be replaced; empty if there
             is none.
-        state: ``running``, or what came of it (``jobs.State``).
-        outcome: the rest of what came of it, as plain values.
+        state: ``RUNNING``, or what came of it (``jobs.State``).
+        outcome: what came of it; None while it runs.
     """
 
     key: str
     page: str = ""
-    input: Mapping[str, Any] = field(default_factory=dict)
+    input: Mapping[str, int | str] = field(default_factory=dict)
     output: tuple[int, str] | tuple[()] = ()
-    state: str = "running"
-    outcome: Mapping[str, Any] = field(default_factory=dict)
+    state: str = RUNNING
+    outcome: Outcome | None = None
+    format: str = FORMAT
+
+
+_READER = TypeAdapter(JobRecord)
 
 
 def read_record(path: Path) -> JobRecord | None:
     """Return what is known of a job; None where nothing is, or nothing that can be read."""
     try:
-        values = json.loads(read_text(path, limits.TEXT_BYTES))
-        if values["format"] != FORMAT:
-            return None
-        return JobRecord(
-            key=str(values["key"]),
-            page=str(values["page"]),
-            input=dict(values["input"]),
-            output=tuple(values["output"]),
-            state=str(values["state"]),
-            outcome=dict(values["outcome"]),
-        )
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        record = _READER.validate_json(read_text(path, limits.TEXT_BYTES))
+    except (OSError, ValueError):
         return None
+    return record if record.format == FORMAT else None
 
 
 def write_record(path: Path, record: JobRecord) -> None:
@@ -67,9 +66,8 @@ def write_record(path: Path, record: JobRecord) -> None:
     Raises:
         ResultError: it cannot be written.
     """
-    values = {"format": FORMAT, **vars(record), "output": list(record.output)}
     with whole_or_nothing(path) as part:
-        write_output(part, json.dumps(values, indent=1).encode())
+        write_output(part, _READER.dump_json(record, indent=1))
 
 
 def job_key(job: Job, digest: str) -> str:

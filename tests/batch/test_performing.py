@@ -152,7 +152,7 @@ def test_a_batch_that_died_before_it_noted_a_result_keeps_it(job: Job, children:
     done(job)
     known = read_record(job.record)
     assert known is not None
-    write_record(job.record, replace(known, state="running", output=(), outcome={}))
+    write_record(job.record, replace(known, state="running", output=(), outcome=None))
     assert done(job).state is State.KEPT
     assert len(children.asked) == 1
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.batch import records
-from posetrack_cli.batch.jobs import Job
+from posetrack_cli.batch.jobs import Job, Outcome, Piece, State
 from posetrack_cli.batch.records import (
     JobRecord,
     input_digest,
@@ -109,7 +109,14 @@ def test_copies_have_the_stamp_of_the_original(tmp_path: Path) -> None:
 
 
 def test_a_record_reads_back(tmp_path: Path) -> None:
-    record = JobRecord("key", "page", {"files": 1}, (3, "digest"), "done", {"seconds": 1.5})
+    record = JobRecord(
+        "key",
+        "page",
+        {"files": 1},
+        (3, "digest"),
+        "done",
+        Outcome("a", State.DONE, "why", ("last",), 0, 1.5, 0.5, 7, 9, True, (Piece(0, 9, 1, 8),), ("dark",)),
+    )
     write_record(tmp_path / "a.json", record)
     assert read_record(tmp_path / "a.json") == record
 
