@@ -131,6 +131,7 @@ def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any
         "arguments": arguments,
         "truth": None if job.truth is None else os.fspath(job.truth),
         "page": None if job.page is None else os.fspath(job.page),
+        "digests": dict(job.digests),
         "memory_bytes": limits.memory_bytes,
         "chunk_s": job.chunk_s,
         "overlap_s": job.overlap_s,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,7 @@ class Job:
         chunk_s, overlap_s: of a recording that is split: length of a piece, and what it shares with others,
         s.
         pieces: of a recording that is joined.
+        digests: of the recording's files, where a process before has computed them (``identity.Digests``).
     """
 
     name: str
@@ -76,6 +78,7 @@ class Job:
     chunk_s: float = 0.0
     overlap_s: float = 0.0
     pieces: tuple[tuple[Path, Piece], ...] = ()
+    digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
 
     @property
     def log(self) -> Path:
@@ -120,6 +123,7 @@ class Outcome:
         lost_data: whether some of the recording could not be used (exit code 3).
         pieces: of a recording that was split.
         remarks: what the command said that a user should know.
+        digests: that its process has computed.
     """
 
     name: str
@@ -134,6 +138,7 @@ class Outcome:
     lost_data: bool = False
     pieces: tuple[Piece, ...] = ()
     remarks: tuple[str, ...] = ()
+    digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
 
     @property
     def is_there(self) -> bool:

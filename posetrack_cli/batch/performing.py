@@ -28,6 +28,7 @@ from posetrack_cli.batch.records import (
 )
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, UsageError
 from posetrack_cli.outputs import check_not_written, part_path, state_path
+from posetrack_cli.recording.identity import tell_digests
 
 _NOT_OURS = "exists already, and no batch made it"
 _WAIT_S = 10.0
@@ -51,6 +52,7 @@ def perform(
     if stopped():
         return Outcome(job.name, State.STOPPED)
     try:
+        tell_digests(job.digests)
         performance = _Performance(job, limits)
         if job.kind is Kind.SPLIT and not performance.is_kept:
             return _split(job, limits, stopped)
@@ -192,6 +194,7 @@ def _split(job: Job, limits: Limits, stopped: Callable[[], bool]) -> Outcome:
         _told(job, ending),
         state=State.DONE,
         pieces=tuple(Piece(*piece) for piece in ending.told["pieces"]),
+        digests=ending.told["digests"],
     )
 
 

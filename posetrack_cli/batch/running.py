@@ -105,7 +105,7 @@ class _Recording:
         if outcome.name != self.job.name:
             return self._after_piece(outcome)
         if outcome.state is State.DONE and outcome.pieces:
-            self._split = outcome.pieces
+            self._split, self.job = outcome.pieces, replace(self.job, digests=outcome.digests)
             self._before.append(outcome)
             return [self.job] if len(self._split) == 1 else [self._piece(0)]
         self.result = _together(outcome, [*self._before, *self._pieces.values()])

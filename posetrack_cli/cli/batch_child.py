@@ -69,9 +69,12 @@ def _peak_bytes() -> int:
 
 def _do(task: dict[str, Any], told: IO[str]) -> int:
     """Do the job, and write a page about what it made; the exit code is the job's own."""
+    from posetrack_cli.recording.identity import known_digests, tell_digests
+
+    if task["digests"]:
+        tell_digests(task["digests"])
     if task["kind"] == "split":
-        pieces = _split(task)
-        _tell(told, {"pieces": pieces})
+        _tell(told, {"pieces": _split(task), "digests": known_digests()})
         return EXIT_DONE
     code = _joined(task) if task["kind"] == "join" else _tracked(task, told)
     if code in (EXIT_DONE, EXIT_DATA_LOST) and task["page"] is not None:
@@ -114,6 +117,7 @@ def _split(task: dict[str, Any]) -> list[list[int]]:
 
     command = BATCH_COMMANDS[tuple(task["command"])]
     recording, options = command.opened(Path(task["recording"]), task["options"])
+    recording.identity()  # of all of it, once, for the pieces
     pieces = split_frames(
         recording,
         task["chunk_s"],
