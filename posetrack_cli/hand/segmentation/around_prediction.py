@@ -190,8 +190,9 @@ def _limb(
     return limb, limb & (np.where(merged[numbers], at_hand, beside) | fingers[numbers])
 
 
-_FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
-"""What a finger covers at most, of a hand of scale 1, and how much of it lies within the hand's reach."""
+_FINGER_MM2, _LEAST_NEAR = (250.0, 3000.0), 0.9
+"""What a finger covers that can be told from crumbs, and at most, of a hand of scale 1; how much of it lies
+within the hand's reach."""
 
 
 def _fingers(view: View, numbers: IntArray, near: BoolArray, begin: BoolArray, scale: float) -> BoolArray:
@@ -212,7 +213,8 @@ def _fingers(view: View, numbers: IntArray, near: BoolArray, begin: BoolArray, s
         np.bincount(numbers[part], weights=view.apart[part] ** 2, minlength=len(begin))
         for part in (numbers > 0, near & (numbers > 0))
     )
-    fingers: BoolArray = begin & (whole < scale**2 * _FINGER_MM2) & (reached > _LEAST_NEAR * whole)
+    least, most = (scale**2 * area for area in _FINGER_MM2)
+    fingers: BoolArray = begin & (whole > least) & (whole < most) & (reached > _LEAST_NEAR * whole)
     return fingers
 
 
