@@ -205,11 +205,14 @@ def test_a_hand_that_touches_a_body_is_cut_out_of_it(scene: Scene) -> None:
     assert (told.labels[far] != Label.HAND).all()
 
 
-@pytest.mark.parametrize("is_finger", [True, False])
+@pytest.mark.parametrize(("is_finger", "is_followed"), [(True, True), (False, True), (True, False)])
 def test_a_finger_that_stretches_behind_missing_readings_is_seen(
-    device: RenderingDevice, scene: Scene, is_finger: bool
+    device: RenderingDevice, scene: Scene, is_finger: bool, is_followed: bool
 ) -> None:
-    """A fist is expected, and nothing links the pointing finger to it. A stick that goes on is no finger."""
+    """A fist is expected, and nothing links the pointing finger to it. A stick that goes on is no finger.
+
+    Nor is anything one of a fist that may not be there.
+    """
     pose = posed(SHAPES["one"])
     hand, drawn = PredictedHand.of(ANATOMY, pose), drawn_hand(device, pose)
     knuckle, joint, tip = (hand.joints[JOINT_NAMES.index(f"index_{name}")] for name in ("mcp", "pip", "tip"))
@@ -222,10 +225,11 @@ def test_a_finger_that_stretches_behind_missing_readings_is_seen(
         depth = np.where(beyond & (drawn == 0), tip[2], depth)
     fist = PredictedHand.of(ANATOMY, posed(SHAPES["fist"]))
     image = np.where(gap, 0.0, depth).astype(np.float32)
-    told = segment(image, SAMPLER, scene.window, KINECT, fist, SegmentationSettings())
+    settings = SegmentationSettings()
+    told = segment(image, SAMPLER, scene.window, KINECT, fist, settings, is_followed=is_followed)
     labels = told.labels[scene.in_window(beyond & ~gap)]
     assert len(labels) > 50
-    assert (labels == (Label.HAND if is_finger else Label.OTHER)).mean() > 0.95
+    assert (labels == (Label.HAND if is_finger and is_followed else Label.OTHER)).mean() > 0.95
 
 
 def test_a_hand_close_before_a_body_is_told_by_the_step_of_its_rim(scene: Scene) -> None:
