@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.assessment import Assessment, Request
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.pictures import Picture
+    from posetrack_cli.evaluation.reports.table import Table
 
 STANDARD_OUTPUT = Path("-")
-TEXT_REPORTS = ("json_path", "csv_path", "curve_path")
+TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
+"""Reports that are text, by the names of their options."""
 WORST_FRAMES = 6
 FILE = click.Path(path_type=Path)
 OUTPUT = click.Path(path_type=Path, allow_dash=True)
@@ -70,23 +72,45 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     "page shows both]",
 )
 @click.option("--recording", type=FILE, help="The recording; measures residuals against its images.")
-@click.option("--json", "json_path", type=OUTPUT, metavar="FILE|-", help="Write everything as JSON.")
-@click.option("--csv", "csv_path", type=OUTPUT, metavar="FILE|-", help="Write one figure a line as CSV.")
+@click.option("--json", type=OUTPUT, metavar="FILE|-", help="Write everything as JSON.")
+@click.option(
+    "--csv",
+    type=OUTPUT,
+    metavar="FILE|-",
+    help="Write CSV: one figure a line, in rows one result a line.",
+)
 @click.option(
     "--curve",
-    "curve_path",
     type=OUTPUT,
     metavar="FILE|-",
     help="Write the share of frames with joint errors below D = 0..100 mm as CSV.",
 )
-@click.option("--html", "html_path", type=FILE, metavar="FILE", help="Write a page with tables and plots.")
+@click.option(
+    "--html",
+    type=FILE,
+    metavar="FILE",
+    help="Write a page with tables and plots; in rows one table to be sorted and filtered.",
+)
+@click.option(
+    "--junit",
+    type=FILE,
+    metavar="FILE",
+    help="Write the gates as JUnit XML: one test for each and each result.",
+)
+@click.option(
+    "--markdown",
+    type=OUTPUT,
+    metavar="FILE|-",
+    help="Write a summary as Markdown: failed gates first, totals, results, changes against the baseline.",
+)
 @click.option(
     "--fail-if",
     "conditions",
     metavar="CONDITION",
     multiple=True,
-    help="Gate, such as 'joint_error_mm.mean > 10', 'coverage < 0.99' or, of all results together, "
-    "'pooled.confidence_roc_area < 0.9'; repeatable.",
+    help="Gate on each result, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; on the frames of all "
+    "together, 'pooled.joint_error_mm.mean > 8'; or on the figures over results, 'p95(joint_error_mm.mean) > "
+    "12', 'count(coverage) < 100'; repeatable.",
 )
 @click.option(
     "--gates", "gate_files", type=FILE, multiple=True, help="File of gates, one a line; repeatable."
@@ -96,7 +120,8 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     type=FILE,
     multiple=True,
     callback=only_once,
-    help="Earlier --json; worse figures fail.",
+    help="Earlier --json; worse figures fail, of each result of the same name and of all together. Results "
+    "that only the baseline has fail, new ones are told.",
 )
 @click.option(
     "--baseline-tolerance",
@@ -120,7 +145,22 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     callback=_list_metrics,
     help="Show every metric, its unit and meaning, and exit.",
 )
-@click.option("--parts", is_flag=True, help="Show every joint, finger, angle or point.")
+@click.option(
+    "--layout",
+    type=click.Choice(["columns", "rows"]),
+    help="Results beside each other, compared where they are of one recording; or a row each, the worst "
+    "first, and one of all together.  [default: rows from five recordings on]",
+)
+@click.option(
+    "--worst",
+    type=click.IntRange(min=0),
+    default=50,
+    show_default=True,
+    help="How many rows are shown here and in Markdown, the worst; 0 for all.",
+)
+@click.option(
+    "--parts", is_flag=True, help="Show every joint, finger, angle or point; of rows in JSON and CSV."
+)
 @click.option(
     "--honesty",
     is_flag=True,
@@ -131,7 +171,9 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     """Measure RESULTs against truth, by themselves without it; also of unfinished or running runs.
 
     Several results stand beside each other; those of one recording are compared second by second with the
-    first, groups recording by recording: Wilcoxon's signed-rank test and a bootstrap interval.
+    first, groups recording by recording: Wilcoxon's signed-rank test and a bootstrap interval. Results of
+    many recordings have a row each, the worst first, and a total; of five results or more one that cannot be
+    read fails, and the others are measured.
 
     Exit code 1: a gate failed or could not be judged, and a line on standard error names it with its figure.
     Exit code 3: a result is unfinished or damaged and was measured over what it holds. A failed gate comes
@@ -168,11 +210,13 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         groups=groups,
         options=EvalOptions(**{name: options[name] for name in names}),
         tracks=chosen_tracks(track),
-        page=options["html_path"] is not None and track is None,
+        page=options["html"] is not None and track is None,
+        layout=options["layout"],
+        parts=options["parts"],
         gates=tuple(gates),
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
         baseline_tolerance=options["baseline_tolerance"],
-        keep_tracks=options["html_path"] is not None,
+        keep_tracks=options["html"] is not None,
     )
     _check_reports(request, options)
     return request
@@ -181,16 +225,18 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
 def _check_reports(request: Request, options: dict[str, Any]) -> None:
     from posetrack_cli.evaluation.reports.report_files import check_reports
 
-    names = (*TEXT_REPORTS, "html_path")
+    if options["junit"] is not None and not (request.gates or request.baseline):
+        raise UsageError("--junit tells of gates", expected="--fail-if, --gates or --baseline, too")
+    names = (*TEXT_REPORTS, "html")
     reports = [options[name] for name in names if options[name] is not None]
     if reports.count(STANDARD_OUTPUT) > 1:
         raise UsageError("only one report can go to standard output")
     if STANDARD_OUTPUT in reports and sys.stdout is None:
         raise UsageError("standard output is closed", hint="name a file for the report")
-    if options["html_path"] is not None:
-        from posetrack_cli.evaluation.html.writer import check_page
+    if options["html"] is not None:
+        from posetrack_cli.evaluation.html import check_page
 
-        check_page(options["html_path"])
+        check_page(options["html"])
     given = [options[name] for name in ("truth", "recording", "baseline")]
     inputs = [*request.results, *options["gate_files"], *(path for path in given if path is not None)]
     inputs += [path for paths in request.groups.values() for path in paths]
@@ -211,19 +257,13 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
 
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
     """Write what was asked for, also when a gate failed."""
-    from posetrack_cli.evaluation.assessment import stated_options
-    from posetrack_cli.evaluation.reports.report_files import csv_report, curve_report, json_report
+    from posetrack_cli.evaluation.reports.writing import Reports, report_texts
 
-    stated = stated_options(request.options)
-    if options["json_path"] is not None:
-        text = json_report(found.evaluations, stated, found.comparison, found.outcomes, found.pools)
-        _write(options["json_path"], text)
-    if options["csv_path"] is not None:
-        _write(options["csv_path"], csv_report(found.evaluations, found.comparison, found.pools))
-    if options["curve_path"] is not None:
-        _write(options["curve_path"], curve_report(found.evaluations))
-    if options["html_path"] is not None:
-        _write_page(found, options["html_path"], options["recording"])
+    reports = Reports(**{name: options[name] for name in TEXT_REPORTS})
+    for path, text in report_texts(found, request.options, reports, options["worst"]):
+        _write(path, text)
+    if options["html"] is not None:
+        _write_page(found, options["html"], options["recording"])
 
 
 def _write(path: Path, text: str) -> None:
@@ -236,8 +276,12 @@ def _write(path: Path, text: str) -> None:
 
 
 def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
-    from posetrack_cli.evaluation.html.writer import ReportPage, write_html
+    from posetrack_cli.evaluation.html import write_html, write_rows_html
+    from posetrack_cli.evaluation.html.writer import ReportPage
+    from posetrack_cli.evaluation.reports.writing import rows_page_of
 
+    if found.rows:
+        return write_rows_html(path, rows_page_of(found))
     pictures = {one.name: _pictures(one, recording) for one in found.on_page}
     title = ", ".join(one.name for one in found.evaluations)
     write_html(path, ReportPage(found.on_page, found.page_comparison, pictures, title, found.pools))
@@ -278,33 +322,49 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
         comparison_tables,
     )
     from posetrack_cli.evaluation.reports.table import (
-        closing_lines,
         criterion_lines,
         pool_lines,
         pooled_table,
         reliability_table,
-        tables,
     )
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
     if sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
-    shown = found.evaluations[:given] if found.grouped else found.evaluations
-    made = tables(shown, parts=options["parts"]) if shown else []
-    lines = closing_lines(found.evaluations)
+    made, lines = _rows(found, options) if found.rows else _columns(found, given, options)
     if options["honesty"]:
-        more = (reliability_table(found.evaluations, found.pools), pooled_table(found.pools))
+        beside = () if found.rows else found.evaluations
+        more = (reliability_table(beside, found.pools), pooled_table(found.pools))
         made += [table for table in more if table is not None]
-        lines += criterion_lines(found.evaluations) + pool_lines(found.pools)
+        lines += criterion_lines(found.evaluations) + ([] if found.rows else pool_lines(found.pools))
     if found.comparison is not None:
         made += comparison_tables(found.comparison, parts=options["parts"])
         lines += comparison_lines(found.comparison, parts=options["parts"])
-    elif len(found.evaluations) > 1:
+    elif len(found.evaluations) > 1 and not found.rows:
         lines.append(NOT_COMPARED)
     if found.outcomes:
         passed = len(found.outcomes) - len(found.failed)
         lines.append(f"gates: {passed} passed, {len(found.failed)} failed")
     print_tables(made, lines, sys.stdout)
+
+
+def _columns(found: Assessment, given: int, options: dict[str, Any]) -> tuple[list[Table], list[str]]:
+    """The tables of results beside each other, and what belongs below them."""
+    from posetrack_cli.evaluation.reports.table import closing_lines, tables
+
+    shown = found.evaluations[:given] if found.grouped else found.evaluations
+    return tables(shown, parts=options["parts"]) if shown else [], closing_lines(found.evaluations)
+
+
+def _rows(found: Assessment, options: dict[str, Any]) -> tuple[list[Table], list[str]]:
+    """The tables of results below each other, and what belongs below them."""
+    from posetrack_cli.evaluation.reports.row_table import fewer, row_lines, row_table
+    from posetrack_cli.evaluation.reports.table import closing_lines
+
+    most = options["worst"]
+    sets = [one for one in found.sets if not one.pool.grouped]  # groups have a table that compares them
+    lines = fewer(closing_lines(found.evaluations))
+    return [row_table(one, most) for one in sets], [*row_lines(sets, most), *lines]
 
 
 def _close(found: Assessment) -> None:

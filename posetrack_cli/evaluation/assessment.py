@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from posetrack_cli.evaluation.baseline import StoredReport, check_baseline
+from posetrack_cli.errors import PosetrackError, ResultError, TruthError
+from posetrack_cli.evaluation.baseline import BaselineCheck, StoredReport, check_baseline
 from posetrack_cli.evaluation.comparing.comparison import Comparison, compare
 from posetrack_cli.evaluation.comparing.groups import compare_groups
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gates
-from posetrack_cli.evaluation.pooling import Pool, make_pools
+from posetrack_cli.evaluation.pooling import Gathered, Pool, PoolKey, make_pools
+from posetrack_cli.evaluation.rows import MOST_BESIDE, Earlier, ResultSet, Verdict, result_sets
 from posetrack_cli.evaluation.track import Track, track_name, unique_names
+from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
+
+Layout: TypeAlias = Literal["columns", "rows"]
+T = TypeVar("T")
 
 DEFAULT_TOLERANCE = 0.05
 
@@ -38,6 +46,10 @@ class Request:
             evaluation takes some kilobytes per second of recording, so that a hundred fit in memory.
         tracks: of each result; of several, those that it has, beside each other.
         page: whether a page is made, which shows every track of a result, also one that is not asked for.
+        layout: whether results stand in columns beside each other, where they are compared, or in rows, where
+            nothing is kept of each but its figures; by default rows from more than ``rows.MOST_BESIDE``
+            recordings on.
+        parts: whether the figures of parts are kept in rows, too; those that gates name always are.
     """
 
     results: tuple[Path, ...] = ()
@@ -49,11 +61,17 @@ class Request:
     keep_tracks: bool = False
     tracks: tuple[str, ...] = (FILTERED,)
     page: bool = False
+    layout: Layout | None = None
+    parts: bool = False
 
-    def measured(self, path: Path, name: str, which: str) -> Evaluation:
-        """Measure a track of a result, with as much of it kept as is asked for."""
-        evaluation = evaluate(path, replace(self.options, track=which), name)
-        return evaluation if self.keep_tracks else _lean(evaluation, keep_series=not self.groups)
+    def kept(self, evaluation: Evaluation, rows: bool) -> Evaluation:
+        """Return as much of a result as is asked for; what is pooled of it was gathered before."""
+        kept = replace(evaluation, distributions={})
+        if rows:
+            parts = self.parts or any(gate.address.part is not None for gate in self.gates)
+            lean = _lean(kept, keep_series=False)
+            return lean if parts else _without_parts(lean)
+        return kept if self.keep_tracks else _lean(kept, keep_series=not self.groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +86,8 @@ class Assessment:
         grouped: whether the comparison is of groups.
         beside: other tracks of the results, for the page alone.
         pools: the results together, and those of each group.
+        rows: whether the results are rows of tables.
+        earlier: figures of the baseline by the name of a result or a pool; None without a baseline.
     """
 
     evaluations: tuple[Evaluation, ...]
@@ -77,6 +97,14 @@ class Assessment:
     grouped: bool
     beside: tuple[Evaluation, ...] = ()
     pools: tuple[Pool, ...] = ()
+    rows: bool = False
+    earlier: Mapping[str, Earlier] | None = None
+
+    @cached_property
+    def sets(self) -> tuple[ResultSet, ...]:
+        """The results as rows."""
+        verdict = Verdict(self.outcomes, self.earlier or {}, self.earlier is not None)
+        return result_sets(self.evaluations, self.pools, verdict)
 
     @property
     def failed(self) -> tuple[GateOutcome, ...]:
@@ -106,34 +134,97 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
         report: called after each result.
 
     Raises:
-        PosetrackError: a result or its truth cannot be read, no result has a track that is asked for, or a
-            gate names what no result has.
+        PosetrackError: a result or its truth cannot be read (of more than ``rows.MOST_BESIDE`` results: none
+            can), no result has a track that is asked for, or a gate names what no result has.
     """
-    paths = _every_path(request)
-    names = unique_names(list(paths))
-    evaluations: dict[tuple[Path, str], Evaluation] = {}
-    beside: list[Evaluation] = []
-    several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
-    for path, name in zip(paths, names, strict=True):
-        for which in read_result(path).tracks if several else request.tracks:
-            own = track_name(name, which, names) if several else name
-            evaluations[path, which] = request.measured(path, own, which)
-        if adds_smoothed and SMOOTHED in read_result(path).tracks:
-            beside.append(request.measured(path, track_name(name, SMOOTHED, names), SMOOTHED))
-        report()
+    measuring = _Measuring(request)
+    measuring.measure(report)
+    evaluations, rows = measuring.evaluations, measuring.rows
     _check_tracks(evaluations, request)
     measured = tuple(evaluations.values())
     groups = _groups(evaluations, request)
-    comparison = compare_groups(groups) if groups else compare(measured)
-    given = [one for (path, _), one in evaluations.items() if path in request.results]
-    pools = make_pools(given, groups)
-    outcomes = check_gates(request.gates, measured, pools)
+    comparison = compare_groups(groups) if groups else None if rows else compare(measured)
+    results = set(request.results)
+    given = [one for (path, _), one in evaluations.items() if path in results]
+    pools = make_pools(given, groups, measuring.gathered)
+    outcomes = [*measuring.unread, *check_gates(request.gates, measured, pools)]
     notes: tuple[str, ...] = ()
+    against: BaselineCheck | None = None
     if request.baseline is not None:
         options = stated_options(request.options)
-        against = check_baseline(request.baseline, measured, request.baseline_tolerance, options)
+        against = check_baseline(request.baseline, measured, request.baseline_tolerance, options, pools)
         outcomes, notes = [*outcomes, *against.outcomes], against.notes
-    return Assessment(measured, comparison, tuple(outcomes), notes, bool(groups), tuple(beside), pools)
+    return Assessment(
+        evaluations=measured,
+        comparison=comparison,
+        outcomes=tuple(outcomes),
+        notes=notes,
+        grouped=bool(groups),
+        beside=tuple(measuring.beside),
+        pools=pools,
+        rows=rows,
+        earlier=None if against is None else against.earlier,
+    )
+
+
+class _Measuring:
+    """Measures every result; of many it keeps nothing but figures.
+
+    Attributes:
+        evaluations: by file and track.
+        beside: other tracks of the results, for a page.
+        gathered: the values of what is pooled.
+        rows: whether results are rows.
+        unread: of results that cannot be measured, where there are many: failures that say why.
+    """
+
+    def __init__(self, request: Request) -> None:
+        self.evaluations: dict[tuple[Path, str], Evaluation] = {}
+        self.beside: list[Evaluation] = []
+        self.gathered: dict[PoolKey, Gathered] = defaultdict(Gathered)
+        self.rows = request.layout == "rows"
+        self.unread: list[GateOutcome] = []
+        self._request = request
+        self._recordings: set[str] = set()
+        self._pool_keys = _pool_keys(request)
+
+    def measure(self, report: Callable[[], Any]) -> None:
+        """Measure all, in the order given; of many one that cannot be read does not stop the others."""
+        paths = _every_path(self._request)
+        names = unique_names(list(paths))
+        first: PosetrackError | None = None
+        for path, name in zip(paths, names, strict=True):
+            try:
+                self._measure(path, name, names)
+            except (ResultError, TruthError) as error:
+                if len(paths) <= MOST_BESIDE:
+                    raise
+                first = first or error
+                self.unread.append(GateOutcome("measured", name, None, True, str(error), "measured"))
+            report()
+        if first is not None and not self.evaluations:
+            raise first
+
+    def _measure(self, path: Path, name: str, names: Sequence[str]) -> None:
+        request = self._request
+        several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
+        for which in read_result(path).tracks if several else request.tracks:
+            own = track_name(name, which, names) if several else name
+            self._keep(path, evaluate(path, replace(request.options, track=which), own))
+        if adds_smoothed and not self.rows and SMOOTHED in read_result(path).tracks:
+            own = track_name(name, SMOOTHED, names)
+            smoothed = evaluate(path, replace(request.options, track=SMOOTHED), own)
+            self.beside.append(request.kept(smoothed, rows=False))
+
+    def _keep(self, path: Path, one: Evaluation) -> None:
+        for key in self._pool_keys(path, one):
+            self.gathered[key].add(one)
+        self._recordings.add(one.run.get(RECORDING_KEY) or str(path))
+        if not self.rows and self._request.layout is None and len(self._recordings) > MOST_BESIDE:
+            self.rows, self.beside = True, []
+            kept = {place: self._request.kept(other, rows=True) for place, other in self.evaluations.items()}
+            self.evaluations = kept
+        self.evaluations[path, one.which] = self._request.kept(one, self.rows)
 
 
 def stated_options(options: EvalOptions) -> dict[str, Any]:
@@ -154,6 +245,25 @@ def _check_tracks(evaluations: Mapping[tuple[Path, str], Evaluation], request: R
         read_result(next(iter(evaluations))[0]).topic_of_track(SMOOTHED)
 
 
+def _pool_keys(request: Request) -> Callable[[Path, Evaluation], Iterator[PoolKey]]:
+    """Tells what a result of a file is pooled in."""
+    results, groups = set(request.results), {name: set(files) for name, files in request.groups.items()}
+
+    def keys(path: Path, one: Evaluation) -> Iterator[PoolKey]:
+        if path in results:
+            yield one.subject, one.which
+        for name, files in groups.items():
+            if path in files:
+                yield _group_name(request, name, one.which)
+
+    return keys
+
+
+def _group_name(request: Request, name: str, which: str) -> str:
+    """What a group is called; where several tracks are measured each has a group of its own."""
+    return name if len(request.tracks) == 1 else track_name(name, which, tuple(request.groups))
+
+
 def _groups(
     evaluations: Mapping[tuple[Path, str], Evaluation], request: Request
 ) -> dict[str, list[Evaluation]]:
@@ -163,8 +273,7 @@ def _groups(
         for which in request.tracks:
             members = [evaluations[path, which] for path in files if (path, which) in evaluations]
             if members:
-                own = name if len(request.tracks) == 1 else track_name(name, which, tuple(request.groups))
-                groups[own] = members
+                groups[_group_name(request, name, which)] = members
     return groups
 
 
@@ -181,3 +290,17 @@ def _lean(evaluation: Evaluation, *, keep_series: bool) -> Evaluation:
     )
     lean = replace(evaluation, track=empty, truth=None, pairs=None)
     return lean if keep_series else replace(lean, series={}, series_stamp_ns=empty.stamp_ns)
+
+
+def _without_parts(evaluation: Evaluation) -> Evaluation:
+    """Without the figures of single joints, angles and points: a table of rows has none."""
+
+    def wholes(of: Mapping[str, T]) -> dict[str, T]:
+        return {base: one for base, one in of.items() if "." not in base}
+
+    return replace(
+        evaluation,
+        metrics=wholes(evaluation.metrics),
+        absent=wholes(evaluation.absent),
+        counts=wholes(evaluation.counts),
+    )

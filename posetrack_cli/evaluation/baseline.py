@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,19 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.figures import figure_of, key_figures
-from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gate
+from posetrack_cli.evaluation.figures import Figure, figure_of, key_figures
+from posetrack_cli.evaluation.gates import Gate, GateOutcome, check_gate, judge_figure
 from posetrack_cli.evaluation.metrics.catalogue import Address, split_address
+from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.evaluation.reports.report_files import FORMAT
+from posetrack_cli.evaluation.reports.table import some_names
 from posetrack_cli.files import read_input
 
 FLOOR = 0.01
 """In a figure's own unit, mm or deg: differences as small as this are rounding, not regression."""
+MISSING = "the baseline holds it, and no result now has this name; a renewed baseline would leave it out"
 COMPARED_OPTIONS = ("tolerance_ms", "time_offset_s", "align", "joint_offsets")
 
 
@@ -30,14 +35,17 @@ class _Stored(BaseModel):
 
 
 class StoredCoverage(_Stored):
-    """Counts that make two evaluations comparable."""
+    """Counts that make two evaluations comparable, and of which the coverage of several is made."""
 
     frames: int
     has_truth: bool
+    missed: int = 0
+    tracked: int = 0
+    tracked_and_matched: int = 0
 
 
-class StoredResult(_Stored):
-    """One result of a stored report."""
+class StoredFigures(_Stored):
+    """Figures of a stored report: of a result, or of several that were pooled."""
 
     name: str
     subject: str
@@ -46,8 +54,23 @@ class StoredResult(_Stored):
 
     def figure(self, address: Address) -> float | None:
         """Return a figure, or None where it is absent or was no finite number."""
-        value = self.metrics.get(address.base, {}).get(address.statistic or "value")
-        return float(value) if isinstance(value, int | float) else None
+        return _number(self.metrics.get(address.base, {}).get(address.statistic or "value"))
+
+
+def _number(value: Any) -> float | None:
+    """The value as a finite number, if it is one."""
+    try:
+        known = isinstance(value, int | float) and not isinstance(value, bool)
+        number = float(value) if known else math.nan
+    except OverflowError:  # JSON has integers without end
+        return None
+    return number if math.isfinite(number) else None
+
+
+class StoredPool(StoredFigures):
+    """Several results of a stored report together."""
+
+    results: tuple[str, ...] = ()
 
 
 class Format(_Stored):
@@ -60,15 +83,23 @@ class StoredReport(_Stored):
     """A JSON report that was written earlier."""
 
     options: dict[str, Any] = {}
-    results: tuple[StoredResult, ...]
+    results: tuple[StoredFigures, ...]
+    pooled: tuple[StoredPool, ...] = ()
 
 
 @dataclass(frozen=True)
 class BaselineCheck:
-    """What a baseline says: outcomes as of gates, and notes that are no failure."""
+    """What a baseline says.
+
+    Attributes:
+        outcomes: as of gates.
+        notes: what is no failure.
+        earlier: the figures of the baseline, by the name of a result or a pool now.
+    """
 
     outcomes: tuple[GateOutcome, ...]
     notes: tuple[str, ...]
+    earlier: Mapping[str, StoredFigures] = field(default_factory=dict)
 
 
 def read_baseline(path: Path) -> StoredReport:
@@ -98,59 +129,159 @@ def check_baseline(
     evaluations: Sequence[Evaluation],
     tolerance: float,
     options: dict[str, Any] | None = None,
+    pools: Sequence[Pool] = (),
 ) -> BaselineCheck:
     """Compare the key figures (``figures.key_figures``) of each result with those of the same name.
 
     The only result is compared with the only one of the baseline whatever their names. A figure fails if it
     is worse by more than the tolerance: an error e above e_0 (1 + tolerance) + 0.01 mm or deg, a share below
-    p_0 - tolerance. A result that the baseline has not, one without any key figure there, and a figure that
-    only the baseline has, cannot be judged and fails. Speed is not compared: machines differ.
+    p_0 - tolerance. One without any key figure there, and a figure that only the baseline has, cannot be
+    judged and fails. Speed is not compared: machines differ.
+
+    Of several results those that the baseline has not are new, which a note says; those that only it has are
+    missing, and fail. Where none is found there all fail. Pooled figures are compared, too: with those of the
+    baseline if they are of the same results, else means and coverage over the results that both have.
 
     Args:
         baseline: the earlier report.
         evaluations: the results now.
         tolerance: share, 0.05 for 5 %.
         options: what the results were evaluated with; where the baseline's differ a note says so.
+        pools: the results together.
     """
     outcomes: list[GateOutcome] = []
     notes = list(_options_notes(baseline.options, options or {}))
+    earlier = _partners(baseline, evaluations)
     for one in evaluations:
-        stored = _partner(baseline, one, len(evaluations))
-        if stored is None:
-            known = ", ".join(result.name for result in baseline.results) or "none"
-            outcomes.append(_unjudged(one, f"the baseline holds no result of this name; it holds: {known}"))
+        if one.name not in earlier:
             continue
-        judged = [check_gate(gate, one) for gate in _gates(stored, tolerance)]
-        outcomes += judged or [_unjudged(one, "the baseline holds none of the key figures")]
-        notes += _notes(stored, one)
-    return BaselineCheck(tuple(outcomes), tuple(notes))
+        judged = [check_gate(gate, one) for gate in _gates(earlier[one.name], tolerance)]
+        outcomes += judged or [_unjudged(one.name, "the baseline holds none of the key figures")]
+        notes += _notes(earlier[one.name], one)
+    new = [one.name for one in evaluations if one.name not in earlier]
+    known = [stored.name for stored in baseline.results]
+    if new and not (earlier and len(evaluations) > 1):
+        reason = f"the baseline holds no result of this name; it holds: {some_names(known) or 'none'}"
+        outcomes += [_unjudged(name, reason) for name in new]
+    elif new:
+        notes.append(f"{_results(new)} new and not compared: {some_names(new)}")
+    if len(evaluations) > 1 and earlier:
+        missing = [name for name in dict.fromkeys(known) if name not in earlier]
+        outcomes += [_unjudged(name, MISSING) for name in missing]
+    before: dict[str, StoredFigures] = dict(earlier)
+    for pool in pools:
+        together = _judge_pool(baseline, pool, evaluations, before, tolerance)
+        outcomes += together.outcomes
+        notes += together.notes
+        before |= together.earlier
+    return BaselineCheck(tuple(outcomes), tuple(notes), before)
 
 
-def _unjudged(evaluation: Evaluation, reason: str) -> GateOutcome:
-    return GateOutcome("baseline", evaluation.name, None, True, reason)
+def _results(names: Sequence[str]) -> str:
+    return "1 result is" if len(names) == 1 else f"{len(names)} results are"
 
 
-def _partner(baseline: StoredReport, evaluation: Evaluation, count: int) -> StoredResult | None:
-    if count == len(baseline.results) == 1:
-        return baseline.results[0]
-    return next((one for one in baseline.results if one.name == evaluation.name), None)
+def _unjudged(name: str, reason: str) -> GateOutcome:
+    return GateOutcome("baseline", name, None, True, reason, "baseline")
 
 
-def _gates(stored: StoredResult, tolerance: float) -> Iterator[Gate]:
+def _partners(baseline: StoredReport, evaluations: Sequence[Evaluation]) -> dict[str, StoredFigures]:
+    """The stored result of each that has one, by name."""
+    if len(evaluations) == len(baseline.results) == 1:
+        return {evaluations[0].name: baseline.results[0]}
+    stored: dict[str, StoredFigures] = {}
+    for one in baseline.results:
+        stored.setdefault(one.name, one)
+    return {one.name: stored[one.name] for one in evaluations if one.name in stored}
+
+
+def _gates(stored: StoredFigures, tolerance: float, pooled: bool = False) -> Iterator[Gate]:
     for figure in key_figures(stored.subject):
+        before = stored.figure(split_address(figure))
+        if before is not None:
+            yield _gate(figure, before, tolerance, pooled)
+
+
+def _gate(figure: str, before: float, tolerance: float, pooled: bool = False) -> Gate:
+    address = split_address(figure)
+    if address.metric.better == "higher":
+        sign, limit = "<", before - tolerance
+    else:
+        sign, limit = ">", before * (1 + tolerance) + FLOOR
+    bare = Gate("", address, sign, limit, pooled)
+    text = f"{bare.figure} {sign} {limit:.6g} (baseline {before:.6g}, tolerance {tolerance:g})"
+    return replace(bare, text=text, title=f"baseline: {bare.figure}")
+
+
+def _judge_pool(
+    baseline: StoredReport,
+    pool: Pool,
+    evaluations: Sequence[Evaluation],
+    earlier: Mapping[str, StoredFigures],
+    tolerance: float,
+) -> BaselineCheck:
+    """Compare the figures of several results together."""
+    if not pool.says_more:
+        return BaselineCheck((), ())
+    members = set(pool.results)
+    for stored in baseline.pooled:
+        same = stored.subject == pool.subject and set(stored.results) == members
+        gates = list(_gates(stored, tolerance, pooled=True)) if same else []
+        if len(gates) > 1:  # coverage alone is of a time when errors were not pooled
+            return BaselineCheck(tuple(check_gate(gate, pool) for gate in gates), (), {pool.name: stored})
+    common = [one for one in evaluations if one.name in members and one.name in earlier]
+    if not common:
+        return BaselineCheck((), ())
+    outcomes = tuple(_judge_common(pool, common, [earlier[one.name] for one in common], tolerance))
+    what = f"means and coverage over the {len(common)} results that the baseline has, too"
+    return BaselineCheck(outcomes, (f"{pool.name}: compared are {what}",) if outcomes else ())
+
+
+def _judge_common(
+    pool: Pool, now: Sequence[Evaluation], then: Sequence[StoredFigures], tolerance: float
+) -> Iterator[GateOutcome]:
+    """Compare what can be made of the figures of single results: means, by their counts, and coverage."""
+    for figure in key_figures(pool.subject):
         address = split_address(figure)
-        before = stored.figure(address)
-        if before is None:
-            continue
-        if address.metric.better == "higher":
-            sign, limit = "<", before - tolerance
+        if figure == "coverage":
+            before, after = (_share([one.coverage for one in of]) for of in (then, now))
+        elif address.statistic == "mean":
+            before = _mean([(one.figure(address), one.figure(_count(address))) for one in then])
+            after = _mean(
+                [(figure_of(one, address).value, figure_of(one, _count(address)).value) for one in now]
+            )
         else:
-            sign, limit = ">", before * (1 + tolerance) + FLOOR
-        text = f"{figure} {sign} {limit:.6g} (baseline {before:.6g}, tolerance {tolerance:g})"
-        yield Gate(text, address, sign, limit)
+            continue
+        if before is not None and after is not None:
+            gate = _gate(figure, before, tolerance, pooled=True)
+            yield judge_figure(gate, pool.name, Figure(after), len(now))
 
 
-def _notes(stored: StoredResult, evaluation: Evaluation) -> Iterator[str]:
+def _count(address: Address) -> Address:
+    return replace(address, statistic="count")
+
+
+def _mean(figures: Sequence[tuple[float | None, float | None]]) -> float | None:
+    """The mean of means, by the counts of their values; None where one has none."""
+    known = [(mean, count) for mean, count in figures if mean is not None and count is not None and count > 0]
+    total = sum(count for _, count in known)
+    if len(known) < len(figures) or not math.isfinite(total):
+        return None
+    return sum(mean * (count / total) for mean, count in known)
+
+
+def _share(members: Sequence[Coverage | StoredCoverage]) -> float | None:
+    """The coverage of several together, None where nothing was due."""
+    due = sum(one.frames + one.missed for one in members)
+    truth = all(one.has_truth for one in members)
+    good = sum(one.tracked_and_matched if truth else one.tracked for one in members)
+    try:
+        return good / due if due > 0 else None
+    except OverflowError:
+        return None
+
+
+def _notes(stored: StoredFigures, evaluation: Evaluation) -> Iterator[str]:
     """What makes the two less comparable, and what is not compared."""
     name, now, then = evaluation.name, evaluation.coverage, stored.coverage
     if now.frames != then.frames:

@@ -14,7 +14,7 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.alignment import common_factor, remove_constant_offset
 from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value, statistics
+from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
 from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.evaluation.joint_offsets import NO_FRAME, JointOffsets, OffsetFrame
 from posetrack_cli.evaluation.metrics.catalogue import addresses, metric_of
@@ -164,6 +164,7 @@ def _measured(
         joint_offsets=offsets,
         judged=judged,
         counts=measures.counts,
+        distributions=measures.distributions,
     )
 
 
@@ -245,7 +246,7 @@ def _without_truth(
     measures: Measures, result: Result, track: Track, options: EvalOptions, rows: IntArray
 ) -> None:
     """Add self-consistency and what the run says about itself; series of these rows of the track."""
-    measures.metrics |= consistency_metrics(track)
+    consistency_metrics(measures, track)
     if options.recording is not None:
         _against_images(measures, result, options, rows)
     run_metrics(measures, track, result.run)
@@ -263,7 +264,7 @@ def _against_images(measures: Measures, result: Result, options: EvalOptions, ro
     for name, values in found.items():
         known = np.isfinite(values)
         if known.any():
-            measures.metrics[name] = statistics(values[known])
+            measures.summarise(name, values[known])
         if known[rows].any():
             measures.series[name] = rows_of(values, rows)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TypeAlias
@@ -69,6 +70,25 @@ def _deviation(flat: FloatArray) -> float:
     return largest * float((flat / largest).std()) if 0.0 < largest < np.inf else float(flat.std())
 
 
+def _percentiles_of_ranked(
+    ranked: Callable[[int], float], count: int, percent: Sequence[float]
+) -> list[float]:
+    """Return percentiles, linear between the two nearest values, of values that are known by their rank.
+
+    Args:
+        ranked: returns the value that has so many smaller ones, 0 to ``count`` - 1.
+        count: how many values; at least one.
+        percent: 0 to 100 each.
+    """
+    found = []
+    for one in percent:
+        place = one / 100.0 * (count - 1)
+        low, high = ranked(math.floor(place)), ranked(math.ceil(place))
+        between = math.isfinite(low) and math.isfinite(high)
+        found.append(low + (place - math.floor(place)) * (high - low) if between else high)
+    return found
+
+
 def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
     """Percentiles, linear between the two nearest values; numpy's own are NaN near an infinite value."""
     if not np.isinf(flat).any():
@@ -78,6 +98,42 @@ def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
     with np.errstate(invalid="ignore"):
         between = np.where(finite, np.percentile(flat, percent), high)
     return np.where(low == high, low, between)
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """Values, summarised so that they can be pooled with others, see ``evaluation.distribution``.
+
+    Attributes:
+        count: how many; at least one.
+        mean: of them, NaN if one of them is NaN.
+        sd: their standard deviation, see ``Statistics``.
+        largest: of them.
+        bins: (B,) numbers of the bins that have values, increasing as the values do.
+        counts: (B,) how many values are in each.
+        means: (B,) their mean.
+    """
+
+    count: int
+    mean: float
+    sd: float
+    largest: float
+    bins: IntArray
+    counts: IntArray
+    means: FloatArray
+
+    def statistics(self) -> Statistics:
+        """Return the summary of all values; percentiles are off by less than the width of a bin."""
+        if np.isnan(self.mean) and not np.isinf(self.means).any():
+            nan = float("nan")
+            return Statistics(nan, nan, nan, nan, nan, nan, self.count)
+        last = np.cumsum(self.counts)
+
+        def ranked(place: int) -> float:
+            return float(self.means[np.searchsorted(last, place, side="right")])
+
+        p5, median, p95 = _percentiles_of_ranked(ranked, self.count, (5.0, 50.0, 95.0))
+        return Statistics(self.mean, self.sd, median, p95, self.largest, p5, self.count)
 
 
 Value: TypeAlias = Statistics | float
@@ -133,6 +189,7 @@ class Evaluation:
         joint_offsets: the constant offset that each joint was rid of; None where that was not asked for.
         judged: the frames with a truth, right or wrong, and what the track says of them; None without.
         counts: what the shares among the metrics are made from, where they are of single frames or entries.
+        distributions: of the metrics as wholes that are ``Statistics``, what pooling needs of their values.
     """
 
     name: str
@@ -154,3 +211,4 @@ class Evaluation:
     joint_offsets: JointOffsets | None = None
     judged: JudgedFrames | None = None
     counts: Mapping[str, Count] = field(default_factory=dict)
+    distributions: Mapping[str, Distribution] = field(default_factory=dict)

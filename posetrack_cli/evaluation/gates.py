@@ -8,13 +8,14 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
-from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, statistics
 from posetrack_cli.evaluation.figures import Figure, Measured, figure_of
-from posetrack_cli.evaluation.metrics.catalogue import Address, catalogue, split_address
-from posetrack_cli.evaluation.pooling import Pool
+from posetrack_cli.evaluation.metrics.catalogue import Address, catalogue, is_pooled, split_address
+from posetrack_cli.evaluation.pooling import POOLED, Pool
 from posetrack_cli.files import read_text
 
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
@@ -28,8 +29,10 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
 """Longest first, so that ``>=`` is not read as ``>``."""
 GRAMMAR = "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !=, then a number"
 EXAMPLE = "such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'"
-POOLED = "pooled."
+PREFIX = f"{POOLED}."
 """Begins the address of a figure of all results together."""
+OVER = re.compile(rf"({'|'.join(STATISTIC_NAMES)}) *\((.*)\)")
+"""A statistic over the figures of all results, such as ``p95(joint_error_mm.mean)``."""
 CONDITION = re.compile(rf"([^<>=!]+)({'|'.join(OPERATORS)})([^<>=!]+)")
 
 
@@ -43,6 +46,8 @@ class Gate:
         sign: the comparison, a key of ``OPERATORS``.
         limit: what the figure is compared with.
         pooled: whether it is about the results together, not about each.
+        over: the statistic over the figures of the results that it is about, or empty.
+        title: what reports of tests call it, the same from run to run, whatever the limit; else the text.
     """
 
     text: str
@@ -50,6 +55,15 @@ class Gate:
     sign: str
     limit: float
     pooled: bool = False
+    over: str = ""
+    title: str = ""
+
+    @property
+    def figure(self) -> str:
+        """The full name of the figure."""
+        address = self.address
+        name = address.base if address.statistic is None else f"{address.base}.{address.statistic}"
+        return f"{self.over}({name})" if self.over else f"{PREFIX}{name}" if self.pooled else name
 
 
 @dataclass(frozen=True)
@@ -61,7 +75,8 @@ class GateOutcome:
         result: the result's name.
         figure: its figure, or None where it cannot be judged.
         failed: whether the condition is true, or cannot be judged.
-        reason: why it cannot be judged, or empty.
+        reason: why it cannot be judged, else what the figure is.
+        title: as of the gate.
     """
 
     gate: str
@@ -69,6 +84,7 @@ class GateOutcome:
     figure: float | None
     failed: bool
     reason: str
+    title: str = ""
 
     @property
     def line(self) -> str:
@@ -79,7 +95,10 @@ class GateOutcome:
 
 
 def parse_gate(text: str) -> Gate:
-    """Read a condition ``[pooled.]METRIC[.PART][.STATISTIC] OP NUMBER``; where it is true it has failed.
+    """Read a condition ``FIGURE OP NUMBER``; where it is true it has failed.
+
+    A figure is ``METRIC[.PART][.STATISTIC]`` of each result; ``pooled.METRIC[.STATISTIC]`` of the frames of
+    all results together; or ``STATISTIC(METRIC[.PART][.STATISTIC])`` of the figures that the results have.
 
     Raises:
         UsageError: it is no such condition, or names no figure there is.
@@ -90,15 +109,38 @@ def parse_gate(text: str) -> Gate:
             f"'{text.strip()}' is no condition", expected=GRAMMAR, hint=_sign_hint(text) or EXAMPLE
         )
     name, sign, number = (part.strip() for part in match.groups())
-    pooled = name.startswith(POOLED)
-    address = split_address(name.removeprefix(POOLED))
-    if pooled and not address.metric.pooled:
-        known = ", ".join(name for name, metric in catalogue().items() if metric.pooled)
-        raise UsageError(f"'{address.metric.name}' is not pooled over results", expected=f"one of {known}")
+    over, inner = _over_results(name)
+    pooled = inner.startswith(PREFIX)
+    if over and pooled:
+        raise UsageError(f"'{inner}' is one figure, not one of each result", expected=f"{over}(METRIC)")
+    address = split_address(inner.removeprefix(PREFIX))
+    if pooled and not is_pooled(address.base):
+        _refuse_pooled(address)
     if address.statistic is None and not address.metric.scalar:
-        choices = ", ".join(f"{name}.{statistic}" for statistic in STATISTIC_NAMES)
+        choices = ", ".join(f"{inner}.{statistic}" for statistic in STATISTIC_NAMES)
         raise UsageError(f"condition '{text.strip()}' does not say which statistic", expected=choices)
-    return Gate(f"{name} {sign} {number}", address, sign, _limit(number, text.strip()), pooled)
+    return Gate(f"{name} {sign} {number}", address, sign, _limit(number, text.strip()), pooled, over)
+
+
+def _over_results(name: str) -> tuple[str, str]:
+    """The statistic over results, or nothing, and the name of the figure."""
+    if "(" not in name and ")" not in name:
+        return "", name
+    match = OVER.fullmatch(name)
+    if match is None:
+        known = ", ".join(f"{statistic}(...)" for statistic in STATISTIC_NAMES)
+        raise UsageError(
+            f"'{name}' is no figure over results", expected=f"one of {known}", hint="p95(joint_error_mm.mean)"
+        )
+    return match[1], match[2].strip()
+
+
+def _refuse_pooled(address: Address) -> NoReturn:
+    if address.part is not None and not address.metric.scalar:
+        hint = f"{PREFIX}{address.metric.name}, or over results p95({address.base}.mean)"
+        raise UsageError(f"parts of '{address.metric.name}' are not pooled over results", hint=hint)
+    known = ", ".join(name for name in catalogue() if is_pooled(name))
+    raise UsageError(f"'{address.metric.name}' is not pooled over results", expected=f"one of {known}")
 
 
 def read_gates(path: Path) -> list[Gate]:
@@ -122,7 +164,7 @@ def read_gates(path: Path) -> list[Gate]:
 def check_gates(
     gates: Sequence[Gate], evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()
 ) -> list[GateOutcome]:
-    """Apply every gate to every result, those of pooled figures to every pool.
+    """Apply every gate to every result, those of pooled figures and those over results to every pool.
 
     A gate that cannot be judged has failed: its metric is absent or no finite number, the result is empty,
     or its coverage is 0, when only figures of coverage itself say anything.
@@ -132,18 +174,51 @@ def check_gates(
     """
     for gate in gates:
         _check_part(gate.address, evaluations)
-    return [check_gate(gate, one) for gate in gates for one in (pools if gate.pooled else evaluations)]
+    by_name = {one.name: one for one in evaluations}
+    outcomes: list[GateOutcome] = []
+    for gate in gates:
+        if gate.over:
+            outcomes += [_check_over(gate, one, [by_name[name] for name in one.results]) for one in pools]
+        else:
+            outcomes += [check_gate(gate, one) for one in (pools if gate.pooled else evaluations)]
+    return outcomes
 
 
 def check_gate(gate: Gate, evaluation: Measured) -> GateOutcome:
     """Apply one gate to one result, or to one pool."""
-    figure = _judged(evaluation, gate.address)
+    return judge_figure(gate, evaluation.name, _judged(evaluation, gate.address))
+
+
+def _check_over(gate: Gate, pool: Pool, members: Sequence[Evaluation]) -> GateOutcome:
+    """Apply a gate to the figures that a pool's results have; none may be without."""
+    figures = [_judged(one, gate.address) for one in members]
+    lacking = [
+        (one.name, figure.reason) for one, figure in zip(members, figures, strict=True) if figure.reason
+    ]
+    if lacking:
+        name, reason = lacking[0]
+        more = f", and {len(lacking) - 1} more without it" if len(lacking) > 1 else ""
+        return judge_figure(gate, pool.name, Figure(None, f"{name}: {reason}{more}"))
+    values = [figure.value for figure in figures if figure.value is not None]
+    return judge_figure(gate, pool.name, Figure(float(getattr(statistics(values), gate.over))), len(values))
+
+
+def judge_figure(gate: Gate, name: str, figure: Figure, results: int = 0) -> GateOutcome:
+    """Apply a gate to a figure.
+
+    Args:
+        gate: the condition.
+        name: whose figure it is.
+        figure: or why there is none.
+        results: over how many results it is; 0 for that of one or of a pool.
+    """
+    title = gate.title or gate.text
     if figure.value is None:
-        return GateOutcome(gate.text, evaluation.name, None, True, figure.reason)
+        return GateOutcome(gate.text, name, None, True, figure.reason, title)
     failed = OPERATORS[gate.sign](figure.value, gate.limit)
-    name = f"{POOLED if gate.pooled else ''}{gate.address.base}{_suffix(gate.address)}"
-    shown = f"{name} is {shown_figure(figure.value, gate.limit)}"
-    return GateOutcome(gate.text, evaluation.name, figure.value, failed, shown)
+    over = f" over {results} result{'s' * (results > 1)}" if results else ""
+    shown = f"{gate.figure}{over} is {shown_figure(figure.value, gate.limit)}"
+    return GateOutcome(gate.text, name, figure.value, failed, shown, title)
 
 
 def shown_figure(value: float, limit: float) -> str:
@@ -202,7 +277,3 @@ def _check_part(address: Address, evaluations: Iterable[Evaluation]) -> None:
         known = {base.removeprefix(prefix) for base in bases if base.startswith(prefix)}
         hint = nearest_name(address.part or "", known) if known else "it has no parts"
         raise UsageError(f"metric '{address.metric.name}' has no '{address.part}' here", hint=hint)
-
-
-def _suffix(address: Address) -> str:
-    return "" if address.statistic is None else f".{address.statistic}"

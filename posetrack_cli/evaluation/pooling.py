@@ -1,23 +1,27 @@
 """Several results as one: each frame counts alike, whichever recording it is of.
 
-What is pooled are counts of frames, shares and what a track says of itself: the metrics that say ``pooled``.
-A gate addresses them by ``pooled.NAME``.
+What is pooled are counts of frames, shares, what a track says of itself, and the statistics of every metric
+as a whole (``metrics.catalogue.is_pooled``). A gate addresses them by ``pooled.NAME``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import TypeAlias
 
 from posetrack_cli.evaluation.coverage import Coverage
+from posetrack_cli.evaluation.distribution import Collected
 from posetrack_cli.evaluation.evaluate import coverage_metrics
 from posetrack_cli.evaluation.evaluation import Count, Evaluation, Value
 from posetrack_cli.evaluation.honesty import JudgedFrames, pooled_frames
-from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of
+from posetrack_cli.evaluation.metrics.catalogue import is_pooled, place_of
 from posetrack_cli.evaluation.metrics.honesty_metrics import HONESTY, honesty_metrics
 from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.recording.base import RECORDING_KEY
 
+POOLED = "pooled"
+"""What results together are called."""
 NO_FRAMES = "the results have no frame in common with their truth"
 
 
@@ -34,6 +38,7 @@ class Pool:
         metrics: values by address, as of an ``Evaluation``; only what every member has.
         absent: the addresses that are pooled and have no value, and why.
         judged: all their frames with a truth; None where a member has none.
+        grouped: whether they are a group.
     """
 
     name: str
@@ -41,9 +46,10 @@ class Pool:
     which: str
     results: tuple[str, ...]
     coverage: Coverage
-    metrics: Mapping[str, float]
+    metrics: Mapping[str, Value]
     absent: Mapping[str, str]
     judged: JudgedFrames | None
+    grouped: bool = False
 
     @property
     def says_more(self) -> bool:
@@ -51,8 +57,32 @@ class Pool:
         return len(self.results) > 1 and bool(self.metrics)
 
 
+class Gathered:
+    """The values of results that are pooled, as they are measured one after the other."""
+
+    def __init__(self) -> None:
+        self._collected: dict[str, Collected] = {}
+
+    def add(self, evaluation: Evaluation) -> None:
+        """Take the distributions of a result, which it then need not keep."""
+        for base, one in evaluation.distributions.items():
+            self._collected.setdefault(base, Collected()).add(one)
+
+    def statistics(self, results: int) -> dict[str, Value]:
+        """Return the figures that each of so many results had."""
+        return {
+            base: of.total().statistics() for base, of in self._collected.items() if of.members == results
+        }
+
+
+PoolKey: TypeAlias = tuple[str, str] | str
+"""What is pooled: a subject and a track of the results that are in no group, or a group's name."""
+
+
 def make_pools(
-    evaluations: Sequence[Evaluation], groups: Mapping[str, Sequence[Evaluation]]
+    evaluations: Sequence[Evaluation],
+    groups: Mapping[str, Sequence[Evaluation]],
+    gathered: Mapping[PoolKey, Gathered] | None = None,
 ) -> tuple[Pool, ...]:
     """Pool results that stand for themselves, by subject and track, and those of each group.
 
@@ -62,12 +92,15 @@ def make_pools(
     Args:
         evaluations: that are in no group.
         groups: by name; the members of one are of the same subject and track.
+        gathered: the values of each pool; by default the evaluations have them still.
     """
+    known = gathered or {}
     kinds: dict[tuple[str, str], list[Evaluation]] = {}
     for one in evaluations:
         kinds.setdefault((one.subject, one.which), []).append(one)
-    alone = [pool(_name(of, kinds), of, _same_recording(of)) for of in kinds.values()]
-    return (*alone, *(pool(f"pooled {name}", members) for name, members in groups.items()))
+    alone = [pool(_name(of, kinds), of, _same_recording(of), known.get(kind)) for kind, of in kinds.items()]
+    together = (pool(f"{POOLED} {name}", of, "", known.get(name)) for name, of in groups.items())
+    return (*alone, *(replace(one, grouped=True) for one in together))
 
 
 def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> str:
@@ -75,7 +108,7 @@ def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> st
     first, kinds = members[0], list(kinds)
     subjects, tracks = ({kind[k] for kind in kinds} for k in (0, 1))
     more = [first.subject] * (len(subjects) > 1) + [first.which] * (len(tracks) > 1)
-    return " ".join(["pooled", *more])
+    return " ".join([POOLED, *more])
 
 
 def _same_recording(members: Sequence[Evaluation]) -> str:
@@ -92,7 +125,9 @@ def _same_recording(members: Sequence[Evaluation]) -> str:
     return ""
 
 
-def pool(name: str, members: Sequence[Evaluation], reason: str = "") -> Pool:
+def pool(
+    name: str, members: Sequence[Evaluation], reason: str = "", gathered: Gathered | None = None
+) -> Pool:
     """Pool results of one kind of subject.
 
     A figure that one of them lacks is not made of the others alone. What confidence says is made anew from
@@ -102,15 +137,20 @@ def pool(name: str, members: Sequence[Evaluation], reason: str = "") -> Pool:
         name: what the pool is called.
         members: at least one.
         reason: why they have no figures together; by default they do.
+        gathered: their values; by default they have them still.
     """
+    if gathered is None:
+        gathered = Gathered()
+        for one in members:
+            gathered.add(one)
     coverage = _added([one.coverage for one in members])
     judged = None if reason else _judged(members)
     measures = Measures(NO_FRAMES)
     if not reason:
-        measures.metrics |= coverage_metrics(coverage) | _shares(members)
+        measures.metrics |= coverage_metrics(coverage) | _shares(members) | gathered.statistics(len(members))
         if judged is not None:
             honesty_metrics(measures, judged)
-    found = {base: value for base, value in measures.metrics.items() if isinstance(value, float)}
+    found = measures.metrics
     every = dict.fromkeys((*_addresses(members), *found, *measures.absent))
     addresses = sorted(every, key=place_of)
     return Pool(
@@ -155,7 +195,7 @@ def _share(counts: Sequence[Count]) -> float:
 def _addresses(members: Sequence[Evaluation]) -> dict[str, None]:
     """What is pooled of everything that a member has or lacks."""
     every = dict.fromkeys(base for one in members for base in (*one.metrics, *one.absent))
-    return {base: None for base in every if metric_of(base).pooled}
+    return {base: None for base in every if is_pooled(base)}
 
 
 def _lacking(members: Sequence[Evaluation], base: str) -> str:

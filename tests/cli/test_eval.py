@@ -207,7 +207,7 @@ def test_the_metrics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate("--list-metrics") == 0
     out = lines(capsys.readouterr().out)
     assert "joint_error_mm[.JOINT].STATISTIC, mm, lower is better" in out
-    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 2
+    assert "coverage, higher is better" in out and len(out) == 2 * len(CATALOGUE) + 3
 
 
 def test_no_result_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from posetrack_cli.evaluation import assessment
 from posetrack_cli.evaluation.assessment import Request, assess, stated_options
+from posetrack_cli.evaluation.distribution import STEP
 from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.evaluation import Evaluation, Statistics, statistics
 from posetrack_cli.evaluation.gates import parse_gate
 from support.evaluation import hand_evaluation
 
@@ -70,3 +74,90 @@ def test_options_are_stated_as_plain_values() -> None:
         "recording": None,
         "joint_offsets": None,
     }
+
+
+def made_of_its_own(path: Path, options: EvalOptions, name: str) -> Evaluation:
+    """A result of a recording of its own, with parts, of a length of its own."""
+    frames = 20 + 7 * int(path.stem)
+    return hand_evaluation(name, frames, path=path, run={"input.sha256": name, "configuration": "c"})
+
+
+def many(count: int) -> tuple[Path, ...]:
+    return tuple(Path(f"{place}.mcap") for place in range(count))
+
+
+def test_results_of_five_recordings_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assessment, "evaluate", made_of_its_own)
+    assert not assess(Request(results=many(4))).rows
+    assert assess(Request(results=many(5))).rows
+    assert assess(Request(results=many(2), layout="rows")).rows
+    beside = assess(Request(results=many(6), layout="columns", keep_tracks=True))
+    assert not beside.rows and all(len(one.track) for one in beside.evaluations)
+
+
+def test_results_of_one_recording_stay_beside_each_other() -> None:
+    found = assess(Request(results=many(7)))  # all of recording aa
+    assert not found.rows and found.comparison is not None
+
+
+def test_rows_keep_figures_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assessment, "evaluate", made_of_its_own)
+    for one in assess(Request(results=many(6), keep_tracks=True)).evaluations:
+        assert (len(one.track), one.truth, one.pairs, one.series) == (0, None, None, {})
+        assert one.distributions == {} and not any("." in base for base in (*one.metrics, *one.absent))
+    gate = parse_gate("joint_error_mm.index_tip.mean > 1000")
+    for request in (Request(results=many(6), parts=True), Request(results=many(6), gates=(gate,))):
+        found = assess(request)
+        assert all("joint_error_mm.index_tip" in one.metrics for one in found.evaluations)
+        assert not found.failed
+
+
+def test_the_total_is_that_of_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Brute force: the joint errors of all frames of all results, summarised at once."""
+    monkeypatch.setattr(assessment, "evaluate", made_of_its_own)
+    (total,) = assess(Request(results=many(9))).sets
+    every = [made_of_its_own(path, EvalOptions(), path.stem) for path in many(9)]
+    errors = [np.linalg.norm(one.track.points - one.truth.points, axis=2).ravel() for one in every]
+    brute, found = statistics(np.concatenate(errors)), total.pool.metrics["joint_error_mm"]
+    assert isinstance(found, Statistics) and found.count == brute.count == 21 * sum(
+        20 + 7 * k for k in range(9)
+    )
+    np.testing.assert_allclose(
+        [found.mean, found.sd, found.max], [brute.mean, brute.sd, brute.max], rtol=1e-12
+    )
+    np.testing.assert_allclose([found.median, found.p95], [brute.median, brute.p95], rtol=np.expm1(STEP))
+
+
+PEAK = """
+import sys, tracemalloc
+from pathlib import Path
+from posetrack_cli.evaluation import assessment
+from posetrack_cli.evaluation.assessment import Request, assess
+from support.evaluation import hand_evaluation
+
+def made(path, options, name):
+    return hand_evaluation(name, int(sys.argv[2]), path=path, run={"input.sha256": name})
+
+assessment.evaluate = made
+paths = tuple(Path(f"{place}.mcap") for place in range(int(sys.argv[1])))
+assess(Request(results=paths[:6]))
+tracemalloc.start()
+found = assess(Request(results=paths, keep_tracks=True))
+print(tracemalloc.get_traced_memory()[0])
+"""
+
+
+def kept_bytes(results: int, frames: int) -> int:
+    """What an assessment of so many results holds when it is done, in a process of its own."""
+    tests = Path(__file__).parents[1]
+    command = [sys.executable, "-c", PEAK, str(results), str(frames)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tests, check=True)
+    return int(done.stdout)
+
+
+def test_what_rows_hold_does_not_grow_with_their_frames() -> None:
+    """Per frame only what says whether it was right, a float and three flags; its joints take 504 bytes."""
+    results, frames = 30, 2000
+    more = kept_bytes(results, frames) - kept_bytes(results, frames // 2)
+    per_frame = more / (results * frames / 2)
+    assert per_frame < 64.0  # twice 11 bytes, of each and pooled, and the bins that more values fill

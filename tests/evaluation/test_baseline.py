@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,9 +13,12 @@ from hypothesis import strategies as st
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.baseline import FLOOR, check_baseline, read_baseline
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Statistics
+from posetrack_cli.evaluation.distribution import distribution
+from posetrack_cli.evaluation.evaluation import Statistics, statistics
+from posetrack_cli.evaluation.pooling import make_pools
 from posetrack_cli.evaluation.reports.report_files import json_report
 from support.evaluation import hand_evaluation
+from support.rows import result
 
 OPTIONS = {"tolerance_ms": 5.0, "time_offset_s": 0.0, "align": "none"}
 
@@ -153,3 +158,97 @@ def test_what_is_no_baseline_is_one_line(tmp_path: Path, content: bytes, said: s
 def test_a_missing_baseline(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="baseline cannot be read, found No such file"):
         read_baseline(tmp_path / "none.json")
+
+
+def checked(path: Path, *members, tolerance: float = 0.05):
+    return check_baseline(read_baseline(path), members, tolerance, OPTIONS, make_pools(members, {}))
+
+
+def stored_set(folder: Path, *members) -> Path:
+    path = folder / "baseline.json"
+    path.write_text(json_report(members, OPTIONS, pools=make_pools(members, {}), rows=True))
+    return path
+
+
+def with_errors(name: str, errors: list[float], **changes: object):
+    """A result with so many joint errors, and no other key figure than coverage."""
+    values = np.array(errors)
+    summary = statistics(values)
+    return result(
+        name,
+        1.0,
+        metrics={"coverage": 1.0, "joint_error_mm": summary},
+        distributions={"joint_error_mm": distribution(values, summary)},
+        **changes,
+    )
+
+
+def test_a_set_is_compared_result_by_result_and_together(tmp_path: Path) -> None:
+    path = stored_set(tmp_path, with_errors("a", [10.0] * 99), with_errors("b", [2.0]))
+    check = checked(path, with_errors("b", [8.0]), with_errors("a", [10.0] * 99))
+    failed = [outcome for outcome in check.outcomes if outcome.failed]
+    assert {(one.result, one.title) for one in failed} == {
+        ("b", "baseline: joint_error_mm.mean"),
+        ("b", "baseline: joint_error_mm.p95"),
+    }
+    of_all = [outcome for outcome in check.outcomes if outcome.result == "pooled"]
+    assert {one.title for one in of_all} == {
+        "baseline: pooled.coverage",
+        "baseline: pooled.joint_error_mm.mean",
+        "baseline: pooled.joint_error_mm.p95",
+    }
+    assert check.notes == () and set(check.earlier) == {"a", "b", "pooled"}
+
+
+def test_all_together_fail_where_each_alone_passes_only_by_what_is_pooled(tmp_path: Path) -> None:
+    """Frames move from the good recording to the bad one: each is as good as before, all together are not."""
+    path = stored_set(tmp_path, with_errors("good", [1.0] * 90), with_errors("bad", [20.0] * 10))
+    check = checked(path, with_errors("good", [1.0] * 10), with_errors("bad", [20.0] * 90))
+    assert {outcome.result for outcome in check.outcomes if outcome.failed} == {"pooled"}
+
+
+def test_new_results_are_told_and_missing_ones_fail(tmp_path: Path) -> None:
+    old = [with_errors(name, [error]) for name, error in (("a", 1.0), ("b", 2.0), ("gone", 3.0))]
+    now = [with_errors(name, [error]) for name, error in (("a", 1.0), ("b", 2.0), ("new", 90.0))]
+    check = checked(stored_set(tmp_path, *old), *now)
+    (line,) = [outcome.line for outcome in check.outcomes if outcome.failed]
+    assert line.startswith("gone: gate 'baseline' cannot be judged: the baseline holds it, and no result now")
+    assert check.notes == (
+        "1 result is new and not compared: new",
+        "pooled: compared are means and coverage over the 2 results that the baseline has, too",
+    )
+
+
+def test_sets_that_differ_are_compared_by_the_frames_of_what_both_have(tmp_path: Path) -> None:
+    path = stored_set(
+        tmp_path, with_errors("a", [1.0] * 9), with_errors("b", [11.0]), with_errors("c", [99.0])
+    )
+    now = [with_errors("a", [1.0] * 9), with_errors("b", [21.0]), with_errors("d", [500.0])]
+    check = checked(path, *now)
+    (mean,) = [one for one in check.outcomes if one.title == "baseline: pooled.joint_error_mm.mean"]
+    assert mean.figure == pytest.approx((9 * 1.0 + 21.0) / 10) and mean.failed
+    assert "(baseline 2, " in mean.gate
+    assert not any(one.title == "baseline: pooled.joint_error_mm.p95" for one in check.outcomes)
+
+
+def test_a_set_without_any_result_of_the_baseline_fails(tmp_path: Path) -> None:
+    check = checked(stored_set(tmp_path, measured("a"), measured("b")), measured("x"), measured("y"))
+    assert [one.result for one in check.outcomes if one.failed] == ["x", "y"]
+
+
+def test_a_baseline_of_before_errors_were_pooled_serves(tmp_path: Path) -> None:
+    old = [with_errors(name, [error]) for name, error in (("a", 1.0), ("b", 2.0))]
+    path = tmp_path / "baseline.json"
+    report = json.loads(json_report(old, OPTIONS, pools=make_pools(old, {})))
+    report["pooled"] = [{**one, "metrics": {"coverage": {"value": 1.0}}} for one in report["pooled"]]
+    path.write_text(json.dumps(report))
+    check = checked(path, with_errors("a", [1.0]), with_errors("b", [9.0]))
+    assert ("pooled", True) in {(one.result, one.failed) for one in check.outcomes}
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "true", '"7"', "null", "[1]"])
+def test_what_is_no_number_in_a_baseline_is_no_figure(tmp_path: Path, number: str) -> None:
+    path = stored_set(tmp_path, with_errors("a", [1.0]), with_errors("b", [1.0]))
+    path.write_text(path.read_text().replace('"mean": 1.0', f'"mean": {number}'))
+    check = checked(path, with_errors("a", [1.0]), with_errors("b", [1.0]))
+    assert not any("mean" in one.title for one in check.outcomes)

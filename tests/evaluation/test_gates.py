@@ -6,6 +6,7 @@ import operator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -259,10 +260,16 @@ def test_a_pooled_gate_that_a_result_has_no_frames_for_cannot_be_judged() -> Non
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("pooled.frames_per_s < 10", "'frames_per_s' is not pooled over results, expected one of "),
         (
-            "pooled.joint_error_mm.mean > 10",
-            "'joint_error_mm' is not pooled over results, expected one of ",
+            "pooled.joint_error_mm.index_tip.mean > 10",
+            "parts of 'joint_error_mm' are not pooled over results",
         ),
+        ("p95(pooled.coverage) < 1", "'pooled.coverage' is one figure, not one of each result"),
+        ("p99(coverage) < 1", r"'p99\(coverage\)' is no figure over results, expected one of mean"),
+        ("p95(coverage < 1", "is no figure over results"),
+        ("p95(joint_error_mm) > 1", "does not say which statistic, expected joint_error_mm.mean"),
+        ("p95(joint_eror_mm.mean) > 1", "did you mean 'joint_error_mm'"),
         ("pooled.confidence_roc_are < 1", "did you mean 'confidence_roc_area'"),
         ("pooled > 1", "no metric 'pooled'"),
     ],
@@ -270,3 +277,40 @@ def test_a_pooled_gate_that_a_result_has_no_frames_for_cannot_be_judged() -> Non
 def test_what_is_not_pooled_is_refused(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         parse_gate(text)
+
+
+def with_mean(name: str, mean: float, **changes: Any) -> Evaluation:
+    figures = Statistics(mean, 1.0, mean, mean, mean, mean, 4)
+    run = {"input.sha256": name}
+    return evaluation(name=name, metrics={"coverage": 1.0, "joint_error_mm": figures}, run=run, **changes)
+
+
+def test_a_gate_over_results_is_about_their_figures() -> None:
+    members = [with_mean(f"r{place}", float(place)) for place in range(1, 22)]  # 1, 2, ..., 21 mm
+    gates = [parse_gate("p95(joint_error_mm.mean) > 19.5"), parse_gate("count(coverage) < 21")]
+    outcomes = check_gates(gates, members, make_pools(members, {}))
+    assert [(one.result, one.failed, one.figure) for one in outcomes] == [
+        ("pooled", True, 20.0),
+        ("pooled", False, 21.0),
+    ]
+    assert outcomes[0].line == (
+        "pooled: gate 'p95(joint_error_mm.mean) > 19.5' failed: "
+        "p95(joint_error_mm.mean) over 21 results is 20"
+    )
+
+
+def test_a_gate_over_results_of_which_one_has_no_figure_cannot_be_judged() -> None:
+    blind = [with_mean(name, 1.0, absent={}) for name in "bc"]
+    blind = [replace(one, metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"}) for one in blind]
+    members = [with_mean("a", 1.0), *blind]
+    (outcome,) = check_gates([parse_gate("max(joint_error_mm.mean) > 99")], members, make_pools(members, {}))
+    assert outcome.failed and outcome.figure is None
+    assert outcome.reason == "b: no truth, and 1 more without it"
+
+
+def test_a_pooled_error_is_that_of_all_frames() -> None:
+    a, b = hand_evaluation("a", 30, 2.0, run={}), hand_evaluation("b", 300, 20.0, run={})
+    gate = parse_gate("pooled.joint_error_mm.mean > 0")
+    (outcome,) = check_gates([gate], [a, b], make_pools([a, b], {}))
+    means = [one.metrics["joint_error_mm"].mean for one in (a, b)]
+    assert outcome.figure == pytest.approx((30 * means[0] + 300 * means[1]) / 330)

@@ -14,13 +14,16 @@ import pytest
 
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation
-from posetrack_cli.evaluation.html import write_html
+from posetrack_cli.evaluation.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.html import write_html, write_rows_html
 from posetrack_cli.evaluation.html.packing import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
+from posetrack_cli.evaluation.html.rows_page import RowsPage
 from posetrack_cli.evaluation.html.writer import ReportPage
 from support.browser import console_lines, open_browser, requested, set_features, set_width
 from support.evaluation import hand_evaluation
 from support.html import NASTY, head_evaluation, picture, shortened, without_truth
+from support.rows import result, result_set
 from support.tracks import FRAME_NS
 
 FRAMES = 120
@@ -556,3 +559,37 @@ def test_ten_thousand_frames_are_drawn(make: Make) -> None:
     page.slide(1)
     assert page.reading[0] == f"frame {step_for(10_000, budget_for(1).scene_frames)}"
     assert page.canvas_colours() > 10
+
+
+def test_rows_are_sorted_and_filtered(driver: Any, tmp_path: Path) -> None:
+    members = [result(f"take-{place}", error) for place, error in ((2, 3.0), (10, 9.0), (1, 6.0))]
+    blind = result("blind", 1.0, metrics={"coverage": 1.0, "frames": 4.0}, absent={"joint_error_mm": "no"})
+    members.append(blind)
+    outcomes = check_gates([parse_gate("joint_error_mm.mean > 5")], members)
+    path = tmp_path / "rows.html"
+    write_rows_html(path, RowsPage([result_set(members, outcomes)], outcomes))
+    page = Page(driver, path).open()
+    cells = "document.querySelectorAll('table.rows tbody tr:not([hidden]) th')"
+    names = f"return [...{cells}].map((cell) => cell.textContent)"
+    assert page.run(names) == ["blind", "take-10", "take-1", "take-2"]
+    heads = page.all("table.rows thead th button")
+    error = next(one for one in heads if one.text.startswith("joint error, mean"))
+    error.click()  # was in order of it, the largest first
+    assert page.run(names) == ["take-2", "take-1", "take-10", "blind"]
+    error.click()
+    assert page.run(names) == ["take-10", "take-1", "take-2", "blind"]
+    heads[0].click()
+    assert page.run(names) == ["blind", "take-1", "take-2", "take-10"]  # numbers within names count
+    assert [one.get_attribute("aria-sort") for one in page.all("table.rows th[aria-sort]")] == ["ascending"]
+    page.press(".name-filter", "TAKE-1")
+    assert page.run(names) == ["take-1", "take-10"]
+    assert page.find(".shown-count").text == "2 of 4 results shown"
+    page.find(".only-failed").click()
+    page.press(".name-filter", "0")
+    assert page.run(names) == ["take-10"]
+    page.run("document.querySelector('.name-filter').value = ''")
+    page.run("document.querySelector('.name-filter').dispatchEvent(new Event('input'))")
+    assert page.run(names) == ["blind", "take-1", "take-10"]  # what cannot be judged has failed
+    assert console_lines(page.driver) == []
+    asked = [address for address in requested(page.driver) if not address.startswith("data:")]
+    assert asked == [path.as_uri()]

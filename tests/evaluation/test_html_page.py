@@ -19,7 +19,7 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.comparing.comparison import compare
 from posetrack_cli.evaluation.coverage import Coverage
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html import gallery, write_html, writer
+from posetrack_cli.evaluation.html import assets, gallery, rows_page, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import ReportPage, html_page
 from posetrack_cli.losses import Loss
@@ -331,7 +331,7 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytes
         part.write_text("half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(writer, "write_output", full)
+    monkeypatch.setattr(assets, "write_output", full)
     with pytest.raises(ResultError, match="No space left"):
         write_html(path, ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
     assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
@@ -341,5 +341,6 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytes
 def test_every_script_is_on_the_page() -> None:
     folder = Path(gallery.__file__).parent / "scripts"
     text = page(hand_evaluation(frames=2))
-    for script in folder.glob("*.js"):
+    assert {path.stem for path in folder.glob("*.js")} == {*writer.SCRIPTS, *rows_page.SCRIPTS}
+    for script in (folder / f"{name}.js" for name in writer.SCRIPTS):
         assert script.read_text(encoding="utf-8").strip() in text

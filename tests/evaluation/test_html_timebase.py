@@ -16,6 +16,7 @@ from posetrack_cli.evaluation.html.timebase import (
     state_spans,
     timebases,
 )
+from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics
 from posetrack_cli.evaluation.track import Track
 from support.tracks import hand_track
@@ -58,7 +59,9 @@ def test_gaps_are_what_the_metric_counts() -> None:
     stamps = track.stamp_ns
     assert (gap_spans(stamps) / SECOND).tolist() == [[0.2, 0.5], [0.74, 0.9]]
     alone = dataclasses.replace(track, points=None, position=None, cost=None, confidence=None)
-    assert consistency_metrics(alone)["gaps"] == 2.0
+    measures = Measures("")
+    consistency_metrics(measures, alone)
+    assert measures.metrics["gaps"] == 2.0
     assert gap_spans(stamps[:1]).shape == (0, 2)
 
 

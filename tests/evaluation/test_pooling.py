@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Count, Evaluation
+from posetrack_cli.evaluation.distribution import STEP, distribution
+from posetrack_cli.evaluation.evaluation import Count, Evaluation, statistics
 from posetrack_cli.evaluation.honesty import JudgedFrames
-from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of
+from posetrack_cli.evaluation.metrics.catalogue import is_pooled, place_of
 from posetrack_cli.evaluation.pooling import make_pools, pool
 from support.evaluation import hand_evaluation
 
@@ -23,6 +24,7 @@ def judged(right: list[int], confidence: list[float], lost: list[int] | None = N
 
 def result(name: str, frames: JudgedFrames | None, **changes: Any) -> Evaluation:
     made: dict[str, Any] = {"judged": frames, "run": {"input.sha256": name}, "metrics": {}, "absent": {}}
+    made |= {"distributions": {}, "counts": {}}
     return hand_evaluation(name, 3, **{**made, **changes})
 
 
@@ -69,8 +71,9 @@ def test_a_figure_that_one_lacks_is_not_that_of_the_others() -> None:
 
 def test_only_what_can_be_pooled_is_there() -> None:
     one = pool("a", [hand_evaluation("a", run={})])
-    assert all(metric_of(address).pooled for address in (*one.metrics, *one.absent))
-    assert {"coverage", "frames_wrong", "confidence_roc_area"} <= set(one.metrics)
+    assert all(is_pooled(address) for address in (*one.metrics, *one.absent))
+    assert {"coverage", "frames_wrong", "confidence_roc_area", "joint_error_mm"} <= set(one.metrics)
+    assert "joint_error_mm.index_tip" not in (*one.metrics, *one.absent)
     places = [place_of(address) for address in one.metrics]
     assert places == sorted(places)
 
@@ -98,3 +101,34 @@ def test_kinds_and_tracks_and_groups_are_pooled_apart() -> None:
     ]
     assert [one.name for one in make_pools([hand, other], {})] == ["pooled"]
     assert make_pools([], {}) == ()
+
+
+def with_errors(name: str, errors: np.ndarray, **changes: Any) -> Evaluation:
+    summary = statistics(errors)
+    return result(
+        name,
+        None,
+        metrics={"joint_error_mm": summary},
+        distributions={"joint_error_mm": distribution(errors, summary)},
+        **changes,
+    )
+
+
+def test_errors_together_are_those_of_all_frames() -> None:
+    """Brute force: the statistics of every value at once; long results weigh more than short ones."""
+    rng = np.random.default_rng(5)
+    samples = [rng.gamma(2.0, scale, (frames, 21)) for frames, scale in ((3, 40.0), (400, 2.0), (57, 9.0))]
+    made = pool("all", [with_errors(name, of) for name, of in zip("abc", samples, strict=True)])
+    every = np.concatenate([one.ravel() for one in samples])
+    figures, brute = made.metrics["joint_error_mm"], statistics(every)
+    assert figures.count == brute.count and figures.max == brute.max
+    np.testing.assert_allclose([figures.mean, figures.sd], [brute.mean, brute.sd], rtol=1e-12)
+    found, expected = ([of.p5, of.median, of.p95] for of in (figures, brute))
+    np.testing.assert_allclose(found, expected, rtol=float(np.expm1(STEP)))
+    assert abs(figures.mean - np.mean([one.mean() for one in samples])) > 1.0  # no mean of means
+
+
+def test_errors_that_one_lacks_are_not_those_of_the_others() -> None:
+    a, b = with_errors("a", np.ones(4)), result("b", None, absent={"joint_error_mm": "no truth"})
+    made = pool("both", [a, b])
+    assert "joint_error_mm" not in made.metrics and made.absent["joint_error_mm"] == "b: no truth"

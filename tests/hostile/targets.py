@@ -58,6 +58,7 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
         (1, ("eval", name, "--parts")),
         (1, ("eval", name, "--json", "-")),
         (1, ("eval", name, "--html", "out.html")),
+        (1, ("eval", name, "--layout", "rows", "--html", "out.html", "--markdown", "-")),
         (2, ("export", name)),
         (2, ("export", name, "--format", "json")),
         (1, ("export", name, "-o", "out.npz")),

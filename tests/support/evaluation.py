@@ -9,7 +9,8 @@ import numpy as np
 
 from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation, statistics
+from posetrack_cli.evaluation.distribution import distribution
+from posetrack_cli.evaluation.evaluation import Count, Curve, Evaluation, statistics
 from posetrack_cli.evaluation.honesty import JudgedFrames
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from support.tracks import hand_track
@@ -26,6 +27,8 @@ def hand_evaluation(name: str = "a", frames: int = 300, error_mm: float = 5.0, *
     thresholds = np.arange(0.0, 101.0)
     share = (largest[:, None] < thresholds).mean(axis=0)
     rows = np.arange(frames, dtype=np.int64)
+    wholes = {"joint_error_mm": errors, "largest_joint_error_mm": largest}
+    distributions = {base: distribution(of, statistics(of)) for base, of in wholes.items()} if frames else {}
     values: dict[str, Any] = {
         "name": name,
         "path": Path(f"{name}.mcap"),
@@ -48,6 +51,8 @@ def hand_evaluation(name: str = "a", frames: int = 300, error_mm: float = 5.0, *
         "track": track,
         "truth": truth,
         "pairs": Pairs(rows, rows),
+        "counts": {"frames_within_20mm": Count(int((largest < 20).sum()), frames)},
+        "distributions": distributions,
         "judged": JudgedFrames(
             confidence=np.where(np.arange(frames) % 4 == 0, 0.65, 0.85),
             right=errors.mean(axis=1) <= np.median(errors.mean(axis=1)),

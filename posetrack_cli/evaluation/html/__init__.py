@@ -2,9 +2,12 @@
 
 ``writer`` puts it together; ``page_data`` reduces evaluations to what the page's plots show; ``summary``,
 ``provenance`` and ``gallery`` write the parts that need no script; ``report.html``, ``report.css`` and
-``scripts/*.js`` are the page itself, inlined when it is written.
+``scripts/*.js`` are the page itself, inlined when it is written (``assets``). ``rows_page`` with
+``rows.html`` is the page of many results: one table, a row for each.
 """
 
-from posetrack_cli.evaluation.html.writer import check_page, write_html
+from posetrack_cli.evaluation.html.assets import check_page
+from posetrack_cli.evaluation.html.rows_page import write_rows_html
+from posetrack_cli.evaluation.html.writer import write_html
 
-__all__ = ["check_page", "write_html"]
+__all__ = ["check_page", "write_html", "write_rows_html"]

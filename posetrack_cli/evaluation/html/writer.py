@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
 from posetrack_cli import __version__
-from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.html.assets import asset, policy, scripts, write_page
 from posetrack_cli.evaluation.html.components import text
 from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
 from posetrack_cli.evaluation.html.packing import json_text
@@ -26,10 +24,7 @@ from posetrack_cli.evaluation.html.summary import (
     summary_tables,
 )
 from posetrack_cli.evaluation.pooling import Pool
-from posetrack_cli.files import write_output
-from posetrack_cli.outputs import check_place, whole_or_nothing
 
-HERE = Path(__file__).parent
 SCRIPTS = (
     "format",
     "data",
@@ -51,8 +46,6 @@ SCRIPTS = (
     "main",
 )
 """In the order in which the page runs them."""
-
-ENDINGS = (".html", ".htm")
 
 
 @dataclass(frozen=True)
@@ -84,35 +77,18 @@ def write_html(path: Path, page: ReportPage) -> None:
         UsageError: the path is not named as a page, or is a folder.
         ResultError: it cannot be written.
     """
-    check_page(path)
-    written = html_page(page)
-    with whole_or_nothing(path) as part:
-        write_output(part, written.encode("utf-8", "backslashreplace"))
-
-
-def check_page(path: Path) -> None:
-    """Refuse a name that a page cannot have, before time is spent on what it shows.
-
-    Raises:
-        UsageError: it does not end in ``.html``, or is a folder.
-        ResultError: its folder does not exist.
-    """
-    if path.suffix.lower() not in ENDINGS:
-        raise UsageError("page is not named as HTML", where=path, expected="a name that ends in .html")
-    if path.is_dir():
-        raise UsageError("page is a folder", where=path, expected="the name of a file")
-    check_place(path)
+    write_page(path, html_page(page))
 
 
 def html_page(page: ReportPage) -> str:
     """Return the page's text, see ``write_html``."""
     evaluations = page.evaluations
-    style = _asset("report.css")
-    script = '"use strict";\n' + "\n".join(_asset(f"scripts/{name}.js") for name in SCRIPTS)
+    style = asset("report.css")
+    script = scripts(SCRIPTS)
     gallery = fitting(evaluations, page.pictures)
     data = page_data(evaluations, gallery.pictures, page.pools)
-    return Template(_asset("report.html")).substitute(
-        policy=_policy(style, script),
+    return Template(asset("report.html")).substitute(
+        policy=policy(style, script),
         version=text(__version__),
         title=text(page.title),
         style=style,
@@ -129,19 +105,4 @@ def html_page(page: ReportPage) -> str:
         provenance=provenance(evaluations),
         about=about(data),
         data=json_text(data),
-    )
-
-
-def _asset(name: str) -> str:
-    return (HERE / name).read_text(encoding="utf-8")
-
-
-def _policy(style: str, script: str) -> str:
-    """Content security policy: the page's own script and style, embedded pictures, nothing else."""
-    style_hash, script_hash = (
-        base64.b64encode(hashlib.sha256(source.encode()).digest()).decode() for source in (style, script)
-    )
-    return (
-        f"default-src 'none'; script-src 'sha256-{script_hash}'; style-src 'sha256-{style_hash}'; "
-        "img-src data:; base-uri 'none'; form-action 'none'"
     )

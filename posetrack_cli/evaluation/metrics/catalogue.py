@@ -298,6 +298,12 @@ def metric_of(address: str) -> Metric:
     return known[name]
 
 
+def is_pooled(address: str) -> bool:
+    """Whether the figures of an address are told of several results together, too; of parts only shares."""
+    metric = metric_of(address)
+    return metric.pooled if metric.scalar else "." not in address
+
+
 def label_and_unit(address: str) -> tuple[str, str]:
     """Return what an address is called for readers, and its unit: ``joint error, index tip`` and ``mm``."""
     metric, part = metric_of(address), address.partition(".")[2]

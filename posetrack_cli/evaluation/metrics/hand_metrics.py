@@ -6,7 +6,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.alignment import tracked_pairs
-from posetrack_cli.evaluation.evaluation import Curve
+from posetrack_cli.evaluation.evaluation import Count, Curve
 from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.evaluation.metrics.covariance_metrics import POSE_AXES, covariance_metrics
 from posetrack_cli.evaluation.metrics.measures import (
@@ -168,6 +168,9 @@ def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | Non
     for names, values in ((_WITHIN, largest), (_MEAN_WITHIN, mean)):
         shares = pose_errors.share_below(values, np.array(WITHIN_MM), due)
         measures.metrics |= {name: float(share) for name, share in zip(names, shares, strict=True)}
+        measures.counts |= {
+            name: Count(round(float(share) * due), due) for name, share in zip(names, shares, strict=True)
+        }
     return Curve(CURVE_MM, *(pose_errors.share_below(values, CURVE_MM, due) for values in (largest, mean)))
 
 

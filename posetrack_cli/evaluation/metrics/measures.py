@@ -10,7 +10,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Count, Value, statistics
+from posetrack_cli.evaluation.distribution import distribution
+from posetrack_cli.evaluation.evaluation import Count, Distribution, Value, statistics
 from posetrack_cli.evaluation.track import Track
 
 
@@ -109,6 +110,7 @@ class Measures:
         series: per-frame values by address; of wholes only, parts would be many.
         absent: reasons by metric or address.
         counts: by address what ``share`` made shares from.
+        distributions: by address of a whole what pooling needs of the values that were summarised.
         notes: what a reader must know about the figures.
     """
 
@@ -118,6 +120,7 @@ class Measures:
     absent: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     counts: dict[str, Count] = field(default_factory=dict)
+    distributions: dict[str, Distribution] = field(default_factory=dict)
 
     def add(self, address: str, values: FloatArray, known: BoolArray | None = None) -> None:
         """Summarise the values of frames (M,), or of frames and parts (M, K), whose mean is the series.
@@ -144,7 +147,9 @@ class Measures:
     def summarise(self, address: str, values: FloatArray, nothing: str = "") -> bool:
         """Summarise values; of none the reason is kept. Returns whether there were any."""
         if values.size:
-            self.metrics[address] = statistics(values)
+            summary = self.metrics[address] = statistics(values)
+            if "." not in address:
+                self.distributions[address] = distribution(values, summary)
         else:
             self.absent[address] = nothing or self.nothing
         return bool(values.size)

@@ -37,7 +37,7 @@ class Metric:
         scalar: one number; otherwise ``Statistics``.
         spoken: what a page calls it; by default the name without its unit.
         needs_depth: whether it is measured against depth images.
-        pooled: whether it is told of several results together, too.
+        pooled: of one number, whether it is told of several results together, too; ``Statistics`` always are.
     """
 
     name: str

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.evaluation.evaluation import Value, statistics
 from posetrack_cli.evaluation.metrics.measures import Measures
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.recording.timeline import GAP_FACTOR
@@ -20,8 +19,8 @@ NOT_COUNTED = "the result does not say how many poses were evaluated"
 NO_WEIGHTS = "the tracker has no weighted particles"
 
 
-def consistency_metrics(track: Track) -> dict[str, Value]:
-    """Return the metrics of a track that need nothing but the track; what it does not allow is left out.
+def consistency_metrics(measures: Measures, track: Track) -> None:
+    """Add the metrics of a track that need nothing but the track; what it does not allow is left out.
 
     - ``cost_mm``: over the frames that have a cost; ``confidence``: over all.
     - ``jitter_mm``: see ``jitter``; needs three frames in a row.
@@ -29,19 +28,18 @@ def consistency_metrics(track: Track) -> dict[str, Value]:
       ``largest_gap_s``: the longest interval. Both need two frames.
     - ``status_changes``: how often a frame's status differs from that of the frame before.
     """
-    metrics: dict[str, Value] = {}
+    metrics = measures.metrics
     samples = {"cost_mm": track.cost, "confidence": track.confidence, "jitter_mm": jitter(track)}
     for name, values in samples.items():
         known = None if values is None else values[~np.isnan(values)]
         if known is not None and known.size:
-            metrics[name] = statistics(known)
+            measures.summarise(name, known)
     if len(track) >= 2:
         metrics["gaps"] = float(_gaps(track).sum())
         metrics["largest_gap_s"] = float(np.diff(track.stamp_ns).max()) / NS_PER_S
     if len(track) and track.lost is not None and track.reinitialised is not None:
         status = track.lost.astype(np.int64) + 2 * track.reinitialised
         metrics["status_changes"] = float((np.diff(status) != 0).sum())
-    return metrics
 
 
 def jitter(track: Track) -> FloatArray | None:

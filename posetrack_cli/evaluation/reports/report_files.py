@@ -16,14 +16,16 @@ import numpy as np
 from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Statistics, Value
+from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Curve, Evaluation, Statistics, Value
 from posetrack_cli.evaluation.gates import GateOutcome
 from posetrack_cli.evaluation.honesty import JudgedFrames, reliability, roc_curve
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
-from posetrack_cli.evaluation.metrics.catalogue import metric_of, split_address
+from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of, split_address
 from posetrack_cli.evaluation.pooling import Pool
+from posetrack_cli.evaluation.rows import ResultSet
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.outputs import check_free, check_place, whole_or_nothing
+from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.text import printable_json
 
 
@@ -73,6 +75,8 @@ def json_report(
     comparison: Comparison | None = None,
     gates: Sequence[GateOutcome] = (),
     pools: Sequence[Pool] = (),
+    *,
+    rows: bool = False,
 ) -> str:
     """Return the report as JSON text.
 
@@ -80,7 +84,8 @@ def json_report(
     with either ``value`` or mean, sd, median, p95, max, p5 and count), absent metrics with reasons, curve,
     reliability and ROC curve of confidence, joint offsets that were removed, notes, losses and run record;
     ``pooled`` the same of the results together and of each group, as far as it is pooled; ``comparison`` the
-    paired differences, ``gates`` the outcome of every gate.
+    paired differences, ``gates`` the outcome of every gate. Results that are rows of a table have no curve,
+    no reliability and of the run record only what tells recordings apart; ``layout`` says what they are.
 
     Args:
         evaluations: the results.
@@ -88,15 +93,17 @@ def json_report(
         comparison: of the results or groups.
         gates: of ``--fail-if``, files of gates and a baseline.
         pools: results together.
+        rows: whether the results are rows of a table.
     """
     report = {
         "format": FORMAT,
         "version": __version__,
         "options": dict(options),
-        "results": [_result(one) for one in evaluations],
+        "layout": "rows" if rows else "columns",
+        "results": [_row(one) if rows else _result(one) for one in evaluations],
         "pooled": [_pool(one) for one in pools],
         "comparison": None if comparison is None else _comparison(comparison),
-        "gates": [asdict(outcome) for outcome in gates],
+        "gates": [vars(outcome) for outcome in gates],
     }
     return printable_json(json.dumps(finite(report), indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
 
@@ -112,18 +119,30 @@ def finite(value: Any) -> Any:
     return value
 
 
-def _result(evaluation: Evaluation) -> dict[str, Any]:
+OF_RECORDING = ("seed", "input.name", RECORDING_KEY)
+"""What rows keep of a run record."""
+
+
+def _row(evaluation: Evaluation) -> dict[str, Any]:
+    """What every report says of a result."""
     return {
         "name": evaluation.name,
         "file": str(evaluation.path),
         "track": evaluation.which,
         "subject": evaluation.subject,
         **_figures(evaluation),
+        "notes": list(evaluation.notes),
+        "losses": [asdict(loss) for loss in evaluation.losses],
+        "run": {key: evaluation.run[key] for key in OF_RECORDING if key in evaluation.run},
+    }
+
+
+def _result(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        **_row(evaluation),
         "curve": None if evaluation.curve is None else _curve(evaluation.curve),
         "honesty": None if evaluation.judged is None else _honesty(evaluation.judged),
         "joint_offsets": _offsets(evaluation.joint_offsets),
-        "notes": list(evaluation.notes),
-        "losses": [asdict(loss) for loss in evaluation.losses],
         "run": dict(evaluation.run),
     }
 
@@ -225,6 +244,35 @@ def csv_report(
     if comparison is not None:
         writer.writerows(_differences(comparison))
     return text.getvalue()
+
+
+def csv_rows(sets: Sequence[ResultSet]) -> str:
+    """Return a line for each result, the worst first, and after them one of all together, with a header.
+
+    The columns are ``result``, ``subject``, ``track``, ``gates_failed`` and the address of each figure; what
+    a result has not is empty. The last line of each set has the name of its pool.
+    """
+    rows = [row for one in sets for row in (*one.rows, one.total)]
+    bases = sorted(dict.fromkeys(base for row in rows for base in row.measured.metrics), key=place_of)
+    figures = [f"{base}{ending}" for base in bases for ending in _endings(base)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["result", "subject", "track", "gates_failed", *figures])
+    for row in rows:
+        one = row.measured
+        values = [figure for base in bases for figure in _values(base, one.metrics.get(base))]
+        writer.writerow([one.name, one.subject, one.which, row.failed, *values])
+    return text.getvalue()
+
+
+def _endings(base: str) -> Sequence[str]:
+    return [""] if metric_of(base).scalar else [f".{name}" for name in STATISTIC_NAMES]
+
+
+def _values(base: str, value: Value | None) -> Sequence[float | str]:
+    if isinstance(value, Statistics):
+        return [getattr(value, name) for name in STATISTIC_NAMES]
+    return [""] * len(_endings(base)) if value is None else [value]
 
 
 def _lines(result: str, base: str, value: Value) -> Iterator[Line]:

@@ -13,7 +13,7 @@ from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Sta
 from posetrack_cli.evaluation.figures import Measured
 from posetrack_cli.evaluation.honesty import Bin, reliability
 from posetrack_cli.evaluation.joint_offsets import JointOffsets
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, metric_of, place_of
+from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, is_pooled, metric_of, place_of
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Group
 from posetrack_cli.evaluation.pooling import Pool
@@ -101,8 +101,9 @@ def catalogue_lines() -> Iterator[str]:
         yield f"{metric.name}{part}{statistic}{unit}{better}"
         yield f"    {metric.meaning}"
     yield f"STATISTIC is one of {', '.join(STATISTIC_NAMES)}"
-    pooled = ", ".join(metric.name for metric in CATALOGUE if metric.pooled)
-    yield f"pooled.NAME is the figure of all results together, or of each group; of {pooled}"
+    lone = ", ".join(metric.name for metric in CATALOGUE if not is_pooled(metric.name))
+    yield "pooled.NAME is the figure of the frames of all results together, or of each group; not of " + lone
+    yield "p95(NAME), and so every STATISTIC, is that of the figures that the results have: p5(coverage)"
 
 
 def pooled_table(pools: Sequence[Pool]) -> Table | None:

@@ -36,9 +36,9 @@ def _within(threshold_mm: int, which: str) -> Metric:
         f"is below {threshold_mm} mm."
     )
     if which == "mean":
-        return Metric(f"frames_mean_{name}", "", meaning, better="higher", scalar=True)
+        return Metric(f"frames_mean_{name}", "", meaning, better="higher", scalar=True, pooled=True)
     spoken = f"frames within {threshold_mm} mm"
-    return Metric(f"frames_{name}", "", meaning, better="higher", scalar=True, spoken=spoken)
+    return Metric(f"frames_{name}", "", meaning, better="higher", scalar=True, spoken=spoken, pooled=True)
 
 
 def _bias(axis: str, meaning: str) -> Metric:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from typing import Any
 
+from posetrack_cli.evaluation.figures import figure_of
 from posetrack_cli.evaluation.honesty import JudgedFrames, pooled_frames, reliability
 from posetrack_cli.evaluation.metrics.honesty_metrics import (
     BRIER,
@@ -150,8 +151,11 @@ def _intervals(options: Options, measured: Measured, targets: Targets) -> Iterat
     """The share of true joint coordinates within the stated 90 % intervals."""
     every = (evaluation_with_bones(person, options, measured) for person in options.people)
     found = [one for one in every if one is not None]
-    figures = dict(pool("exact mesh", found).metrics) if found else {}
-    joints, wrist = (figures.get(address) for address in (INSIDE, f"{INSIDE}.{WRIST}"))
+    together = pool("exact mesh", found) if found else None
+    joints, wrist = (
+        None if together is None else figure_of(together, address).value
+        for address in (INSIDE, f"{INSIDE}.{WRIST}")
+    )
     if joints is not None:
         measured.note("honesty", INSIDE, {"joints": joints, "wrist": wrist})
         yield (

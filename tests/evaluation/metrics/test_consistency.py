@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Statistics
-from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics, jitter
+from posetrack_cli.evaluation.evaluation import Statistics, Value
+from posetrack_cli.evaluation.metrics import without_truth
+from posetrack_cli.evaluation.metrics.measures import Measures
+from posetrack_cli.evaluation.metrics.without_truth import jitter
 from posetrack_cli.evaluation.track import Track
 from support.tracks import hand_track
 
@@ -34,6 +36,12 @@ def along_x(*x: float) -> FloatArray:
     points = np.zeros((len(x), 1, 3))
     points[:, 0, 0] = x
     return points
+
+
+def consistency_metrics(track: Track) -> dict[str, Value]:
+    measures = Measures("")
+    without_truth.consistency_metrics(measures, track)
+    return measures.metrics
 
 
 def values_of(track: Track) -> FloatArray:

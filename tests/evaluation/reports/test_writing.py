@@ -1,0 +1,64 @@
+"""All reports of an assessment, written without a command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from posetrack_cli.evaluation import assessment
+from posetrack_cli.evaluation.assessment import Request, assess
+from posetrack_cli.evaluation.evaluate import EvalOptions
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.gates import parse_gate
+from posetrack_cli.evaluation.reports.writing import Reports, report_texts, write_reports
+from support.rows import result
+
+NAMES = ("a", "b", "c", "d", "e", "f")
+
+
+@pytest.fixture(autouse=True)
+def measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    def made_up(path: Path, options: EvalOptions, name: str) -> Evaluation:
+        return result(name, 1.0 + NAMES.index(name), path=path)
+
+    monkeypatch.setattr(assessment, "evaluate", made_up)
+
+
+def request(*names: str) -> Request:
+    paths = tuple(Path(f"{name}.mcap") for name in names)
+    return Request(results=paths, gates=(parse_gate("joint_error_mm.mean > 5.5"),))
+
+
+def test_every_report_tells_of_the_same_results(tmp_path: Path) -> None:
+    kinds = ("json", "csv", "junit", "markdown")
+    places = {kind: tmp_path / f"r.{kind}" for kind in kinds}
+    asked = request(*NAMES)
+    write_reports(assess(asked), asked.options, Reports(**places), tmp_path / "r.html", most=2)
+    worst_first = list(reversed(NAMES))
+    report = json.loads(places["json"].read_text())
+    assert [one["name"] for one in report["results"]] == worst_first
+    rows = list(csv.DictReader(places["csv"].read_text().splitlines()))
+    assert [row["result"] for row in rows] == [*worst_first, "pooled"]
+    assert [row["gates_failed"] for row in rows] == ["1", *["0"] * 6]
+    tests = ET.fromstring(places["junit"].read_bytes()).findall(".//testcase")
+    assert [test.get("classname") for test in tests] == list(NAMES)
+    assert [test.get("classname") for test in tests if len(test)] == ["f"]
+    assert "The 2 worst of 6 results" in places["markdown"].read_text()
+    page = (tmp_path / "r.html").read_text()
+    assert [page.index(f"<bdi>{name}</bdi>") for name in worst_first] == sorted(
+        page.index(f"<bdi>{name}</bdi>") for name in NAMES
+    )
+    assert sorted(one.name for one in tmp_path.iterdir()) == sorted(
+        [*(path.name for path in places.values()), "r.html"]
+    )
+
+
+def test_only_what_is_asked_for_is_made() -> None:
+    asked = request("a", "b")
+    place = Path("r.csv")
+    ((path, text),) = report_texts(assess(asked), asked.options, Reports(csv=place))
+    assert path == place and text.startswith("result,metric,part,statistic,value,unit\n")

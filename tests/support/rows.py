@@ -1,0 +1,52 @@
+"""Many results made up, as rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.evaluation.distribution import distribution
+from posetrack_cli.evaluation.evaluation import Evaluation, statistics
+from posetrack_cli.evaluation.gates import GateOutcome
+from posetrack_cli.evaluation.metrics.catalogue import Address
+from posetrack_cli.evaluation.pooling import make_pools
+from posetrack_cli.evaluation.rows import Earlier, ResultSet, Verdict, result_sets
+from support.evaluation import hand_evaluation
+
+
+class Before:
+    """A baseline in which every figure was the same."""
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+
+    def figure(self, address: Address) -> float | None:
+        return self.value
+
+
+def result(name: str, error_mm: float, **changes: Any) -> Evaluation:
+    """A result of a recording of its own with four frames, whose joint errors are about this large."""
+    errors = error_mm * np.array([0.5, 0.75, 1.25, 1.5])
+    summary = statistics(errors)
+    made: dict[str, Any] = {
+        "run": {"input.sha256": name},
+        "metrics": {"coverage": 1.0, "frames": 4.0, "joint_error_mm": summary},
+        "absent": {},
+        "counts": {},
+        "distributions": {"joint_error_mm": distribution(errors, summary)},
+        "judged": None,
+    }
+    return hand_evaluation(name, 4, **{**made, **changes})
+
+
+def result_set(
+    members: Sequence[Evaluation],
+    outcomes: Sequence[GateOutcome] = (),
+    earlier: Mapping[str, Earlier] | None = None,
+) -> ResultSet:
+    """The set of results of one kind."""
+    verdict = Verdict(outcomes, earlier or {}, earlier is not None)
+    (made,) = result_sets(members, make_pools(members, {}), verdict)
+    return made
