@@ -41,6 +41,7 @@ KERNEL_SOURCES = (
 )
 """Files that compiled code is made of, constants included."""
 _MOST_THREADS = 8
+THREADS_VARIABLE = "POSETRACK_THREADS"
 # No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in
 # which order fastmath would add up, depends on what was compiled or loaded before: equal runs, unequal bits.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -175,8 +176,12 @@ def _listening(start: Callable[[], None], end: Callable[[], None]) -> Iterator[N
 def thread_count() -> int:
     """Return how many threads share compiled work: one for each core that this process may use, 8 at most.
 
-    Results do not depend on it.
+    Whoever starts several processes at a time says how many each may have, in POSETRACK_THREADS. Results do
+    not depend on it.
     """
+    told = os.environ.get(THREADS_VARIABLE, "")
+    if told.isdecimal() and 0 < int(told) <= _MOST_THREADS:
+        return int(told)
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(allowed, _MOST_THREADS)
 

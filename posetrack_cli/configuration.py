@@ -235,6 +235,8 @@ def _kinds(model: type[BaseModel], name: str) -> tuple[Any, ...]:
 def _fields_at(model: type[BaseModel], location: list[str]) -> list[str]:
     """Names of the keys in the table at a location."""
     for part in location:
+        if part.isdecimal():  # of a list of tables
+            continue
         kinds = _kinds(model, part)
         tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
         if not tables:

@@ -15,6 +15,7 @@ from typing import Any
 import click
 import numpy as np
 
+from benchmarking.batches import batches
 from benchmarking.commands import start_up
 from benchmarking.hands import hands
 from benchmarking.heads import heads
@@ -48,6 +49,7 @@ PARTS: Mapping[str, Part] = {
     "hand": lambda device, lengths: hands(device, _depths(device, lengths.hand_frames), lengths),
     "head": lambda device, lengths: heads(lengths),
     "eval": lambda device, lengths: evaluation(lengths.eval_frames),
+    "batch": lambda device, lengths: batches(lengths),
 }
 
 

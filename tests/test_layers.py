@@ -13,6 +13,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 LAYERS = (
     "cli",
+    "batch",
     "evaluation",
     "synthesis",
     "hand",

@@ -263,7 +263,7 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
     for path, text in report_texts(found, request.options, reports, options["worst"]):
         _write(path, text)
     if options["html"] is not None:
-        _write_page(found, options["html"], options["recording"])
+        write_page(found, options["html"], options["recording"])
 
 
 def _write(path: Path, text: str) -> None:
@@ -275,7 +275,14 @@ def _write(path: Path, text: str) -> None:
         write_report(path, text)
 
 
-def _write_page(found: Assessment, path: Path, recording: Path | None) -> None:
+def write_page(found: Assessment, path: Path, recording: Path | None) -> None:
+    """Write a page about results, with the worst frames as pictures where they can be drawn.
+
+    Args:
+        found: what was measured, with tracks kept.
+        path: of the page.
+        recording: to draw on; None looks for the one that each result was made from.
+    """
     from posetrack_cli.evaluation.html import write_html, write_rows_html
     from posetrack_cli.evaluation.html.writer import ReportPage
     from posetrack_cli.evaluation.reports.writing import rows_page_of

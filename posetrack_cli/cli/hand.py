@@ -21,15 +21,17 @@ from posetrack_cli.cli.options import (
     smooth_option,
 )
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.running import close, compiling_said, kept, progress
+from posetrack_cli.cli.running import close, compiling_said, kept, print_remark, progress
 from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.geometry.camera import Camera
+    from posetrack_cli.hand.calibration.before_run import HandFound
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.keypoints.file import KeypointFile
     from posetrack_cli.hand.run import HandRun
+    from posetrack_cli.recording.recording import Recording
 
 # option -> configuration key
 CONFIGURED = {
@@ -98,7 +100,7 @@ hand.add_command(hand_synth)
     metavar="auto|average|FILE",
     help="Size and shape of the hand: auto estimates them from the recording unless they are told, average "
     "is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of hand "
-    "calibrate.  [default: auto]",
+    "calibrate, or a result of hand run: its side and shape.  [default: auto]",
 )
 @click.option(
     "--keypoints",
@@ -143,21 +145,23 @@ def hand_run(recording: Path, **options: Any) -> None:
             kept(output),
         ):
             outcome = run.track(report, stopped)
-    if found:
-        print_note(f"{recording}: {found}")
+    if found.line:
+        if found.is_doubtful:
+            print_remark(recording, found.line)
+        else:
+            print_note(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 
-def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, str]:
+def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, HandFound]:
     """Refuse what can be refused before the first frame, and settle what is left open."""
     from posetrack_cli.hand.calibration.before_run import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
-    from posetrack_cli.recording.opening import open_recording
     from posetrack_cli.rendering.devices import open_fastest_device
     from posetrack_cli.tracking.options import frames_ahead
 
     config = _configuration(options)
-    source = open_recording(recording, **reading_options(options))
+    source = open_hand_recording(recording, options)
     keypoints = _keypoints(options, source.cameras[0])
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
@@ -165,7 +169,14 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], _say, keypoints)
     run = HandRun(source, found.config, run_options, device)
-    return run, frames_ahead(source, run_options), found.line
+    return run, frames_ahead(source, run_options), found
+
+
+def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
+    """Return the recording of depth."""
+    from posetrack_cli.recording.opening import open_recording
+
+    return open_recording(recording, **reading_options(options))
 
 
 def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
@@ -205,4 +216,9 @@ def _with_shape(options: dict[str, Any]) -> dict[str, Any]:
         shape = "average"  # of that size
     if shape in (None, "auto", "average"):
         return options | {"shape": {"auto": "auto", "average": "given"}.get(shape)}
+    if Path(shape).suffix == ".mcap":
+        from posetrack_cli.hand.calibration.of_result import hand_assignments
+
+        told = hand_assignments(Path(shape))
+        return options | {"shape": "given", "settings": (*told, *options["settings"])}
     return options | {"shape": None, "configs": (*options["configs"], shape)}

@@ -101,7 +101,7 @@ def head_mono(recording: Path, **options: Any) -> None:
     """
     from posetrack_cli.head.config import HeadMonoConfig
 
-    source = _opened(recording, options)
+    source = open_mono_recording(recording, options)
     config = head_configuration(HeadMonoConfig, options, OWN_CONFIGURED)
     chosen, face = head_run_options(options, source.cameras[0]), options["face"]
     if chosen.init is not None and face > 1:
@@ -115,8 +115,8 @@ def head_mono(recording: Path, **options: Any) -> None:
     track_head(source, chosen, made)
 
 
-def _opened(recording: Path, options: dict[str, Any]) -> Recording:
-    """The recording of one camera, which may be guessed."""
+def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
+    """Return the recording of one camera, which may be guessed."""
     from posetrack_cli.recording.guess import Guess, guess_of_field
     from posetrack_cli.recording.opening import open_recording
 

@@ -57,14 +57,14 @@ def head_stereo(recording: Path, **options: Any) -> None:
     """
     from posetrack_cli.head.config import HeadStereoConfig
 
-    source = _opened(recording, options)
+    source = open_stereo_recording(recording, options)
     config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
     chosen = head_run_options(options, source.cameras[0])
     track_head(source, chosen, lambda first_pass: _run(source, config, chosen, first_pass))
 
 
-def _opened(recording: Path, options: dict[str, Any]) -> Recording:
-    """The recording, of two cameras at least."""
+def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:
+    """Return the recording, of two cameras at least."""
     from posetrack_cli.recording.opening import open_recording
 
     source = open_recording(recording, "grey", **reading_options(options))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import click
 
 from posetrack_cli import __version__
+from posetrack_cli.cli.batch import batch
 from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
@@ -48,7 +50,7 @@ def cli() -> None:
     """
 
 
-for command in (hand, head, evaluate, view, export, info, convert, calibrate, doctor):
+for command in (hand, head, batch, evaluate, view, export, info, convert, calibrate, doctor):
     cli.add_command(command)
 
 
@@ -61,8 +63,13 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run a command line, print an error as one line, and return the exit code."""
+    return run_safely(lambda: _done(arguments))
+
+
+def run_safely(work: Callable[[], int]) -> int:
+    """Do what gives an exit code, print an error as one line, and return the code."""
     try:
-        return _done(arguments)
+        return work()
     except PosetrackError as error:
         return _failed(str(error), error.exit_code)
     except click.exceptions.NoArgsIsHelpError as error:

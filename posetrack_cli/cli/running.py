@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,38 @@ def _interrupted(resumable: Path | None) -> str:
     return f"interrupted while kernels were compiled: {part_path(resumable)}; --resume goes on"
 
 
+class Listener:
+    """What is told of commands that track, besides what they print; a subclass keeps what it is after."""
+
+    def on_frame(self, pass_name: str, done: int, total: int | None) -> None:
+        """A frame is tracked: so many of so many, where that is known."""
+
+    def on_remark(self, text: str) -> None:
+        """A user should know this of the recording."""
+
+    def on_end(self, tracked: int) -> None:
+        """All frames are done, or it was stopped: so many were tracked now."""
+
+
+_listener: ContextVar[Listener] = ContextVar("listener", default=Listener())  # noqa: B039 has no state
+
+
+@contextmanager
+def told_to(listener: Listener) -> Iterator[None]:
+    """Have a listener told of the commands that run inside."""
+    before = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(before)
+
+
+def print_remark(recording: Path, text: str) -> None:
+    """Print what a user should know of a recording once it is tracked."""
+    _listener.get().on_remark(text)
+    print_note(f"{recording}: {text}")
+
+
 @contextmanager
 def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[Any]:
     """Yield a function that shows an estimate on the progress bar; a bar only where a person looks.
@@ -65,6 +98,7 @@ def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[
     """
     from tqdm import tqdm
 
+    listener = _listener.get()
     with tqdm(total=total, unit="frame", desc=name, file=sys.stderr, disable=None, dynamic_ncols=True) as bar:
 
         def report(estimate: Estimate) -> None:
@@ -75,6 +109,7 @@ def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[
             weights = "" if size is None else f"ESS {size:.0f} "
             bar.set_postfix_str(f"{weights}{estimate.status}", refresh=False)
             bar.update(done - bar.n)
+            listener.on_frame(name, done, total)
 
         yield report
 
@@ -98,6 +133,7 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import part_path
 
+    _listener.get().on_end(outcome.tracked)
     rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
     what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"
     if passes > 1:
@@ -110,7 +146,7 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
         click.get_current_context().exit(EXIT_INTERRUPTED)
     print_line(f"{what}: {output}")
     for remark in outcome.remarks:
-        print_note(f"{recording}: {remark}")
+        print_remark(recording, remark)
     if outcome.losses:
-        print_note(f"{recording}: {loss_line(outcome.losses)}")
+        print_remark(recording, loss_line(outcome.losses))
         click.get_current_context().exit(EXIT_DATA_LOST)

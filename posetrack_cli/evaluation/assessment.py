@@ -29,6 +29,23 @@ Layout: TypeAlias = Literal["columns", "rows"]
 T = TypeVar("T")
 
 DEFAULT_TOLERANCE = 0.05
+MEASURED = "measured"
+"""What a result is that has figures; one that cannot be read fails this gate."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """What is asked of one result that is not asked of others.
+
+    Attributes:
+        name: what it is called; empty leaves that to its file.
+        truth: that it is measured against, in place of the truth for all.
+        gates: conditions under which it fails, besides those for all.
+    """
+
+    name: str = ""
+    truth: Path | None = None
+    gates: tuple[Gate, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -50,6 +67,8 @@ class Request:
             nothing is kept of each but its figures; by default rows from more than ``rows.MOST_BESIDE``
             recordings on.
         parts: whether the figures of parts are kept in rows, too; those that gates name always are.
+        own: what is asked of single results.
+        lenient: whether what cannot be measured is a failure and never an error; of many results it is.
     """
 
     results: tuple[Path, ...] = ()
@@ -63,12 +82,28 @@ class Request:
     page: bool = False
     layout: Layout | None = None
     parts: bool = False
+    own: Mapping[Path, Own] = field(default_factory=dict)
+    lenient: bool = False
+
+    @property
+    def every_gate(self) -> tuple[Gate, ...]:
+        """Those for all, and those of single results."""
+        return (*self.gates, *(gate for own in self.own.values() for gate in own.gates))
+
+    def of(self, path: Path) -> Own:
+        """Return what is asked of a result alone."""
+        return self.own.get(path, Own())
+
+    def options_of(self, path: Path, which: str) -> EvalOptions:
+        """Return how a track of a result is measured."""
+        truth = self.of(path).truth or self.options.truth
+        return replace(self.options, truth=truth, track=which)
 
     def kept(self, evaluation: Evaluation, rows: bool) -> Evaluation:
         """Return as much of a result as is asked for; what is pooled of it was gathered before."""
         kept = replace(evaluation, distributions={})
         if rows:
-            parts = self.parts or any(gate.address.part is not None for gate in self.gates)
+            parts = self.parts or any(gate.address.part is not None for gate in self.every_gate)
             lean = _lean(kept, keep_series=False)
             return lean if parts else _without_parts(lean)
         return kept if self.keep_tracks else _lean(kept, keep_series=not self.groups)
@@ -148,6 +183,8 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
     given = [one for (path, _), one in evaluations.items() if path in results]
     pools = make_pools(given, groups, measuring.gathered)
     outcomes = [*measuring.unread, *check_gates(request.gates, measured, pools)]
+    for (path, _), one in evaluations.items():
+        outcomes += check_gates(request.of(path).gates, [one])
     notes: tuple[str, ...] = ()
     against: BaselineCheck | None = None
     if request.baseline is not None:
@@ -190,30 +227,32 @@ class _Measuring:
 
     def measure(self, report: Callable[[], Any]) -> None:
         """Measure all, in the order given; of many one that cannot be read does not stop the others."""
-        paths = _every_path(self._request)
-        names = unique_names(list(paths))
+        request, paths = self._request, _every_path(self._request)
+        plain = unique_names(list(paths))
+        names = [request.of(path).name or name for path, name in zip(paths, plain, strict=True)]
         first: PosetrackError | None = None
         for path, name in zip(paths, names, strict=True):
             try:
                 self._measure(path, name, names)
             except (ResultError, TruthError) as error:
-                if len(paths) <= MOST_BESIDE:
+                if len(paths) <= MOST_BESIDE and not request.lenient:
                     raise
                 first = first or error
-                self.unread.append(GateOutcome("measured", name, None, True, str(error), "measured"))
+                self.unread.append(GateOutcome(MEASURED, name, None, True, str(error), MEASURED))
             report()
-        if first is not None and not self.evaluations:
+        if first is not None and not self.evaluations and not request.lenient:
             raise first
 
     def _measure(self, path: Path, name: str, names: Sequence[str]) -> None:
+        """Measure the tracks of one result."""
         request = self._request
         several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
         for which in read_result(path).tracks if several else request.tracks:
             own = track_name(name, which, names) if several else name
-            self._keep(path, evaluate(path, replace(request.options, track=which), own))
+            self._keep(path, evaluate(path, request.options_of(path, which), own))
         if adds_smoothed and not self.rows and SMOOTHED in read_result(path).tracks:
             own = track_name(name, SMOOTHED, names)
-            smoothed = evaluate(path, replace(request.options, track=SMOOTHED), own)
+            smoothed = evaluate(path, request.options_of(path, SMOOTHED), own)
             self.beside.append(request.kept(smoothed, rows=False))
 
     def _keep(self, path: Path, one: Evaluation) -> None:

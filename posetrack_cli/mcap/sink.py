@@ -68,6 +68,7 @@ class McapSink:
         self.path = path
         self._schemas: dict[SchemaText, int] = {}
         self._sequences: dict[int, int] = {}
+        self._topics: dict[str, int] = {}
         self._failed = False
         with self._reported():
             self._stream = open_output(path)
@@ -103,7 +104,18 @@ class McapSink:
                 topic, message_encoding, schema_id, dict(metadata or {})
             )
         self._sequences[channel_id] = 0
+        self._topics[topic] = channel_id
         return channel_id
+
+    def channel_of(self, topic: str) -> int:
+        """Return the id of the channel that a topic was registered as, the last of several.
+
+        Raises:
+            ResultError: there is none.
+        """
+        if topic not in self._topics:
+            raise ResultError("no such topic", where=self.path, found=topic)
+        return self._topics[topic]
 
     def write(self, channel_id: int, stamp_ns: int, data: bytes) -> None:
         """Write one message with log time = publish time = ``stamp_ns``, numbered per channel from 0."""

@@ -4,19 +4,37 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input
 
 READ_BYTES = 1024 * 1024
+Digests = dict[str, tuple[int, str]]
+"""Size and SHA-256 by what tells a state of files: names, sizes and times of change."""
+_known: Digests = {}
+_MOST_KNOWN = 10_000
+
+
+def known_digests() -> Digests:
+    """Return the digests that this process has computed or was told."""
+    return dict(_known)
+
+
+def tell_digests(digests: Mapping[str, tuple[int, str]]) -> None:
+    """Tell digests that another process has computed: many read pieces of one long recording."""
+    _known.update({state: (size, digest) for state, (size, digest) in digests.items()})
 
 
 def file_digest(path: Path) -> tuple[int, str]:
     """Return a file's size and the SHA-256 of its bytes, read in pieces."""
-    digest = hashlib.sha256()
-    return _feed(digest, path), digest.hexdigest()
+
+    def compute() -> tuple[int, str]:
+        digest = hashlib.sha256()
+        return _feed(digest, path), digest.hexdigest()
+
+    return _once([("", path)], compute)
 
 
 def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
@@ -25,13 +43,32 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
     Args:
         files: pairs of the name that enters the hash and the path to read.
     """
-    digest = hashlib.sha256()
-    total = 0
+    files = list(files)
+
+    def compute() -> tuple[int, str]:
+        digest, total = hashlib.sha256(), 0
+        for name, path in files:
+            # Sizes are hashed so that bytes cannot move from one file to the next unnoticed.
+            digest.update(os.fsencode(name) + f"\0{_stat(path).st_size}\0".encode())
+            total += _feed(digest, path)
+        return total, digest.hexdigest()
+
+    return _once(files, compute)
+
+
+def _once(files: Sequence[tuple[str, Path]], compute: Callable[[], tuple[int, str]]) -> tuple[int, str]:
+    """Compute what is not known of the files as they are now."""
+    state = hashlib.sha256()
     for name, path in files:
-        # Sizes are hashed so that bytes cannot move from one file to the next unnoticed.
-        digest.update(os.fsencode(name) + f"\0{_size(path)}\0".encode())
-        total += _feed(digest, path)
-    return total, digest.hexdigest()
+        stat = _stat(path)
+        state.update(os.fsencode(name) + b"\0" + os.fsencode(path.absolute()))
+        state.update(f"\0{stat.st_size}\0{stat.st_mtime_ns}\0".encode())
+    key = f"{len(files)}-{state.hexdigest()}"
+    if key not in _known:
+        if len(_known) >= _MOST_KNOWN:
+            _known.clear()
+        _known[key] = compute()
+    return _known[key]
 
 
 def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[str, str]:
@@ -51,9 +88,9 @@ def shown_name(path: Path) -> str:
     return os.fsencode(path.name).decode(errors="replace")
 
 
-def _size(path: Path) -> int:
+def _stat(path: Path) -> os.stat_result:
     try:
-        return path.stat().st_size
+        return path.stat()
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
 

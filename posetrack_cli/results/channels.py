@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -172,9 +172,24 @@ class ResultChannels:
         Raises:
             ResultError: as of ``write_estimate``.
         """
+        self._smoothed_track().write(estimate, vertices)
+
+    def copy(self, messages: Iterable[tuple[str, int, bytes]], track: str = FILTERED) -> None:
+        """Write messages of another result of this kind as they are: topic, log time, bytes.
+
+        Raises:
+            ResultError: a topic that this result has not.
+        """
+        if track == SMOOTHED:
+            self._smoothed_track()
+        for topic, stamp_ns, data in messages:
+            self._sink.write(self._sink.channel_of(topic), stamp_ns, data)
+
+    def _smoothed_track(self) -> TrackChannels:
+        """The channels of the smoothed track, registered when it begins."""
         if self._smoothed is None:
             self._smoothed = self._track(SMOOTHED, SMOOTHED_TRANSFORMS_TOPIC)
-        self._smoothed.write(estimate, vertices)
+        return self._smoothed
 
     def write_truth(self, message: TruthMessage) -> None:
         """Write a truth message as it is, on its own topic.

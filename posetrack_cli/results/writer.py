@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -172,19 +172,16 @@ class ResultWriter:
             ResultError: as in the class; also when arrays do not fit the subject or are not finite, or the
                 smoothed track has begun.
         """
-        if self._smoothed.count:
-            raise ResultError("the filtered track has ended", where=self._part, found="another frame of it")
-        with self._guarded():
-            if not self._calibrated:
-                self._channels.write_calibration(estimate.stamp_ns)
-                self._calibrated = True
-            self._channels.write_estimate(estimate, vertices)
-        self._statuses[estimate.status.value] += 1
-        self._last_index = estimate.frame_index
-        if self.frames_written % self._flush_frames:
-            return False
-        self._flush()
-        return True
+        return self._add_filtered(estimate, lambda: self._channels.write_estimate(estimate, vertices))
+
+    def copy(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> bool:
+        """Write what another result of this kind says of a frame, as ``write`` does.
+
+        Args:
+            messages: topic, log time and bytes of each.
+            estimate: that is among them.
+        """
+        return self._add_filtered(estimate, lambda: self._channels.copy(messages))
 
     def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None = None) -> None:
         """Write one estimate of the smoothed track, after all of the filtered one; as ``write``.
@@ -195,11 +192,33 @@ class ResultWriter:
         Raises:
             ResultError: as of ``write``, or a stamp that is not on the side that the others went on to.
         """
+        self._add_smoothed(estimate, lambda: self._channels.write_smoothed(estimate, vertices))
+
+    def copy_smoothed(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> None:
+        """Write what the smoothed track of another result says of a frame, as ``write_smoothed`` does."""
+        self._add_smoothed(estimate, lambda: self._channels.copy(messages, SMOOTHED))
+
+    def _add_filtered(self, estimate: Estimate, write: Callable[[], None]) -> bool:
+        if self._smoothed.count:
+            raise ResultError("the filtered track has ended", where=self._part, found="another frame of it")
+        with self._guarded():
+            if not self._calibrated:
+                self._channels.write_calibration(estimate.stamp_ns)
+                self._calibrated = True
+            write()
+        self._statuses[estimate.status.value] += 1
+        self._last_index = estimate.frame_index
+        if self.frames_written % self._flush_frames:
+            return False
+        self._flush()
+        return True
+
+    def _add_smoothed(self, estimate: Estimate, write: Callable[[], None]) -> None:
         with self._guarded():
             if not self._smoothed.count:
                 self._flush()  # what is filtered and what is smoothed share no chunk
             self._smoothed.check(estimate.stamp_ns, self._part)
-            self._channels.write_smoothed(estimate, vertices)
+            write()
         self._smoothed.add(estimate.stamp_ns)
         if self._smoothed.count % self._flush_frames == 0:
             self._flush()

@@ -16,6 +16,8 @@ class Lengths:
         head_steps: tracked of it.
         hand_memory, head_memory: of a long run; the short one has a tenth.
         eval_frames: of a long result.
+        batch_frames: of each of the recordings of a batch.
+        batch_jobs: very short ones.
     """
 
     repeats: int
@@ -25,7 +27,9 @@ class Lengths:
     hand_memory: int
     head_memory: int
     eval_frames: int
+    batch_frames: int
+    batch_jobs: int
 
 
-FULL = Lengths(31, 120, 120, 300, 1500, 2400, 100_000)
-QUICK = Lengths(5, 20, 30, 60, 100, 300, 2_000)
+FULL = Lengths(31, 120, 120, 300, 1500, 2400, 100_000, 300, 2000)
+QUICK = Lengths(5, 20, 30, 60, 100, 300, 2_000, 8, 500)

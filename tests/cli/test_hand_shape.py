@@ -139,6 +139,30 @@ def test_a_file_is_a_shape(
     assert all(config.hand.coefficients == pytest.approx(SHAPE.coefficients) for config in used)
 
 
+def test_a_result_is_a_shape(
+    recording: Path, hand_file: Path, tmp_path: Path, estimated: list[CalibrationOptions]
+) -> None:
+    """To the last bit what the earlier run tracked; further options say otherwise."""
+    hands = []
+    first = str(tmp_path / "first" / "r.mcap")
+    options = {
+        "first": ("--shape", str(hand_file)),
+        "second": ("--shape", first),
+        "third": ("--shape", first, "--scale", "0.7"),
+    }
+    for name, given in options.items():
+        (tmp_path / name).mkdir()
+        assert track(recording, tmp_path / name, *given) in (0, 3)
+        hands.append(json.loads(read_result(tmp_path / name / "r.mcap").run["configuration"])["hand"])
+    assert hands[1] == hands[0] and not estimated
+    assert hands[2] == {**hands[0], "scale": 0.7}
+
+
+def test_a_recording_is_no_shape(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert track(recording, tmp_path, "--shape", str(recording)) == 1
+    assert str(recording) in one_line(capsys)
+
+
 def test_another_shape_gives_other_joints(recording: Path, hand_file: Path, tmp_path: Path) -> None:
     spans = []
     for name, shape in (("average", "average"), ("file", str(hand_file))):

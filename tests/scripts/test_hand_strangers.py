@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from hand_model.template import adult, cage_of
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.hand import hand_run
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
-from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.evaluation import Evaluation
@@ -24,7 +21,6 @@ from posetrack_cli.hand.anatomy import FINGERS
 from posetrack_cli.hand.calibration import measures
 from posetrack_cli.hand.calibration.calibrate import Calibration, hand_text
 from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
-from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.shape import HandShape
 from posetrack_cli.recording.image_files import encode_png
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED
@@ -212,7 +208,7 @@ def test_every_recording_is_made_once_and_every_entrant_is_understood(tmp_path: 
             if arguments[:1] == (CALIBRATE,):
                 hand_calibrate.make_context("calibrate", ["in.mcap", "-o", "hand.toml", *arguments[1:]])
             elif arguments[:1] != (VIEW,):
-                named = {MESH: "hand.glb", TRUTH: "truth.csv", HAND_OF + DEFAULT: "found.toml"}
+                named = {MESH: "hand.glb", TRUTH: "truth.csv", HAND_OF + DEFAULT: "found.mcap"}
                 used = [named.get(argument, argument) for argument in arguments]
                 hand_run.make_context("run", ["in.mcap", "-o", "out.mcap", *used])
 
@@ -232,30 +228,25 @@ def test_a_picture_is_drawn_after_its_result_and_anew_when_that_changes(
 def test_entrants_are_told_the_hand_that_the_default_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They run after it, are told side and shape in a file that the configuration reads, and depend on it."""
-    said: dict[str, HandConfig] = {}
+    """They run after it, are told side and shape by its result, and depend on it."""
+    said: dict[str, Path] = {}
 
     def commanded(*arguments: str) -> None:
-        if "--config" in arguments:
-            given = Path(arguments[arguments.index("--config") + 1])
-            said[arguments[arguments.index("--filter") + 1]] = load_settings(HandConfig, [given], {})
+        if "--shape" in arguments:
+            given = Path(arguments[arguments.index("--shape") + 1])
+            assert given.exists()
+            said[arguments[arguments.index("--filter") + 1]] = given
         if "-o" in arguments:
             Path(arguments[arguments.index("-o") + 1]).touch()
 
-    found = HandConfig.model_validate(
-        {"hand": {"side": "left", "scale": 0.9, "coefficients": [0.5, -1.25], "padding_mm": 0.5}}
-    )
-    record = {"configuration": json.dumps(found.model_dump(mode="json"))}
     monkeypatch.setattr(tasks, "command", commanded)
     monkeypatch.setattr(tasks, "tool_digest", lambda tool: "a tool")
     monkeypatch.setattr(tasks, "draw", lambda tool, folder, arguments: None)
-    monkeypatch.setattr(tasks, "read_result", lambda path: SimpleNamespace(run=record))
     [task] = merged([options(tmp_path, FEW[:1]).task(FEW[0], ARM, SWARM, PLAIN_FILTER, DEFAULT)])
     assert list(task.entrants) == [DEFAULT, SWARM, PLAIN_FILTER]
     task.run(tmp_path)
-    assert said.keys() == {"pso", "pf"}
-    for told in said.values():
-        assert (told.hand.side, told.hand.shape) == (found.hand.side, found.hand.shape)
+    result = task.result(tmp_path.resolve(), DEFAULT)
+    assert said == {"pso": result, "pf": result}
     other = replace(task, entrants={**task.entrants, DEFAULT: ("--seed", "1")})
     assert other.facts(SWARM) != task.facts(SWARM)
 

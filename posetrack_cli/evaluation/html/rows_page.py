@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
+from types import MappingProxyType
 
 from posetrack_cli import __version__
 from posetrack_cli.evaluation.comparing.comparison import Comparison
@@ -34,12 +35,20 @@ class RowsPage:
         outcomes: of gates and a baseline.
         notes: what limits the comparison with the baseline.
         comparison: of groups; None shows none.
+        title: heading; by default how many results there are.
+        missing: recordings without a result, by name, and why.
+        remarks: what a user should know of results, by name, one line each.
+        links: pages about single results, by name.
     """
 
     sets: Sequence[ResultSet]
     outcomes: Sequence[GateOutcome] = ()
     notes: Sequence[str] = ()
     comparison: Comparison | None = None
+    title: str = ""
+    missing: Sequence[tuple[str, str]] = ()
+    remarks: Sequence[tuple[str, str]] = ()
+    links: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_rows_html(path: Path, page: RowsPage) -> None:
@@ -59,20 +68,20 @@ def rows_page(page: RowsPage) -> str:
     evaluations = worst_first(page.sets)
     style, script = asset("report.css"), scripts(SCRIPTS)
     failed = [one for one in page.outcomes if one.failed]
-    title = f"{len(evaluations)} results"
+    title = page.title or f"{len(evaluations)} results"
     comparison = comparison_section(page.comparison)
     return Template(asset("rows.html")).substitute(
         policy=policy(style, script),
         version=text(__version__),
-        title=title,
+        title=text(title),
         style=style,
         script=script,
         lead=_lead(page, failed),
         notices=_against(page.notes),
-        failed=_failed(failed),
-        sets="".join(_set(one) for one in page.sets),
+        failed=_named("Recordings without a result", page.missing) + _failed(failed),
+        sets="".join(_set(one, page.links) for one in page.sets),
         comparison=element("section", comparison, id="comparison") if comparison else "",
-        remarks=_remarks(evaluations),
+        remarks=_named("Remarks of single results", page.remarks) + _remarks(evaluations),
     )
 
 
@@ -91,6 +100,15 @@ def _failed(failed: Sequence[GateOutcome]) -> str:
     return details(f"Failed gates ({len(lines)})", listed(lines), **few)
 
 
+def _named(heading: str, lines: Sequence[tuple[str, str]]) -> str:
+    """What there is to say of single results, folded where it is much."""
+    if not lines:
+        return ""
+    few = {"open": ""} if len(lines) <= MOST_UNFOLDED else {}
+    items = (f"<bdi>{text(name)}</bdi>: {text(said)}" for name, said in lines)
+    return details(f"{heading} ({len(lines)})", listed(items), **few)
+
+
 def _against(notes: Sequence[str]) -> str:
     """What limits the comparison with the baseline, before any figure."""
     lines = listed(text(f"Baseline: {note}") for note in notes)
@@ -103,13 +121,13 @@ def _remarks(evaluations: Sequence[Evaluation]) -> str:
     return details(f"Notes, and what has no value ({len(lines)})", shown_lines) if lines else ""
 
 
-def _set(results: ResultSet) -> str:
+def _set(results: ResultSet, links: Mapping[str, str]) -> str:
     """All together, and the table of rows."""
     title = text(results.title[:1].upper() + results.title[1:])
     content = element("h2", f"All {len(results.rows)} results{': ' + title if title else ''}")
     content += _totals(results)
     content += element("h2", f"Result by result{': ' + title if title else ''}")
-    return element("section", content + _table(results))
+    return element("section", content + _table(results, links))
 
 
 def _totals(results: ResultSet) -> str:
@@ -143,7 +161,7 @@ def _total_cells(total: ResultRow, figure: str, compared: bool) -> list[str]:
     return [*cells, element("td", _number(then)), _change(total, figure)]
 
 
-def _table(results: ResultSet) -> str:
+def _table(results: ResultSet, links: Mapping[str, str]) -> str:
     """A row for each result: script sorts and filters it, and without script it is in order."""
     figures = list(dict.fromkeys((*results.figures, *results.further)))
     heads = [_head("result", "result", "text")]
@@ -153,7 +171,7 @@ def _table(results: ResultSet) -> str:
             heads.append(_head("change", f"{figure}: now minus baseline", "number"))
     if results.judged:
         heads.append(_head("gates failed", "gates failed", "number"))
-    body = "".join(_row(one, figures, results) for one in results.rows)
+    body = "".join(_row(one, figures, results, links=links) for one in results.rows)
     foot = _row(results.total, figures, results, f"Total of {len(results.rows)}")
     table = element(
         "table",
@@ -185,8 +203,17 @@ def _label(figure: str) -> str:
     return element("abbr", text(words), title=f"{figure}: {metric_of(figure).meaning}") + unit_text
 
 
-def _row(one: ResultRow, figures: Sequence[str], results: ResultSet, label: str = "") -> str:
-    name = element("th", f"<bdi>{text(label or one.name)}</bdi>", scope="row")
+def _row(
+    one: ResultRow,
+    figures: Sequence[str],
+    results: ResultSet,
+    label: str = "",
+    links: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    shown_name = f"<bdi>{text(label or one.name)}</bdi>"
+    if one.name in links:
+        shown_name = element("a", shown_name, href=links[one.name])
+    name = element("th", shown_name, scope="row")
     cells = [name]
     for figure in figures:
         value = one.value(figure)

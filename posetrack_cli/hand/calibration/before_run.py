@@ -38,10 +38,12 @@ class HandFound:
     Attributes:
         config: with a side, and the shape that was found.
         line: what was found, for people; empty where nothing was left open.
+        is_doubtful: whether the line tells a doubt.
     """
 
     config: HandConfig
     line: str = ""
+    is_doubtful: bool = False
 
 
 def find_hand(
@@ -73,7 +75,8 @@ def find_hand(
     trial = tried(recording, config, start, sides, keypoints)
     if not trial.asked:
         line = f"no hand in the first {LOOKED_AT_S:g} s, taken for a {sides[0]} one; --hand-side tells"
-        return HandFound(_with_hand(config, {"side": sides[0]}), line if len(sides) > 1 else "")
+        is_guessed = len(sides) > 1
+        return HandFound(_with_hand(config, {"side": sides[0]}), line if is_guessed else "", is_guessed)
 
     def estimate(side: str) -> Calibration | None:
         found = _shape(recording, _sized(config, trial, side), CalibrationOptions(side, start=start))
@@ -91,11 +94,12 @@ def find_hand(
         else f", but hardly so (probability {likelier.probability:.2f}); --hand-side tells"
     )
     if found is not None:
-        line = f"{told}, {found.length_mm:.0f} mm long{doubt}{doubts_of(found)}"
-        return HandFound(_with_hand(sized, found.settings), line)
+        more = doubts_of(found)
+        line = f"{told}, {found.length_mm:.0f} mm long{doubt}{more}"
+        return HandFound(_with_hand(sized, found.settings), line, bool(doubt or more))
     changed = sized.hand.scale != config.hand.scale
     line = told + (f" of scale {sized.hand.scale:.2f}" if changed else "") + doubt
-    return HandFound(sized, line if len(sides) > 1 or changed else "")
+    return HandFound(sized, line if len(sides) > 1 or changed else "", bool(doubt))
 
 
 def calibrate(

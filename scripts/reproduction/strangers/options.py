@@ -19,7 +19,7 @@ EXACT, DEFAULT = "mesh", "default"
 PLAIN_FILTER, UNION_COST, PAPER_COST, SWARM = "pf", "union", "paper", "pso"
 """Those that differ from the default in one thing, and are told the hand that it found."""
 AVERAGE_HAND, SHAPE_ALONE = "average", "shape"
-FOUND = ("--config", HAND_OF + DEFAULT, *AVERAGE, *NO_MESH)
+FOUND = ("--shape", HAND_OF + DEFAULT, *NO_MESH)
 ENTRANTS: dict[str, tuple[str, ...]] = {
     EXACT: ("--hand-mesh", MESH, "--smooth", *NO_MESH),
     DEFAULT: NO_MESH,

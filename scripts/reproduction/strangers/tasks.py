@@ -8,7 +8,6 @@ Recordings and meshes are deleted in the end: the same arguments make the same o
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import chdir, contextmanager
@@ -16,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
-from posetrack_cli.results.reader import read_result
 from reproduction.accuracy.tasks import Task as AccuracyTask
 from reproduction.made import code_digest, command
 from reproduction.strangers.tool import draw, tool_digest
@@ -28,11 +26,10 @@ VIEW, CALIBRATE = "view", "calibrate"
 """Begin of the arguments of an entrant that does not track: it draws another one's result on one sheet, or
 estimates the hand's shape alone."""
 HAND_OF = "{hand}:"
-"""Begin of an argument that goes on with an entrant's name: the path of a configuration with the side and the
-shape that it found. That one comes before."""
+"""Begin of an argument that goes on with an entrant's name: the path of its result, with the side and the
+shape
+that it found. That one comes before."""
 _SUFFIXES = {VIEW: "png", CALIBRATE: "toml"}
-_TOLD = ("side", "scale", "coefficients", "padding_mm")
-"""What a run that is told nothing finds out about the hand: keys of ``[hand]``."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +88,7 @@ class Task(EntrantsTask):
             return ("hand", CALIBRATE, str(recording), "-o", str(result), *arguments[1:])
         paths = {MESH: recording.with_name("hand.glb"), TRUTH: recording.with_name("truth.csv")}
         if of:
-            found = paths[HAND_OF + of] = recording.with_name("found.toml")
-            found.write_text(hand_found(self.result(out, of)), encoding="utf-8")
+            paths[HAND_OF + of] = self.result(out, of)
         used = [str(paths.get(argument, argument)) for argument in arguments]
         return ("hand", "run", str(recording), "-o", str(result), *used)
 
@@ -108,13 +104,6 @@ def _source(arguments: tuple[str, ...]) -> str:
         return arguments[1]
     told = (argument.removeprefix(HAND_OF) for argument in arguments if argument.startswith(HAND_OF))
     return next(told, "")
-
-
-def hand_found(result: Path) -> str:
-    """The side and the shape that a run was told or found, as a configuration."""
-    hand = json.loads(read_result(result).run["configuration"])["hand"]
-    # texts, numbers and lists of numbers are the same in JSON and in TOML
-    return "\n".join(["[hand]", *(f"{name} = {json.dumps(hand[name])}" for name in _TOLD)]) + "\n"
 
 
 Kind = TypeVar("Kind", Task, AccuracyTask)

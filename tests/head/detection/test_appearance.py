@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from face_features import Learned, described
+import face_features
+from face_features import PointMoments, Seen, described, learn, moments, moments_of
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.head.detection.appearance import (
     BINS,
@@ -60,10 +61,27 @@ def test_a_mirrored_face_has_mirrored_log_odds() -> None:
 def test_a_discriminant_of_normal_clouds_is_their_log_odds() -> None:
     rng = np.random.default_rng(5)
     at, near = rng.normal([1.5, 0.0], 1.0, (8000, 2)), rng.normal([0.0, 0.0], 1.0, (8000, 2))
-    w, b = Learned(at, near, np.ones(8000), np.ones(8000)).discriminant()
+    w, b = PointMoments(moments([at]), moments([near])).discriminant()
     # ln N(x; m) / N(x; 0) = m x - m^2 / 2; means are known to 1 / sqrt(8000), shrinking takes a fortieth
     np.testing.assert_allclose(w, [1.5, 0.0], atol=0.08)
     assert b == pytest.approx(-0.5 * 1.5**2, abs=0.1)
+
+
+def test_a_person_is_learned_from_alike_whoever_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the order of people nor who is left out changes what is drawn of a person."""
+    places = 0.9 * (FEATURES[:, :2] * [1.0, -1.0]) + [110.0, 75.0]
+    faces = {
+        Path(name): Seen(np.roll(picture(), shift, axis=1), places, 0.9)
+        for shift, name in enumerate(("first", "second", "third"))
+    }
+    monkeypatch.setattr(face_features, "seen_in", lambda path: iter([faces[path]]))
+    people = {path: (moments_of(path), 1.0) for path in faces}
+    alone = moments_of(Path("second"))
+    for one, other in zip(alone, people[Path("second")][0], strict=True):
+        np.testing.assert_array_equal(one.near.square, other.near.square)
+    (weights, constants), (again, same) = learn(list(people.values())), learn(list(people.values())[::-1])
+    np.testing.assert_allclose(again, weights, atol=ROUNDED)
+    np.testing.assert_allclose(same, constants, atol=ROUNDED)
 
 
 def test_points_do_not_leave_a_face_for_what_alone_looks_like_them() -> None:

@@ -1,0 +1,146 @@
+"""What a batch does: jobs, the limits they run under, and what comes of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+RECORDS_FOLDER = ".batch"
+"""Below the folder of results: what is known of every job, its log, and pieces that are not joined yet."""
+
+
+class Kind(StrEnum):
+    """What the process of a job does."""
+
+    TRACK = "track"
+    SPLIT = "split"
+    JOIN = "join"
+
+
+class State(StrEnum):
+    """What came of a job."""
+
+    DONE = "done"
+    KEPT = "kept"
+    FAILED = "failed"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a recording that is tracked by itself.
+
+    Attributes:
+        start, end: frames that are tracked, ``end`` not included; they overlap with other pieces.
+        first, last: those of them that the joined result has, ``last`` not included.
+    """
+
+    start: int
+    end: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording, or a piece of one, and what becomes of it.
+
+    Attributes:
+        name: unique within a batch: the result's below the folder of results, without ending.
+        command: that tracks it, such as ``("hand", "run")``.
+        recording: file or folder.
+        arguments: the command's options, without recording, output and what to do with an earlier output.
+        output: the result.
+        record: what is known of the job (``records.JobRecord``); its log lies beside it.
+        truth: file that the result is compared with; None takes what the result carries.
+        gates: conditions under which the result fails.
+        page: about the result, to be written; None writes none.
+        kind: what is done.
+        chunk_s, overlap_s: of a recording that is split: length of a piece, and what it shares with others,
+        s.
+        pieces: of a recording that is joined.
+        digests: of the recording's files, where a process before has computed them (``identity.Digests``).
+    """
+
+    name: str
+    command: tuple[str, ...]
+    recording: Path
+    arguments: tuple[str, ...]
+    output: Path
+    record: Path
+    truth: Path | None = None
+    gates: tuple[str, ...] = ()
+    page: Path | None = None
+    kind: Kind = Kind.TRACK
+    chunk_s: float = 0.0
+    overlap_s: float = 0.0
+    pieces: tuple[tuple[Path, Piece], ...] = ()
+    digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+
+    @property
+    def log(self) -> Path:
+        """What the process prints."""
+        return self.record.with_suffix(".log")
+
+    def as_kind(self, kind: Kind, **changes: Any) -> Job:
+        """The job of the same recording that does something else."""
+        return replace(self, kind=kind, **changes)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the process of a job may take.
+
+    Attributes:
+        memory_bytes: of its data; None for no limit.
+        timeout_s: wall-clock seconds; None for no limit.
+        threads: that share its work; 0 for as many as there are cores for each job on the machine.
+        redo: whether a finished result, or what there is of one, is replaced.
+    """
+
+    memory_bytes: int | None = None
+    timeout_s: float | None = None
+    threads: int = 0
+    redo: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job.
+
+    Attributes:
+        name: the job's.
+        state: what came of it.
+        reason: why it failed, or why it was done again; one line.
+        last_lines: what its process printed last, where it failed.
+        exit_code: of its process; None where there was none, or it was killed.
+        seconds, cpu_s: wall-clock and processor time of this process.
+        peak_bytes: the most memory it held.
+        frames: that it tracked.
+        lost_data: whether some of the recording could not be used (exit code 3).
+        pieces: of a recording that was split.
+        remarks: what the command said that a user should know.
+        digests: that its process has computed.
+    """
+
+    name: str
+    state: State
+    reason: str = ""
+    last_lines: tuple[str, ...] = ()
+    exit_code: int | None = None
+    seconds: float = 0.0
+    cpu_s: float = 0.0
+    peak_bytes: int = 0
+    frames: int = 0
+    lost_data: bool = False
+    pieces: tuple[Piece, ...] = ()
+    remarks: tuple[str, ...] = ()
+    digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its output is finished."""
+        return self.state in (State.DONE, State.KEPT)

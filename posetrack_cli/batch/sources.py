@@ -1,0 +1,211 @@
+"""Which recordings a batch is of: patterns, a list of names, or a manifest with options of each."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from posetrack_cli import limits
+from posetrack_cli.configuration import Settings, validated
+from posetrack_cli.errors import UsageError
+from posetrack_cli.files import read_text
+from posetrack_cli.text import parse_toml
+
+_MAGIC = "*?["
+_LIST_ENDINGS = (".txt", ".list")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording of a batch.
+
+    Attributes:
+        path: file or folder.
+        name: of its result, below the folder of results and without ending.
+        options: of the command, by long name without dashes: text, numbers, true for switches, or lists.
+        truth: that its result is measured with.
+        gates: conditions under which that fails.
+        manifest: that it is of, if any.
+    """
+
+    path: Path
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    truth: Path | None = None
+    gates: tuple[str, ...] = ()
+    manifest: Path | None = None
+
+
+class ManifestRecording(Settings):
+    """A table ``[[recordings]]`` of a manifest.
+
+    Attributes:
+        path: file, folder or pattern, relative to the manifest.
+        name: of the result; by default the recording's. Not of a pattern.
+        options: of the command.
+        truth: file that the result is measured with; by default what the recording carries.
+        gates: conditions under which it fails.
+    """
+
+    path: str
+    name: str | None = None
+    options: dict[str, bool | int | float | str | list[str]] = Field(default_factory=dict)
+    truth: str | None = None
+    gates: tuple[str, ...] = ()
+
+
+class Manifest(Settings):
+    """A file of recordings.
+
+    Attributes:
+        options: of the command, for all recordings; those of a recording come first.
+        gates: for all recordings, besides their own.
+        recordings: each with what differs.
+    """
+
+    options: dict[str, bool | int | float | str | list[str]] = Field(default_factory=dict)
+    gates: tuple[str, ...] = ()
+    recordings: tuple[ManifestRecording, ...]
+
+
+def find_sources(given: Sequence[str]) -> list[Source]:
+    """Return the recordings that arguments stand for.
+
+    Args:
+        given: each a file or folder, a pattern (``**`` goes through folders), a list of those (``.txt``, one
+        a
+            line) or a manifest (``.toml``).
+
+    Raises:
+        UsageError: nothing is there, or what is there cannot be meant.
+    """
+    found = [source for one in given for source in _sources_of(one)]
+    _check_names(found)
+    return found
+
+
+def _sources_of(given: str) -> list[Source]:
+    path = Path(given)
+    if path.suffix == ".toml":
+        return read_manifest(path)
+    if path.suffix in _LIST_ENDINGS and not path.is_dir():
+        return _read_list(path)
+    return [Source(path, name) for path, name in _matched(given)]
+
+
+def _matched(pattern: str, base: Path | None = None) -> list[tuple[Path, str]]:
+    """The files and folders of a pattern, with names relative to the part of it without wildcards."""
+    path = Path(pattern) if base is None else base / pattern
+    if not any(sign in pattern for sign in _MAGIC) or path.exists():
+        if not path.exists():
+            raise UsageError("no such recording", where=path)
+        return [(path, _plain_name(path))]
+    fixed = _fixed_part(path)
+    found = [Path(one) for one in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207 ** of any root
+    recordings = [one for one in found if one != fixed and _may_be_recording(one, found)]
+    if not recordings:
+        raise UsageError(
+            "no recording matches", where=path, hint="quote the pattern, so that ** is seen by posetrack"
+        )
+    return [(one, str(one.relative_to(fixed).with_suffix(""))) for one in recordings]
+
+
+def _fixed_part(pattern: Path) -> Path:
+    """The folders before the first wildcard."""
+    parts: list[str] = []
+    for part in pattern.parts[:-1]:
+        if any(sign in part for sign in _MAGIC):
+            break
+        parts.append(part)
+    return Path(*parts)
+
+
+def _may_be_recording(path: Path, found: Sequence[Path]) -> bool:
+    """Whether a path is no folder in which others were found: ``**`` finds folders, too."""
+    return not path.is_dir() or not any(path in other.parents for other in found)
+
+
+def _plain_name(path: Path) -> str:
+    name = path.resolve().name if path.name in ("", "..") else path.name
+    return Path(name).stem if path.is_file() else name
+
+
+def _read_list(path: Path) -> list[Source]:
+    """The recordings of a file with one name or pattern a line, relative to it; # begins a remark."""
+    lines = [line.partition("#")[0].strip() for line in _text_of(path).splitlines()]
+    found = [
+        Source(recording, name) for line in lines if line for recording, name in _matched(line, path.parent)
+    ]
+    if not found:
+        raise UsageError("names no recording", where=path)
+    return found
+
+
+def read_manifest(path: Path) -> list[Source]:
+    """Return the recordings of a manifest.
+
+    Raises:
+        UsageError: it cannot be read, has unknown keys, or names what is not there.
+    """
+    try:
+        values = parse_toml(_text_of(path))
+    except ValueError as error:
+        raise UsageError("not a TOML file", where=path, found=error) from error
+    manifest = validated(Manifest, values, path)
+    if not manifest.recordings:
+        raise UsageError("names no recording", where=path, expected="tables [[recordings]]")
+    return [source for one in manifest.recordings for source in _of_manifest(path, manifest, one)]
+
+
+def _of_manifest(path: Path, manifest: Manifest, one: ManifestRecording) -> Iterable[Source]:
+    found = _matched(one.path, path.parent)
+    if one.name is not None and len(found) > 1:
+        raise UsageError(f"name '{one.name}' of several recordings", where=path, found=one.path)
+    truth = None if one.truth is None else path.parent / one.truth
+    if truth is not None and not truth.exists():
+        raise UsageError("no such truth", where=path, found=one.truth)
+    options = {key: _reachable(path, value) for key, value in {**manifest.options, **one.options}.items()}
+    gates = (*manifest.gates, *one.gates)
+    for recording, name in found:
+        yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path)
+
+
+def _reachable(manifest: Path, value: Any) -> Any:
+    """A value of an option; a file that lies where the manifest does is named from here."""
+    is_beside = isinstance(value, str) and value and (manifest.parent / value).exists()
+    return str(manifest.parent / value) if is_beside else value
+
+
+def _checked_name(path: Path, name: str) -> str:
+    """A name that stays below the folder of results."""
+    parts = Path(name).parts
+    if not parts or Path(name).is_absolute() or ".." in parts:
+        raise UsageError("name of a result cannot be used", where=path, found=repr(name))
+    return str(Path(name))
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return read_text(path, limits.TEXT_BYTES)
+    except OSError as error:
+        raise UsageError("cannot be read", where=path, found=error.strerror or error) from error
+    except UnicodeDecodeError as error:
+        raise UsageError("is no text", where=path, found=error) from error
+
+
+def _check_names(sources: Sequence[Source]) -> None:
+    """Refuse two recordings whose results would be one file."""
+    first: dict[str, Source] = {}
+    for source in sources:
+        other = first.setdefault(source.name, source)
+        if other is not source:
+            raise UsageError(
+                f"two recordings would write one result, {source.name}.mcap",
+                found=f"{other.path} and {source.path}",
+                hint="give each a name in a manifest, or pass a folder above both as a pattern",
+            )

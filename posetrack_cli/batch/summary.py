@@ -1,0 +1,243 @@
+"""What came of a batch: every result measured, and one row for each recording as CSV, JSON and a page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from posetrack_cli.batch.jobs import Job, Outcome, State
+from posetrack_cli.batch.running import count_states
+from posetrack_cli.evaluation.assessment import MEASURED, Assessment, Own, Request, assess, stated_options
+from posetrack_cli.evaluation.evaluate import EvalOptions
+from posetrack_cli.evaluation.gates import Gate, GateOutcome, parse_gate
+from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
+from posetrack_cli.evaluation.reports.report_files import json_report, write_report
+from posetrack_cli.evaluation.reports.writing import Reports, report_texts
+from posetrack_cli.evaluation.rows import ResultRow, worst_first
+from posetrack_cli.text import printable_json
+
+PAGE, TABLE, REPORT = "index.html", "summary.csv", "summary.json"
+TRACKED = "tracked"
+"""What a recording is that has a result: the first of its tests in JUnit."""
+
+
+@dataclass(frozen=True)
+class Judging:
+    """How the results of a batch are judged.
+
+    Attributes:
+        request: gates for all and a baseline; results and what is asked of single ones are filled in.
+        reports: further reports, such as JUnit and Markdown.
+        most: how many results Markdown lists.
+    """
+
+    request: Request
+    reports: Reports
+    most: int
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What came of a batch.
+
+    Attributes:
+        jobs, outcomes: of every recording, in one order.
+        found: what was measured of the results.
+    """
+
+    jobs: tuple[Job, ...]
+    outcomes: tuple[Outcome, ...]
+    found: Assessment
+
+    @property
+    def unmeasured(self) -> Mapping[str, str]:
+        """Results that cannot be measured, by name, and why."""
+        return {one.result: one.reason for one in self.found.outcomes if one.title == MEASURED}
+
+    @property
+    def missing(self) -> tuple[Outcome, ...]:
+        """The recordings without a result."""
+        return tuple(one for one in self.outcomes if not one.is_there)
+
+    @property
+    def gates(self) -> tuple[GateOutcome, ...]:
+        """Of every recording whether it was tracked, then the gates."""
+        return (*map(_tracked, self.outcomes), *self.found.outcomes)
+
+    @property
+    def failed(self) -> tuple[GateOutcome, ...]:
+        """The gates that failed, without recordings that were not tracked."""
+        return tuple(one for one in self.gates if one.failed and one.title != TRACKED)
+
+
+def summarise(
+    jobs: Sequence[Job],
+    outcomes: Sequence[Outcome],
+    judging: Judging,
+    report: Callable[[], Any] = lambda: None,
+) -> Summary:
+    """Measure what there is.
+
+    Args:
+        jobs, outcomes: of every recording, in one order.
+        judging: how.
+        report: called after each result.
+
+    Raises:
+        PosetrackError: a gate names what no result has.
+    """
+    there = [job for job, outcome in zip(jobs, outcomes, strict=True) if outcome.is_there]
+    request = replace(
+        judging.request,
+        results=tuple(job.output for job in there),
+        layout="rows",
+        own={job.output: Own(job.name, job.truth, _gates(job)) for job in there},
+        lenient=True,
+    )
+    return Summary(tuple(jobs), tuple(outcomes), assess(request, report))
+
+
+def _gates(job: Job) -> tuple[Gate, ...]:
+    return tuple(parse_gate(text) for text in job.gates)
+
+
+def _tracked(outcome: Outcome) -> GateOutcome:
+    """Whether a recording was tracked, told as gates are."""
+    reason = "it was stopped" if outcome.state is State.STOPPED else outcome.reason
+    there = outcome.is_there
+    return GateOutcome(
+        TRACKED, outcome.name, float(there), not there, "there is a result" if there else reason, TRACKED
+    )
+
+
+def write_summary(folder: Path, summary: Summary, judging: Judging) -> None:
+    """Write the page, the table and the report into the folder of results, and what else is asked for.
+
+    Raises:
+        ResultError: a file cannot be written.
+    """
+    write_report(folder / TABLE, _table(summary))
+    write_report(folder / REPORT, _report(summary, judging.request.options))
+    write_rows_html(folder / PAGE, _page(summary))
+    for path, text in _texts(summary, judging, judging.reports):
+        write_report(path, text)
+
+
+def markdown_of(summary: Summary, judging: Judging) -> str:
+    """Return the summary that ``Reports.markdown`` writes."""
+    ((_, text),) = _texts(summary, judging, Reports(markdown=Path("-")))
+    return text
+
+
+def _texts(summary: Summary, judging: Judging, reports: Reports) -> Iterator[tuple[Path, str]]:
+    """Reports of gates: whether a recording was tracked comes before what its result is worth."""
+    found = replace(summary.found, outcomes=summary.gates)
+    return report_texts(found, judging.request.options, reports, judging.most)
+
+
+def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
+    """Every recording: those without a result, those that cannot be measured, then the worst first."""
+    jobs = {job.name: job for job in summary.jobs}
+    outcomes = {one.name: one for one in summary.outcomes}
+    measured = {row.name: row for one in summary.found.sets for row in one.rows}
+    last = [name for name in measured if name in jobs]
+    first = [one.name for one in summary.missing]
+    between = [name for name in jobs if name not in measured and name not in first]
+    for name in (*first, *between, *last):
+        yield jobs[name], outcomes[name], measured.get(name)
+
+
+def _table(summary: Summary) -> str:
+    """A line for each recording, the worst first."""
+    figures = list(dict.fromkeys(name for one in summary.found.sets for name in (*one.figures, *one.further)))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    facts = ("name", "recording", "state", "reason")
+    writer.writerow(
+        [*facts, *figures, "gates_failed", "seconds", "cpu_s", "frames_per_s", "peak_mb", "remarks"]
+    )
+    for job, outcome, row in _rows(summary):
+        values = ["" if row is None or (value := row.value(one)) is None else repr(value) for one in figures]
+        writer.writerow(
+            [
+                *(outcome.name, str(job.recording), outcome.state.value, _reason(summary, outcome)),
+                *values,
+                "" if row is None else row.failed,
+                *(f"{outcome.seconds:.2f}", f"{outcome.cpu_s:.2f}", _rate(outcome)),
+                f"{outcome.peak_bytes / 1e6:.0f}",
+                "; ".join(outcome.remarks),
+            ]
+        )
+    return text.getvalue()
+
+
+def _reason(summary: Summary, outcome: Outcome) -> str:
+    return outcome.reason or summary.unmeasured.get(outcome.name, "")
+
+
+def _rate(outcome: Outcome) -> str:
+    return f"{outcome.frames / outcome.seconds:.2f}" if outcome.seconds and outcome.frames else ""
+
+
+def _report(summary: Summary, options: EvalOptions) -> str:
+    """The report of ``eval``, which serves as a baseline, with what came of each recording."""
+    found = summary.found
+    report = json.loads(
+        json_report(
+            worst_first(found.sets), stated_options(options), None, found.outcomes, found.pools, rows=True
+        )
+    )
+    report["recordings"] = [_facts(summary, job, outcome) for job, outcome, _ in _rows(summary)]
+    return printable_json(json.dumps(report, indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
+
+
+def _facts(summary: Summary, job: Job, outcome: Outcome) -> dict[str, Any]:
+    return {
+        "name": outcome.name,
+        "recording": str(job.recording),
+        "result": str(job.output),
+        "page": None if job.page is None or not job.page.is_file() else str(job.page),
+        "state": outcome.state.value,
+        "reason": _reason(summary, outcome),
+        "last_lines": list(outcome.last_lines),
+        "exit_code": outcome.exit_code,
+        "frames_tracked": outcome.frames,
+        "seconds": round(outcome.seconds, 3),
+        "cpu_s": round(outcome.cpu_s, 3),
+        "peak_bytes": outcome.peak_bytes,
+        "data_lost": outcome.lost_data,
+        "remarks": list(outcome.remarks),
+    }
+
+
+def _page(summary: Summary) -> RowsPage:
+    found = summary.found
+    counts = count_states(summary.outcomes)
+    said = ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
+    missing = [(one.name, _failure(one)) for one in summary.missing]
+    return RowsPage(
+        found.sets,
+        [one for one in summary.gates if one.title != TRACKED],
+        found.notes,
+        title=f"{len(summary.jobs)} recordings: {said}",
+        missing=missing,
+        remarks=[(one.name, remark) for one in summary.outcomes for remark in one.remarks],
+        links={
+            job.name: quote(f"./{job.name}.html")
+            for job in summary.jobs
+            if job.page is not None and job.page.is_file()
+        },
+    )
+
+
+def _failure(outcome: Outcome) -> str:
+    """Why there is no result, with the process's last lines where they say more."""
+    more = [line for line in outcome.last_lines if outcome.reason not in line]
+    lines = f" (last lines: {' / '.join(more)})" if more else ""
+    return f"{outcome.reason or outcome.state.value}{lines}"

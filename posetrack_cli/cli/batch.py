@@ -1,0 +1,394 @@
+"""``posetrack batch``: any of the trackers over many recordings, on one machine or on a cluster."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from posetrack_cli.cli.batch_commands import BATCH_COMMANDS, BatchCommand
+from posetrack_cli.cli.batch_progress import BatchProgress
+from posetrack_cli.cli.options import FiniteRange
+from posetrack_cli.cli.process import stop_signals
+from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.errors import (
+    EXIT_DATA_LOST,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    PosetrackError,
+    UsageError,
+)
+
+if TYPE_CHECKING:
+    from posetrack_cli.batch.jobs import Job, Limits, Outcome
+    from posetrack_cli.batch.running import Chunking
+    from posetrack_cli.batch.sources import Source
+    from posetrack_cli.batch.summary import Judging, Summary
+
+STANDARD_OUTPUT = Path("-")
+_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+_LEAST_BYTES = 1 << 28
+
+
+class Size(click.ParamType[int]):
+    """A number of bytes, such as ``2G`` or ``1500M``."""
+
+    name = "size"
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> int:
+        """Return the number of bytes.
+
+        Raises:
+            click.BadParameter: it is none, or less than any run needs.
+        """
+        if isinstance(value, int):
+            return value
+        found = _SIZE.fullmatch(str(value).strip())
+        if found is None:
+            self.fail(f"{value!r} is no size such as 2G or 1500M.", parameter, context)
+        size = round(float(found[1]) * _UNITS[found[2].upper()])
+        if size < _LEAST_BYTES:
+            self.fail(f"{value} is less than any run needs; 256M or more.", parameter, context)
+        return size
+
+
+BATCH_OPTIONS: tuple[click.Option, ...] = (
+    click.Option(
+        ["-o", "--output", "results"],
+        metavar="FOLDER",
+        required=True,
+        type=click.Path(path_type=Path),
+        help="Folder of the results, made if it is not there; what is finished in it is kept.",
+    ),
+    click.Option(
+        ["--jobs"],
+        type=click.IntRange(1, 1024),
+        help="Recordings at a time on this machine.  [default: one for each core]",
+    ),
+    click.Option(
+        ["--scheduler"], metavar="ADDRESS", help="A Dask cluster that exists, such as tcp://host:8786."
+    ),
+    click.Option(
+        ["--scheduler-file"],
+        type=click.Path(path_type=Path),
+        help="The same by the file that its dask scheduler --scheduler-file writes.",
+    ),
+    click.Option(["--redo"], is_flag=True, help="Track everything anew, and replace what is there."),
+    click.Option(["--dry-run"], is_flag=True, help="Say what would be done with each recording, and exit."),
+    click.Option(
+        ["--timeout", "timeout_s"],
+        metavar="S",
+        type=FiniteRange(min=0.0, min_open=True),
+        help="Stop a recording, or a piece of one, after so many seconds; the next batch goes on with it.",
+    ),
+    click.Option(
+        ["--memory-limit"],
+        metavar="SIZE",
+        type=Size(),
+        help="Memory that each recording's process may take, such as 2G; one that needs more fails alone.",
+    ),
+    click.Option(
+        ["--chunk-s"],
+        metavar="S",
+        type=FiniteRange(min=1.0),
+        help="Track long recordings in pieces of so many seconds, side by side, and join their results.",
+    ),
+    click.Option(
+        ["--overlap-s"],
+        metavar="S",
+        type=FiniteRange(min=0.0),
+        default=2.0,
+        show_default=True,
+        help="What a piece is tracked for before its own frames, with --smooth also after them.",
+    ),
+    click.Option(
+        ["--reports/--no-reports"], default=True, show_default=True, help="Write a page about each result."
+    ),
+    click.Option(
+        ["--fail-if", "conditions"],
+        metavar="CONDITION",
+        multiple=True,
+        help="Gate on results, as of posetrack eval: 'joint_error_mm.mean > 10' on each, "
+        "'pooled.joint_error_mm.mean > 8' on all together, 'p95(joint_error_mm.mean) > 12'; repeatable.",
+    ),
+    click.Option(
+        ["--gates", "gate_files"],
+        type=click.Path(path_type=Path),
+        multiple=True,
+        help="File of gates, one a line; repeatable.",
+    ),
+    click.Option(
+        ["--baseline"],
+        type=click.Path(path_type=Path),
+        help="Earlier summary.json, or --json of eval; worse figures fail.",
+    ),
+    click.Option(
+        ["--baseline-tolerance"],
+        type=FiniteRange(min=0.0),
+        default=0.05,
+        show_default=True,
+        help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
+    ),
+    click.Option(
+        ["--junit"],
+        metavar="FILE",
+        type=click.Path(path_type=Path),
+        help="Write JUnit XML: whether each recording was tracked, and each gate.",
+    ),
+    click.Option(
+        ["--markdown"],
+        metavar="FILE|-",
+        type=click.Path(path_type=Path, allow_dash=True),
+        help="Write a summary as Markdown.",
+    ),
+)
+
+
+@click.group()
+def batch() -> None:
+    """Track many recordings: in processes side by side, and what is finished is kept."""
+
+
+@batch.group("hand")
+def batch_hand() -> None:
+    """Track the hands of many recordings."""
+
+
+@batch.group("head")
+def batch_head() -> None:
+    """Track the heads of many recordings."""
+
+
+def _command(command: BatchCommand) -> click.Command:
+    """The batch of a command: its own options, and those of a batch."""
+    argument = click.Argument(["recordings"], nargs=-1, required=True, metavar="RECORDING...")
+    line = " ".join(command.words)
+
+    @click.pass_context
+    def callback(context: click.Context, /, recordings: tuple[str, ...], **options: Any) -> None:
+        own = {str(one.name): options[str(one.name)] for one in BATCH_OPTIONS}
+        run_batch_command(command, recordings, command.arguments(context), own)
+
+    return click.Command(
+        command.words[-1],
+        params=[argument, *BATCH_OPTIONS, *command.parameters],
+        callback=callback,
+        short_help=command.command.short_help and f"posetrack {line} over many recordings.",
+        help=f"""Run posetrack {line} over each RECORDING: files, folders, quoted patterns such as
+        'in/**/*.mcap', lists of those (.txt, one a line), or manifests (.toml) with options of each.
+
+        Results lie below -o under the recordings' names, beside summary.csv, summary.json and index.html;
+        each is, byte for byte, that of posetrack {line} alone. Run it again after an interruption or a
+        failure: what is finished and of the same input, options and version is kept, what was begun goes on.
+
+        Exit code 1: a gate failed. Exit code 3: a recording failed, or some of its data could not be used.
+        130: stopped by Ctrl-C. All other options are those of posetrack {line}.
+        """,
+    )
+
+
+for _one in BATCH_COMMANDS.values():
+    {"hand": batch_hand, "head": batch_head}[_one.words[0]].add_command(_command(_one))
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What a command line asks for."""
+
+    jobs: tuple[Job, ...]
+    limits: Limits
+    chunking: Chunking | None
+
+
+def run_batch_command(
+    command: BatchCommand, recordings: Sequence[str], arguments: tuple[str, ...], options: dict[str, Any]
+) -> None:
+    """Do a batch, or say what it would do.
+
+    Args:
+        command: that tracks.
+        recordings: as they were given.
+        arguments: options of the command.
+        options: of the batch.
+    """
+    from posetrack_cli.batch.sources import find_sources
+
+    if options["scheduler"] is not None and options["scheduler_file"] is not None:
+        raise UsageError("--scheduler and --scheduler-file both say where", hint="leave one of them out")
+    plan = _planned(command, find_sources(recordings), arguments, options)
+    judging = _judging(options)
+    if options["dry_run"]:
+        _show_plan(plan)
+        return
+    from posetrack_cli.batch.summary import markdown_of, summarise, write_summary
+
+    folder = options["results"]
+    _make_folder(folder)
+    with _locked(folder):
+        outcomes = _run(plan, options)
+        summary = summarise(plan.jobs, outcomes, judging)
+        write_summary(folder, summary, judging)
+    if options["markdown"] == STANDARD_OUTPUT:
+        print_data(markdown_of(summary, judging))
+    _close(folder, summary)
+
+
+def _judging(options: dict[str, Any]) -> Judging:
+    """How results are judged; what cannot be meant is refused before the first is made."""
+    from posetrack_cli.batch.summary import Judging
+    from posetrack_cli.evaluation.assessment import Request
+    from posetrack_cli.evaluation.baseline import read_baseline
+    from posetrack_cli.evaluation.gates import parse_gate, read_gates
+    from posetrack_cli.evaluation.reports.report_files import check_reports
+    from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN
+    from posetrack_cli.evaluation.reports.writing import Reports
+
+    gates = [parse_gate(text) for text in options["conditions"]]
+    gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
+    baseline = options["baseline"]
+    request = Request(
+        gates=tuple(gates),
+        baseline=None if baseline is None else read_baseline(baseline),
+        baseline_tolerance=options["baseline_tolerance"],
+    )
+    reports = Reports(
+        junit=options["junit"],
+        markdown=None if options["markdown"] == STANDARD_OUTPUT else options["markdown"],
+    )
+    written = [path for path in (reports.junit, reports.markdown) if path is not None]
+    inputs = [*options["gate_files"], *([] if baseline is None else [baseline])]
+    check_reports(written, inputs, overwrite=True)
+    return Judging(request, reports, MOST_SHOWN)
+
+
+def _planned(
+    command: BatchCommand, sources: Sequence[Source], arguments: tuple[str, ...], options: dict[str, Any]
+) -> _Plan:
+    """The jobs; everything that can be refused is refused here."""
+    from posetrack_cli.batch.jobs import RECORDS_FOLDER, Job, Limits
+    from posetrack_cli.batch.running import Chunking
+    from posetrack_cli.evaluation.gates import parse_gate
+
+    folder, chunk_s = options["results"], options["chunk_s"]
+    jobs = []
+    for source in sources:
+        where = source.manifest or ""
+        own = (*arguments, *command.arguments_of(source.options, where))
+        command.check(own, where)
+        for gate in source.gates:
+            parse_gate(gate)
+        output = folder / f"{source.name}.mcap"
+        jobs.append(
+            Job(
+                source.name,
+                command.words,
+                source.path,
+                own,
+                output,
+                folder / RECORDS_FOLDER / f"{source.name}.json",
+                source.truth,
+                source.gates,
+                folder / f"{source.name}.html" if options["reports"] else None,
+                chunk_s=chunk_s or 0.0,
+                overlap_s=options["overlap_s"] if chunk_s else 0.0,
+            )
+        )
+    limits = Limits(options["memory_limit"], options["timeout_s"], redo=options["redo"])
+    chunking = None
+    if chunk_s:
+        chunking = Chunking(
+            chunk_s,
+            options["overlap_s"],
+            lambda job, number, learned: command.of_piece(job.arguments, number, learned),
+        )
+    return _Plan(tuple(jobs), limits, chunking)
+
+
+def _show_plan(plan: _Plan) -> None:
+    """Say what would be done with each recording."""
+    from posetrack_cli.batch.performing import planned
+
+    for job in plan.jobs:
+        try:
+            way = planned(job, plan.limits)
+        except PosetrackError as error:
+            way = f"fail: {error}"
+        print_line(f"{way}: {job.recording} -> {job.output}")
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise UsageError("output is a file", where=folder, expected="a folder for the results") from error
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep other batches out of a folder of results."""
+    from posetrack_cli.batch.jobs import RECORDS_FOLDER
+    from posetrack_cli.files import open_output
+    from posetrack_cli.outputs import check_not_written, lock
+
+    path = folder / RECORDS_FOLDER / "lock"
+    path.parent.mkdir(exist_ok=True)
+    try:
+        check_not_written(path)
+    except UsageError as error:
+        raise UsageError(
+            "another batch writes there", where=folder, hint="wait for it, or choose another"
+        ) from error
+    with open_output(path) as stream:
+        lock(stream)
+        yield
+
+
+def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
+    """Do the jobs, and show how far they are."""
+    from posetrack_cli.batch.engine import Where, open_engine
+    from posetrack_cli.batch.performing import perform
+    from posetrack_cli.batch.running import run_batch
+
+    jobs = options["jobs"] or len(os.sched_getaffinity(0))
+    where = Where(min(jobs, max(1, len(plan.jobs) if plan.chunking is None else jobs)))
+    where = Where(where.jobs, options["scheduler"], options["scheduler_file"])
+    with (
+        BatchProgress(len(plan.jobs)) as shown,
+        stop_signals() as stopped,
+        open_engine(where, perform, shown.on_progress, shown.note) as engine,
+    ):
+        return run_batch(engine, plan.jobs, plan.limits, plan.chunking, shown.on_outcome, stopped)
+
+
+def _close(folder: Path, summary: Summary) -> None:
+    """Say what came of the batch, and set the exit code."""
+    from posetrack_cli.batch.jobs import State
+    from posetrack_cli.batch.running import count_states
+    from posetrack_cli.batch.summary import PAGE
+
+    outcomes = summary.outcomes
+    counts = count_states(outcomes)
+    said = ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
+    print_note(f"{len(outcomes)} recordings: {said}: {folder / PAGE}")
+    failed = [one for one in outcomes if one.state is State.FAILED]
+    for one in failed:
+        print_note(f"failed: {one.name}: {one.reason}")
+    for gate in summary.failed:
+        print_note(gate.line)
+    if counts[State.STOPPED]:
+        print_note("interrupted; the same command goes on")
+        code = EXIT_INTERRUPTED
+    elif summary.failed:
+        code = EXIT_FAILED
+    elif failed or any(one.lost_data for one in outcomes):
+        code = EXIT_DATA_LOST
+    else:
+        return
+    click.get_current_context().exit(code)

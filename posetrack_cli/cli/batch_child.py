@@ -1,0 +1,157 @@
+"""The process of one job of a batch: does it, writes a page about the result, and tells whoever started it.
+
+What is to be done comes as one line of JSON on standard input, which then stays open as long as somebody
+waits
+for this process: where it ends, so does the process. What is told goes to the descriptor that the command
+line names, one line of JSON each: progress, and in the end what came of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import IO, Any
+
+from posetrack_cli.cli.main import run, run_safely
+from posetrack_cli.cli.process import leave_process, prepare_process, terminate_as_interrupted
+from posetrack_cli.cli.running import Listener, told_to
+from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError
+
+_INPUT, _READ_BYTES = 0, 1 << 16
+_TOLD_EVERY_S = 0.5
+
+
+def main() -> None:
+    """Do the job that standard input tells of, and exit with its command's code."""
+    prepare_process()
+    terminate_as_interrupted()
+    task = json.loads(_line())
+    threading.Thread(target=_leave_when_alone, daemon=True).start()
+    _limit_memory(task["memory_bytes"])
+    with os.fdopen(int(sys.argv[1]), "w", encoding="utf-8", buffering=1) as told:
+        code = run_safely(lambda: _do(task, told))
+        _tell(told, {"cpu_s": time.process_time(), "peak_bytes": _peak_bytes()})
+    leave_process(code)
+
+
+def _line() -> bytes:
+    """The first line of standard input, not through Python's stream of it: a thread reads on."""
+    read = b""
+    while not read.endswith(b"\n"):
+        if not (piece := os.read(_INPUT, _READ_BYTES)):
+            break
+        read += piece
+    return read
+
+
+def _leave_when_alone() -> None:
+    """End where whoever started this has ended: somebody else may be asked to do the same job."""
+    while os.read(_INPUT, _READ_BYTES):
+        pass
+    os._exit(EXIT_FAILED)
+
+
+def _limit_memory(most_bytes: int | None) -> None:
+    """Have allocations fail beyond a limit, so that this process fails and not another one."""
+    if most_bytes is not None:
+        resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
+
+
+def _peak_bytes() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _do(task: dict[str, Any], told: IO[str]) -> int:
+    """Do the job, and write a page about what it made; the exit code is the job's own."""
+    from posetrack_cli.recording.identity import known_digests, tell_digests
+
+    if task["digests"]:
+        tell_digests(task["digests"])
+    if task["kind"] == "split":
+        _tell(told, {"pieces": _split(task), "digests": known_digests()})
+        return EXIT_DONE
+    code = _joined(task) if task["kind"] == "join" else _tracked(task, told)
+    if code in (EXIT_DONE, EXIT_DATA_LOST) and task["page"] is not None:
+        _write_page(task)
+    return code
+
+
+class _Teller(Listener):
+    """Passes on what a command that tracks tells, progress not oftener than anybody looks."""
+
+    def __init__(self, told: IO[str]) -> None:
+        self._told, self._last_s = told, 0.0
+
+    def on_frame(self, pass_name: str, done: int, total: int | None) -> None:
+        if (now := time.monotonic()) - self._last_s >= _TOLD_EVERY_S:
+            self._last_s = now
+            _tell(self._told, {"progress": [pass_name, done, total]})
+
+    def on_remark(self, text: str) -> None:
+        _tell(self._told, {"remark": text})
+
+    def on_end(self, tracked: int) -> None:
+        _tell(self._told, {"tracked": tracked})
+
+
+def _tell(told: IO[str], what: dict[str, Any]) -> None:
+    told.write(json.dumps(what) + "\n")
+
+
+def _tracked(task: dict[str, Any], told: IO[str]) -> int:
+    if not task["arguments"]:  # the result is there, and only its page is missing
+        return EXIT_DONE
+    with told_to(_Teller(told)):
+        return run(task["arguments"])
+
+
+def _split(task: dict[str, Any]) -> list[list[int]]:
+    from posetrack_cli.batch.pieces import split_frames
+    from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
+
+    command = BATCH_COMMANDS[tuple(task["command"])]
+    recording, options = command.opened(Path(task["recording"]), task["options"])
+    recording.identity()  # of all of it, once, for the pieces
+    pieces = split_frames(
+        recording,
+        task["chunk_s"],
+        task["overlap_s"],
+        start=options["start"],
+        end=options["end"],
+        stride=options["stride"],
+        looks_ahead=options["smooth"],
+    )
+    return [[piece.start, piece.end, piece.first, piece.last] for piece in pieces]
+
+
+def _joined(task: dict[str, Any]) -> int:
+    from posetrack_cli.batch.jobs import Piece
+    from posetrack_cli.batch.pieces import join_results
+
+    pieces = [(Path(path), Piece(**piece)) for path, piece in task["pieces"]]
+    has_losses = join_results(pieces, Path(task["output"]), task["chunk_s"], task["overlap_s"])
+    return EXIT_DATA_LOST if has_losses else EXIT_DONE
+
+
+def _write_page(task: dict[str, Any]) -> None:
+    """Measure the result, and write the page about it; where that fails the result is there all the same."""
+    from posetrack_cli.cli.eval import write_page
+    from posetrack_cli.evaluation.assessment import Request, assess
+    from posetrack_cli.evaluation.evaluate import EvalOptions
+
+    truth = None if task["truth"] is None else Path(task["truth"])
+    request = Request((Path(task["output"]),), options=EvalOptions(truth=truth), keep_tracks=True, page=True)
+    try:
+        write_page(assess(request), Path(task["page"]), Path(task["recording"]))
+    except PosetrackError as error:
+        print_note(f"{task['page']}: no page: {error}")
+
+
+if __name__ == "__main__":
+    main()

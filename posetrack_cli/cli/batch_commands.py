@@ -1,0 +1,148 @@
+"""The commands that a batch runs: their options as arguments, and how they open a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from posetrack_cli.cli.hand import hand_run, open_hand_recording
+from posetrack_cli.cli.head_mono import head_mono, open_mono_recording
+from posetrack_cli.cli.head_stereo import head_stereo, open_stereo_recording
+from posetrack_cli.errors import UsageError, nearest_name
+
+if TYPE_CHECKING:
+    from posetrack_cli.recording.recording import Recording
+
+_OWN = ("recording", "output", "resume", "overwrite", "save_model")
+"""Parameters that a batch sets for each recording, or that name one file to write."""
+_OF_FIRST = "init"
+"""How a recording begins: not of the pieces behind the first one."""
+_FRAMES = ("start", "end")
+
+
+@dataclass(frozen=True)
+class BatchCommand:
+    """A command that tracks one recording.
+
+    Attributes:
+        words: how it is called, such as ``("hand", "run")``.
+        command: it.
+        open: opens a recording as its options say.
+        learned: returns further options of a piece that begins with what another one has learned, given the
+            recording's options and that one's result.
+    """
+
+    words: tuple[str, ...]
+    command: click.Command
+    open: Callable[[Path, dict[str, Any]], Recording]
+    learned: Callable[[Sequence[str], Path], tuple[str, ...]]
+
+    @property
+    def parameters(self) -> list[click.Parameter]:
+        """Those that hold for every recording of a batch."""
+        return [one for one in self.command.params if one.name not in _OWN]
+
+    def arguments(self, context: click.Context) -> tuple[str, ...]:
+        """Return the options that a command line gives, one argument each."""
+        given = (one for one in self.parameters if _is_given(context, one))
+        return tuple(token for one in given for token in _tokens(one, context.params[str(one.name)]))
+
+    def arguments_of(self, options: Mapping[str, Any], where: object) -> tuple[str, ...]:
+        """Return the options of a manifest.
+
+        Args:
+            options: by long name without dashes; true and false of switches, lists of what is repeatable.
+            where: it is, for errors.
+
+        Raises:
+            UsageError: an option that the command has not, or that a batch sets itself.
+        """
+        known = {
+            name.lstrip("-"): one for one in self.parameters for name in (*one.opts, *one.secondary_opts)
+        }
+        tokens: list[str] = []
+        for name, value in options.items():
+            if name not in known:
+                raise UsageError(f"unknown option '{name}'", where=where, hint=nearest_name(name, known))
+            tokens += _tokens_of_value(name, known[name], value, where)
+        return tuple(tokens)
+
+    def check(self, arguments: Iterable[str], where: object = "") -> dict[str, Any]:
+        """Return the parameters that arguments stand for.
+
+        Raises:
+            UsageError: a value that cannot be used.
+        """
+        line = [*arguments, "--output=checked.mcap", "--", "checked"]
+        try:
+            with self.command.make_context(" ".join(self.words), line) as context:
+                return dict(context.params)
+        except click.ClickException as error:
+            message = " ".join(error.format_message().split()).removesuffix(".")
+            raise UsageError(message, where=where) from error
+
+    def opened(self, recording: Path, arguments: Iterable[str]) -> tuple[Recording, dict[str, Any]]:
+        """Open a recording, and return it with the parameters that arguments stand for."""
+        parameters = self.check(arguments, recording)
+        return self.open(recording, parameters), parameters
+
+    def of_piece(self, arguments: Iterable[str], number: int, learned: Path) -> tuple[str, ...]:
+        """Return the options of a piece of a recording, but for its frames.
+
+        Args:
+            arguments: of the recording.
+            number: of the piece; the first one learns what the others begin with.
+            learned: the first one's result.
+        """
+        left_out = _FRAMES if number == 0 else (*_FRAMES, _OF_FIRST)
+        kept = [one for one in arguments if one.partition("=")[0].lstrip("-") not in left_out]
+        return tuple(kept) if number == 0 else (*kept, *self.learned(kept, learned))
+
+
+def _is_given(context: click.Context, parameter: click.Parameter) -> bool:
+    return context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE
+
+
+def _tokens(parameter: click.Parameter, value: Any) -> list[str]:
+    """An option of a command line as arguments of another."""
+    long = max(parameter.opts, key=len)
+    if isinstance(parameter, click.Option) and parameter.is_flag:
+        return [long if value else max(parameter.secondary_opts, key=len)]
+    values = value if parameter.multiple else [value]
+    return [f"{long}={one}" for one in values]
+
+
+def _tokens_of_value(name: str, parameter: click.Parameter, value: Any, where: object) -> list[str]:
+    """An option of a manifest as arguments."""
+    is_flag = isinstance(parameter, click.Option) and parameter.is_flag
+    if is_flag != isinstance(value, bool):
+        expected = "true or false" if is_flag else "text or a number"
+        raise UsageError(f"option '{name}' cannot be used", where=where, found=repr(value), expected=expected)
+    if is_flag:
+        other = parameter.secondary_opts if f"--{name}" in parameter.opts else parameter.opts
+        return [f"--{name}"] if value else list(other[:1])
+    return [f"--{name}={one}" for one in (value if isinstance(value, list) else [value])]
+
+
+def _hand_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
+    return (f"--shape={result}",)
+
+
+def _head_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
+    if any(one.startswith("--person=") for one in arguments):
+        return ()  # it says who it is for all pieces
+    return ("--passes=1", f"--load-model={result}")
+
+
+_EVERY = (
+    BatchCommand(("hand", "run"), hand_run, open_hand_recording, _hand_learned),
+    BatchCommand(("head", "stereo"), head_stereo, open_stereo_recording, _head_learned),
+    BatchCommand(("head", "mono"), head_mono, open_mono_recording, _head_learned),
+)
+BATCH_COMMANDS = {one.words: one for one in _EVERY}
+"""By how they are called."""

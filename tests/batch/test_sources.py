@@ -1,0 +1,99 @@
+"""Which recordings a batch is of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from posetrack_cli.batch.sources import find_sources
+from posetrack_cli.errors import UsageError
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for name in ("in/a.mcap", "in/day1/b.mcap", "in/day2/b.mcap", "in/images/0.png", "in/notes.md"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")
+    return tmp_path
+
+
+def names(*given: str) -> list[str]:
+    return [source.name for source in find_sources(given)]
+
+
+def test_patterns_name_results_by_what_is_below_them(folder: Path) -> None:
+    assert names("in/**/*.mcap") == ["a", "day1/b", "day2/b"]
+    assert names("in/day1/*.mcap") == ["b"]
+    assert names("in/images", "in/a.mcap") == ["images", "a"]
+    assert names("in/ima*") == ["images"]
+
+
+def test_a_file_of_signs_is_no_pattern(folder: Path) -> None:
+    Path("in/x[1].mcap").write_bytes(b"")
+    assert names("in/x[1].mcap") == ["x[1]"]
+
+
+def test_lists_are_read_relative_to_themselves(folder: Path) -> None:
+    Path("in/list.txt").write_text("# all of them\na.mcap\nday*/b.mcap  # by pattern\n\n")
+    found = find_sources(["in/list.txt"])
+    assert [one.name for one in found] == ["a", "day1/b", "day2/b"]
+    assert [one.path for one in found] == [Path("in/a.mcap"), Path("in/day1/b.mcap"), Path("in/day2/b.mcap")]
+
+
+def test_a_manifest_gives_each_recording_its_own(folder: Path) -> None:
+    Path("in/camera.toml").write_text("")
+    Path("in/truth.csv").write_text("")
+    Path("in/set.toml").write_text(
+        'gates = ["coverage < 0.9"]\n[options]\nseed = 3\ncamera = "camera.toml"\n'
+        '[[recordings]]\npath = "a.mcap"\nname = "first/a"\ntruth = "truth.csv"\n'
+        "[recordings.options]\nseed = 4\nsmooth = true\n"
+        '[[recordings]]\npath = "day*/b.mcap"\ngates = ["lost > 3"]\n'
+    )
+    first, second, third = find_sources(["in/set.toml"])
+    assert (first.name, first.truth) == ("first/a", Path("in/truth.csv"))
+    assert first.options == {"seed": 4, "camera": "in/camera.toml", "smooth": True}
+    assert (second.name, third.name) == ("day1/b", "day2/b")
+    assert second.options == {"seed": 3, "camera": "in/camera.toml"}
+    assert second.gates == ("coverage < 0.9", "lost > 3")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("recordings = []", "names no recording"),
+        (
+            '[[recordings]]\npath = "a.mcap"\nside = "left"',
+            "unknown configuration key 'recordings.0.side'; known:",
+        ),
+        ('[[recordings]]\npaht = "a.mcap"', "'recordings.0.path' is missing"),
+        ('[[recordings]]\npath = "gone.mcap"', "in/gone.mcap: no such recording"),
+        ('[[recordings]]\npath = "day*/b.mcap"\nname = "x"', "name 'x' of several recordings"),
+        ('[[recordings]]\npath = "a.mcap"\nname = "../x"', "name of a result cannot be used"),
+        ('[[recordings]]\npath = "a.mcap"\nname = "/x"', "name of a result cannot be used"),
+        ('[[recordings]]\npath = "a.mcap"\ntruth = "gone.csv"', "no such truth, found gone.csv"),
+        ("[[recordings]\n", "not a TOML file"),
+    ],
+)
+def test_a_manifest_that_cannot_be_meant_is_refused(folder: Path, text: str, words: str) -> None:
+    Path("in/set.toml").write_text(text)
+    with pytest.raises(UsageError) as caught:
+        find_sources(["in/set.toml"])
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["nothing/*.mcap"], "nothing/*.mcap: no recording matches"),
+        (["gone.mcap"], "gone.mcap: no such recording"),
+        (["in/day1/b.mcap", "in/day2/b.mcap"], "two recordings would write one result, b.mcap"),
+        (["in/a.mcap", "in/a.mcap"], "two recordings would write one result, a.mcap"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(folder: Path, given: list[str], words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        find_sources(given)
+    assert words in str(caught.value)

@@ -1,0 +1,338 @@
+"""``posetrack batch`` end to end: on this machine, and on a real cluster in which things go wrong."""
+
+from __future__ import annotations
+
+import csv
+import filecmp
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from posetrack_cli.cli.batch import BATCH_OPTIONS
+from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
+from posetrack_cli.cli.main import run
+from posetrack_cli.evaluation.evaluate import evaluate
+from posetrack_cli.outputs import state_path
+from posetrack_cli.results import load_arrays, read_result
+
+POSETRACK = [sys.executable, "-m", "posetrack_cli.cli.main"]
+KNOWN = ["--hand-side", "right", "--shape", "average", "--particles", "32", "--set", "output.flush_frames=2"]
+"""What need not be found out of a hand: runs start at once."""
+FRAMES = 8
+RATE_HZ = 30.0
+CHUNK_S = 1.0
+
+HOOK = '''
+"""Makes things go wrong in the processes of jobs, by the names of recordings, while a file says so."""
+import json, os, pathlib, signal, time
+loads, here = json.loads, pathlib.Path(__file__).parent
+def hooked(text, *more, **options):
+    value = loads(text, *more, **options)
+    if isinstance(value, dict) and "memory_bytes" in value and (here / "active").exists():
+        name = pathlib.Path(value["recording"]).stem
+        if name == "aborts":
+            os.abort()
+        if name == "sleeps":
+            time.sleep(600)
+        if name == "kills" and not (here / "killed").exists():
+            (here / "killed").touch()
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(600)
+    return value
+json.loads = hooked
+'''
+
+
+def synth(path: Path, seed: int, frames: int = FRAMES) -> Path:
+    options = ["--motion", "C", "--frames", str(frames), "--seed", str(seed), "--no-drops", "-o", str(path)]
+    assert run(["hand", "synth", *options]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve, of which one is damaged; the others are of three motions."""
+    folder = tmp_path_factory.mktemp("in")
+    made = [synth(folder / f"a{seed}.mcap", seed) for seed in (1, 2, 3)]
+    for k, name in enumerate(("b1", "b2", "b3", "b4", "b5", "aborts", "sleeps", "kills")):
+        (folder / "day").mkdir(exist_ok=True)
+        shutil.copy(made[k % 3], folder / "day" / f"{name}.mcap")
+    (folder / "damaged.mcap").write_bytes(made[0].read_bytes()[:20_000])
+    return folder
+
+
+@pytest.fixture
+def hooked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder whose file ``active`` makes things go wrong in all processes that are started."""
+    folder = tmp_path / "hook"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(HOOK)
+    (folder / "active").touch()
+    before = os.environ.get("PYTHONPATH")
+    monkeypatch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{before}" if before else str(folder))
+    return folder
+
+
+@pytest.fixture
+def cluster(tmp_path: Path, hooked: Path) -> Iterator[Path]:
+    """A scheduler and two workers as processes; the file that the scheduler writes."""
+    file, dask = tmp_path / "scheduler.json", [sys.executable, "-m", "dask"]
+    flags = ["--scheduler-file", str(file), "--no-dashboard"]
+    commands = [[*dask, "scheduler", "--port", "0", "--host", "127.0.0.1", *flags]]
+    commands += [[*dask, "worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", *flags]] * 2
+    with (tmp_path / "cluster.log").open("wb") as log:
+        processes = [subprocess.Popen(one, stdout=log, stderr=log, cwd=tmp_path) for one in commands]
+        try:
+            yield file
+        finally:
+            for one in processes:  # without asking: a worker whose scheduler is gone waits for it
+                one.kill()
+            for one in processes:
+                one.wait()
+
+
+def states(folder: Path) -> dict[str, str]:
+    with (folder / "summary.csv").open(newline="") as stream:
+        return {row["name"]: row["state"] for row in csv.DictReader(stream)}
+
+
+def run_batch(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    line = [*POSETRACK, "batch", "hand", "run", *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+def single(recording: Path, output: Path, *options: str) -> Path:
+    assert run(["hand", "run", str(recording), "-o", str(output), *KNOWN, *options]) == 0
+    return output
+
+
+def test_a_cluster_in_which_things_go_wrong(
+    recordings: Path, tmp_path: Path, cluster: Path, hooked: Path
+) -> None:
+    out, junit = tmp_path / "out", tmp_path / "junit.xml"
+    common = [f"{recordings}/**/*.mcap", "-o", out, "--no-reports", *KNOWN]
+    done = run_batch(*common, "--scheduler-file", cluster, "--timeout", "40", "--junit", junit)
+    wrong = {"day/aborts", "day/sleeps", "damaged"}
+    found = states(out)
+    assert len(found) == 12
+    assert {name for name, state in found.items() if state != "done"} == wrong, done.stderr
+    assert (hooked / "killed").exists()  # a worker died, and another one did its job
+    assert done.returncode == 3
+    assert "failed: day/aborts: its process was killed by SIGABRT" in done.stderr
+    assert "failed: day/sleeps: took longer than --timeout 40 s" in done.stderr
+    assert "failed: damaged: " in done.stderr
+    failures = {
+        case.get("classname") for case in ET.parse(junit).iter("testcase") if case.find("failure") is not None
+    }
+    assert failures == wrong
+
+    for name, recording in (("a1", "a1"), ("day/kills", "a2"), ("day/b3", "a3")):
+        alone = single(recordings / f"{recording}.mcap", tmp_path / f"alone-{recording}.mcap")
+        assert read_result(out / f"{name}.mcap").run["input.name"] == f"{Path(name).name}.mcap"
+        if name == recording:
+            assert filecmp.cmp(out / f"{name}.mcap", alone, shallow=False)
+        else:  # its name is part of its record, and nothing else differs
+            a, b = load_arrays(out / f"{name}.mcap"), load_arrays(alone)
+            assert all(
+                np.array_equal(a[key], b[key], equal_nan=True) for key in ("position", "pose_variance")
+            )
+
+    (hooked / "active").unlink()
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")}
+    again = run_batch(*common, "--timeout", "600")
+    found = states(out)
+    assert {name for name, state in found.items() if state == "done"} == {"day/aborts", "day/sleeps"}
+    assert {name for name, state in found.items() if state == "failed"} == {"damaged"}
+    assert again.returncode == 3
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in times.items())
+
+
+@pytest.fixture(scope="module")
+def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return synth(tmp_path_factory.mktemp("long") / "long.mcap", 5, frames=66)
+
+
+def test_pieces_give_equal_bytes_for_any_number_of_workers(long_recording: Path, tmp_path: Path) -> None:
+    """And nothing shows where they meet: the error changes there as it does elsewhere."""
+    results = []
+    for jobs in (1, 2, 4):
+        out = tmp_path / str(jobs)
+        pieces = ["--chunk-s", str(CHUNK_S), "--overlap-s", "0.5", "--jobs", str(jobs), "--smooth"]
+        done = run_batch(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)
+        assert done.returncode == 0, done.stderr
+        results.append(out / "long.mcap")
+        assert not (out / ".batch" / "long.pieces").exists()
+    assert all(filecmp.cmp(results[0], other, shallow=False) for other in results[1:])
+    result = read_result(results[0])
+    assert (result.run["pieces"], result.run["chunk_s"]) == ("2", "1")
+    for track in result.tracks:
+        found = load_arrays(results[0], result.topic_of_track(track))
+        assert np.array_equal(np.sort(found["frame_index"]), np.arange(66))
+
+    truth = load_arrays(results[0], "/truth/hand/estimate")
+    found = load_arrays(results[0])
+    errors = found["points"] - truth["points"]
+    steps = np.linalg.norm(np.diff(errors, axis=0), axis=2).mean(axis=1)
+    seam = round(CHUNK_S * RATE_HZ) - 1
+    assert steps[seam] <= np.delete(steps, seam).max()
+
+    whole = single(long_recording, tmp_path / "whole.mcap")
+    error, without = (evaluate(path).metrics["joint_error_mm"].mean for path in (results[0], whole))  # type: ignore[union-attr]
+    assert error <= 1.1 * without  # on 66 frames; docs/batch.md tells of 3,000
+
+
+def test_ctrl_c_stops_and_the_same_command_goes_on(
+    recordings: Path, long_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    arguments = [
+        str(long_recording),
+        str(recordings / "a1.mcap"),
+        "-o",
+        str(out),
+        "--jobs",
+        "1",
+        "--no-reports",
+    ]
+    line = [*POSETRACK, "batch", "hand", "run", *arguments, *KNOWN, "--particles", "256"]
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as process:
+        end_s = time.monotonic() + 120.0
+        while not (out / "long.mcap.part").exists() or (out / "long.mcap.part").stat().st_size < 30_000:
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=120.0)
+    assert process.returncode == 130
+    assert "interrupted; the same command goes on" in said
+    assert states(out) == {"long": "stopped", "a1": "stopped"}
+    assert state_path(out / "long.mcap").is_file()
+    assert subprocess.run(line, check=False, capture_output=True).returncode == 0
+    assert states(out) == {"long": "done", "a1": "done"}
+
+
+def test_a_page_has_a_row_for_each_and_links_to_theirs(recordings: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run_batch(
+        recordings / "a1.mcap",
+        recordings / "damaged.mcap",
+        "-o",
+        out,
+        *KNOWN,
+        "--fail-if",
+        "joint_error_mm.mean > 0",
+    )
+    assert done.returncode == 1
+    assert "a1: gate 'joint_error_mm.mean > 0' failed" in done.stderr
+    page = (out / "index.html").read_text()
+    assert 'href="./a1.html"' in page
+    assert (out / "a1.html").is_file()
+    assert "Recordings without a result (1)" in page
+    report = json.loads((out / "summary.json").read_text())
+    assert [one["name"] for one in report["recordings"]] == ["damaged", "a1"]
+    again = run_batch(
+        recordings / "a1.mcap", "-o", out, *KNOWN, "--baseline", out / "summary.json", "--markdown", "-"
+    )
+    assert again.returncode == 0, again.stderr  # it is as good as before
+    assert "posetrack eval" in again.stdout
+
+
+def test_memory_that_is_not_there_fails_one_recording(recordings: Path, tmp_path: Path) -> None:
+    """Numbers of particles that no window of memory holds fail alone, by a line."""
+    manifest = tmp_path / "set.toml"
+    a1, a2 = recordings / "a1.mcap", recordings / "a2.mcap"
+    manifest.write_text(
+        f'[[recordings]]\npath = "{a1}"\noptions = {{ particles = 400000 }}\n[[recordings]]\npath = "{a2}"\n'
+    )
+    done = run_batch(manifest, "-o", tmp_path / "out", "--no-reports", "--memory-limit", "700M", *KNOWN)
+    assert done.returncode == 3, done.stderr
+    assert states(tmp_path / "out") == {"a1": "failed", "a2": "done"}
+    assert "memory" in done.stderr
+
+
+def test_a_dry_run_changes_nothing(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["batch", "hand", "run", f"{recordings}/a*.mcap", "-o", str(tmp_path / "out"), "--dry-run"]
+    assert run(arguments) == 0
+    assert capsys.readouterr().out.count("track: ") == 3
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nothing/*.mcap"], "no recording matches"),
+        (["{a1}", "{a1}"], "two recordings would write one result"),
+        (["{a1}", "--scheduler", "tcp://127.0.0.1:9", "--scheduler-file", "x"], "both say where"),
+        (["{a1}", "--hand-side", "middle"], "'middle' is not one of"),
+        (["{a1}", "--memory-limit", "much"], "'much' is no size such as 2G"),
+        (["{a1}", "--memory-limit", "1M"], "less than any run needs"),
+        (["{a1}", "--fail-if", "joint_eror_mm.mean > 3"], "joint_eror_mm"),
+        (["{a1}", "--resume"], "No such option '--resume'"),
+        (["{manifest}"], "unknown option 'hand-sid'; did you mean 'hand-side'?"),
+    ],
+)
+def test_bad_input_is_one_line(
+    recordings: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = tmp_path / "set.toml"
+    path = recordings / "a1.mcap"
+    manifest.write_text(f'[[recordings]]\npath = "{path}"\noptions = {{ hand-sid = "left" }}\n')
+    filled = [one.format(a1=path, manifest=manifest) for one in arguments]
+    assert run(["batch", "hand", "run", *filled, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from posetrack_cli.batch import engine
+
+    monkeypatch.setattr(engine, "CONNECT_S", 0.5)
+    line = ["batch", "hand", "run", str(recordings / "a1.mcap"), "-o", str(tmp_path / "out")]
+    assert run([*line, "--scheduler-file", str(tmp_path / "gone.json")]) == 1
+    said = capsys.readouterr().err
+    assert "gone.json: no Dask scheduler answers, found no such file within 0.5 s" in said
+
+
+def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['dask'] = None\n")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    }
+    line = [*POSETRACK, "batch", "hand", "run", str(recordings / "a1.mcap"), "-o", str(tmp_path / "out")]
+    done = subprocess.run(line, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'posetrack[batch]'" in done.stderr
+
+
+def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path) -> None:
+    from posetrack_cli.files import open_output
+    from posetrack_cli.outputs import lock
+
+    (tmp_path / "out" / ".batch").mkdir(parents=True)
+    with open_output(tmp_path / "out" / ".batch" / "lock") as stream:
+        lock(stream)
+        done = run_batch(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
+    assert done.returncode == 2
+    assert "another batch writes there" in done.stderr
+
+
+@pytest.mark.parametrize("command", BATCH_COMMANDS.values(), ids=lambda one: " ".join(one.words))
+def test_no_option_of_a_command_is_hidden_by_one_of_the_batch(command: object) -> None:
+    names = {name for one in BATCH_OPTIONS for name in (*one.opts, *one.secondary_opts, str(one.name))}
+    own = [name for one in command.parameters for name in (*one.opts, *one.secondary_opts, str(one.name))]  # type: ignore[attr-defined]
+    assert not names & set(own)
