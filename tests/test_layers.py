@@ -82,6 +82,8 @@ def imported(nodes: Iterable[ast.AST]) -> set[str]:
 
 def layer(name: str) -> str:
     """The layer that a module is in, itself if it lies below all, or the library's name."""
+    if name == f"{PACKAGE.name}.__main__":
+        return "cli"
     return name.split(".")[1 if name in MODULES and name != PACKAGE.name else 0]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import CAMERA_FILE_NAME, RECORDING_KEY
+from posetrack_cli.recording.base import CAMERA_FILE_KEY, CAMERA_FILE_NAME, RECORDING_KEY
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
 from posetrack_cli.recording.identity import file_digest
@@ -223,7 +223,7 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
         except RecordingError:
             check_bytes(path, run)  # a file that was changed may lack what the run found in it
             raise
-    check_identity(recording, run)
+        check_identity(recording, run)  # the camera file is part of a folder's identity
     return recording
 
 
@@ -255,8 +255,12 @@ def _readable(value: float | bool) -> str:
 
 @contextmanager
 def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The run's cameras, for an MCAP file that was tracked with a camera file and none is given now."""
+    """The run's camera file, or cameras, for what was tracked with a camera file where none is given now."""
     run = result.run
+    if path.is_dir() and f"input.{CAMERA_FILE_KEY}" in run and "camera_file" not in given:
+        with _written(run[f"input.{CAMERA_FILE_KEY}"]) as file:
+            yield {"camera_file": file}
+        return
     with_file = run.get("input.camera_topic") == "" or run.get("input.calibration") == "camera file"
     if not with_file or path.is_dir() or {"camera_file", "camera_topic"} & given.keys():
         yield {}
@@ -264,11 +268,18 @@ def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterat
     mirrored = run.get("input.mirror") == "true"
     cameras = result.several_cameras or (camera_of(run),)
     stored = [camera.mirrored() if mirrored else camera for camera in cameras]
+    write = _depth_camera_text if pixels_of(result) == "depth" else camera_file_text
+    with _written(write(stored)) as file:
+        yield {"camera_file": file}
+
+
+@contextmanager
+def _written(text: str) -> Iterator[Path]:
+    """A camera file of this text, as long as it is needed."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / CAMERA_FILE_NAME
-        write = _depth_camera_text if pixels_of(result) == "depth" else camera_file_text
-        file.write_text(write(stored), encoding="utf-8", errors="backslashreplace")
-        yield {"camera_file": file}
+        file.write_bytes(text.encode("utf-8", "backslashreplace"))
+        yield file
 
 
 def _depth_camera_text(cameras: Sequence[Camera]) -> str:

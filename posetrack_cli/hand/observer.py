@@ -129,6 +129,7 @@ class Observer:
         camera: of the depth images.
         segment: whether the hand is separated from its surroundings; else all readings are targets.
         with_arm: whether the forearm is a target, too, for a likelihood that explains it; else it is cut off.
+        follows: whether predictions are of a hand that is followed, not of one that may be there.
     """
 
     def __init__(
@@ -139,9 +140,10 @@ class Observer:
         *,
         segment: bool,
         with_arm: bool = False,
+        follows: bool = False,
     ) -> None:
         self._config, self.anatomy, self._camera = config, anatomy, camera
-        self._segment, self._with_arm = segment, with_arm
+        self._segment, self._with_arm, self._follows = segment, with_arm, follows
         self.sampler = PixelSampler(camera)
 
     def observe(self, depth: ImageArray, predicted: FloatArray, log_girth: float = 0.0) -> Observation:
@@ -157,7 +159,9 @@ class Observer:
         if not self._segment:
             return everything(self.sampler.sample(depth, window), window)
         settings = self._config.segmentation
-        found = segment_hand(depth, self.sampler, window, self._camera, hand, settings)
+        found = segment_hand(
+            depth, self.sampler, window, self._camera, hand, settings, is_followed=self._follows
+        )
         return self._observation(found, log_girth)
 
     def _observation(self, found: Segmentation, log_girth: float) -> Observation:

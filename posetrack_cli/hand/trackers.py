@@ -46,7 +46,8 @@ def make_tracker(
     is_swarm = config.filter.kind == "pso"
     # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are
     segment = is_swarm or proposal.fits_frames or config.observation.cost != "paper"
-    observer = Observer(config, hand.anatomy, camera, segment=segment, with_arm=segment and not is_swarm)
+    with_arm = segment and not is_swarm
+    observer = Observer(config, hand.anatomy, camera, segment=segment, with_arm=with_arm, follows=True)
     if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, objective, observer, finder)

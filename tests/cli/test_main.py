@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from posetrack_cli import __version__
 from posetrack_cli.cli.main import run
 
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
@@ -71,3 +72,9 @@ def test_a_name_that_the_terminal_cannot_show_is_shown_some_way(recording: Path,
     done = subprocess.run(arguments, env=environment, capture_output=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(b"\\u3042.mcap: MCAP")
+
+
+def test_the_package_runs_as_a_module() -> None:
+    line = [sys.executable, "-m", "posetrack_cli", "--version"]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    assert done.stdout == f"posetrack, version {__version__}\n"

@@ -183,13 +183,20 @@ def test_images_mirrored_otherwise_than_the_run_s_are_refused(
         search_recording(result, mirror=not mirror)
 
 
-def test_a_folder_without_its_camera_file_needs_it_again(source: Path, tmp_path: Path) -> None:
+def test_a_folder_tracked_with_a_camera_file_gets_it_from_the_result(source: Path, tmp_path: Path) -> None:
+    """Wherever the file is now; another one makes another recording."""
     recording = open_recording(source)
     folder = make_folder(tmp_path / "images", recording, camera=False)
     camera = write_camera(tmp_path / "camera.toml", recording.cameras[0])
     result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE, camera_file=camera))
     assert search_recording(result, camera_file=camera).recording is not None
-    assert "pass --camera" in search_recording(result).reason
+    camera.unlink()
+    found = search_recording(result).recording
+    assert found is not None, search_recording(result).reason
+    assert found.cameras == recording.cameras
+    other = write_camera(tmp_path / "camera.toml", Camera(512, 424, 400.0, 401.0, 250.0, 210.0))
+    with pytest.raises(RecordingError, match="is not the recording that the result was made from"):
+        search_recording(result, folder, camera_file=other)
 
 
 @pytest.mark.parametrize("mirror", [False, True])

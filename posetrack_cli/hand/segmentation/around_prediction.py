@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import SegmentationSettings
 from posetrack_cli.hand.observation import IGNORED, Observation, PixelSampler
@@ -88,6 +88,8 @@ def segment(
     camera: Camera,
     predicted: PredictedHand,
     settings: SegmentationSettings,
+    *,
+    is_followed: bool = True,
 ) -> Segmentation:
     """Tell the hand's pixels from its forearm, from other surfaces and from missing readings **[ours]**.
 
@@ -102,12 +104,14 @@ def segment(
         camera: its camera.
         predicted: the hand as expected.
         settings: margins.
+        is_followed: whether the prediction is of a hand that is followed, not of one that may be there: only
+            such a hand has fingers where none are expected.
     """
     margin = round(settings.margin_mm / max(float(pixel_mm(predicted.wrist[2], window, camera)), 1e-3))
     margin = min(max(margin, 0), window.width)
     wide = _widened(window, margin)
     tile = sampler.sample(depth, wide)
-    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, settings)
+    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, settings, is_followed)
     inner = np.s_[margin : margin + window.height, margin : margin + window.width]
     return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction, is_reversed)
 
@@ -145,13 +149,13 @@ def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
 
 
 def _labels(
-    view: View, predicted: PredictedHand, settings: SegmentationSettings
+    view: View, predicted: PredictedHand, settings: SegmentationSettings, is_followed: bool
 ) -> tuple[ImageArray, Arm, bool]:
     labels = np.where(view.depth > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
     silhouette = silhouette_of(predicted.joints, predicted.scale, view.window, view.camera)
     if silhouette is None:
         return labels, Arm(predicted.wrist, predicted.towards_elbow, None), False
-    limb, hand = _limb(view, silhouette, predicted, settings)
+    limb, hand = _limb(view, silhouette, predicted, settings, is_followed)
     arm = arm_of(view, limb, hand, silhouette, predicted, settings)
     labels[hand] = Label.HAND
     if arm.direction is not None:
@@ -163,12 +167,17 @@ def _labels(
 
 
 def _limb(
-    view: View, silhouette: Silhouette, predicted: PredictedHand, settings: SegmentationSettings
+    view: View,
+    silhouette: Silhouette,
+    predicted: PredictedHand,
+    settings: SegmentationSettings,
+    is_followed: bool,
 ) -> tuple[BoolArray, BoolArray]:
     """The surfaces connected to the hand, and what of them is the hand or forearm.
 
-    A surface is the hand's if most of what lies within the hand's reach lies at the prediction. The one with
-    most pixels there is in any case: a hand that touches a body is one with it, and is cut out closely.
+    A surface is the hand's if most of what lies within the hand's reach lies at the prediction, or if it is a
+    finger of a hand that is followed (``_fingers``). The one with most pixels there is in any case: a hand
+    that touches a body is one with it, and is cut out closely.
     """
     jump = jump_mm(view.apart, settings.steepest)
     count, numbers = surface_labels(without_pinholes(view.depth, jump), jump)
@@ -183,9 +192,37 @@ def _limb(
     if inside.any():
         merged[int(np.argmax(inside))] = True
     merged &= ~own
+    begin = (inside > 0) & ~(own | merged) & is_followed
+    fingers = _fingers(view, np.where(read, numbers, 0), near, begin, predicted.scale)
     beside = _beside(view, silhouette, predicted, settings.aside_mm, settings.in_front_mm, settings.behind_mm)
-    limb = read & (own | merged)[numbers]
-    return limb, limb & np.where(merged[numbers], at_hand, beside)
+    limb = read & (own | merged | fingers)[numbers]
+    return limb, limb & (np.where(merged[numbers], at_hand, beside) | fingers[numbers])
+
+
+_FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
+"""What a finger covers at most, of a hand of scale 1, and how much of it lies within the hand's reach."""
+
+
+def _fingers(view: View, numbers: IntArray, near: BoolArray, begin: BoolArray, scale: float) -> BoolArray:
+    """Which surfaces are fingers that stretched since the hand was predicted **[ours]**.
+
+    A thumb before its base, or a missing reading beside it, makes a finger a surface of its own; most of one
+    that has just been stretched is not where a fist is expected, nor will the next frame expect it there if
+    this one does not see it. Nothing else that begins at a hand ends within its reach, and is so small.
+
+    Args:
+        view: the window.
+        numbers: (h, w) of the surfaces, 0 without a reading.
+        near: (h, w) what lies within the hand's reach.
+        begin: (K,) surfaces that are asked about: something of them lies at the prediction.
+        scale: of the hand.
+    """
+    whole, reached = (
+        np.bincount(numbers[part], weights=view.apart[part] ** 2, minlength=len(begin))
+        for part in (numbers > 0, near & (numbers > 0))
+    )
+    fingers: BoolArray = begin & (whole < scale**2 * _FINGER_MM2) & (reached > _LEAST_NEAR * whole)
+    return fingers
 
 
 def _beside(

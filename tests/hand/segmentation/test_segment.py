@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
 from posetrack_cli.hand.kinematics import mirrored_poses, skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
@@ -16,6 +16,7 @@ from posetrack_cli.hand.observation import PixelSampler, window_around
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
+from posetrack_cli.synthesis.hand.shapes import SHAPES
 from support.hand import KINECT, REST
 
 ANATOMY, LEFT = make_anatomy(), make_anatomy("left")
@@ -32,13 +33,12 @@ class Scene:
     """A drawn hand with a forearm below it, a wall and a face behind, a blob beside it and some holes."""
 
     def __init__(self, device: RenderingDevice) -> None:
-        self.pose = REST.copy()
-        self.pose[:3] = [0.0, WRIST_Y_MM, 650.0]
+        self.pose = posed()
         self.hand = PredictedHand.of(ANATOMY, self.pose)
         self.window = window_around(
             self.hand.joints, KINECT, ObservationSettings(tile_px=96, window_mm=340.0)
         )
-        self.drawn = drawn_hand(device)
+        self.drawn = drawn_hand(device, self.pose)
         self.is_hand = self.drawn > 0
         x, y = across_at(ARM_MM)
         below = (y > WRIST_Y_MM + MESH_END_MM) & ~self.is_hand
@@ -68,10 +68,15 @@ class Scene:
         return PredictedHand.of(ANATOMY, pose)
 
 
-def drawn_hand(device: RenderingDevice) -> np.ndarray:
-    renderer = device.depth_renderer(hand_mesh(ANATOMY, "fine"), (512, 424), 1)
+def posed(angles: np.ndarray | float = 0.0) -> np.ndarray:
+    """A hand (22,) before the sensor, its finger angles (15,), rad."""
     pose = REST.copy()
-    pose[:3] = [0.0, WRIST_Y_MM, 650.0]
+    pose[:3], pose[7:] = [0.0, WRIST_Y_MM, 650.0], angles
+    return pose
+
+
+def drawn_hand(device: RenderingDevice, pose: np.ndarray) -> np.ndarray:
+    renderer = device.depth_renderer(hand_mesh(ANATOMY, "fine"), (512, 424), 1)
     return renderer.depth(skinning_transforms(ANATOMY, pose[None]), KINECT, Window.whole(KINECT))[0].copy()
 
 
@@ -198,6 +203,33 @@ def test_a_hand_that_touches_a_body_is_cut_out_of_it(scene: Scene) -> None:
     far = scene.in_window(outside_px > 40.0 / 650.0 * KINECT.fx)  # 20 mm, and half a bone's thickness
     assert far.any()
     assert (told.labels[far] != Label.HAND).all()
+
+
+@pytest.mark.parametrize(("is_finger", "is_followed"), [(True, True), (False, True), (True, False)])
+def test_a_finger_that_stretches_behind_missing_readings_is_seen(
+    device: RenderingDevice, scene: Scene, is_finger: bool, is_followed: bool
+) -> None:
+    """A fist is expected, and nothing links the pointing finger to it. A stick that goes on is no finger.
+
+    Nor is anything one of a fist that may not be there.
+    """
+    pose = posed(SHAPES["one"])
+    hand, drawn = PredictedHand.of(ANATOMY, pose), drawn_hand(device, pose)
+    knuckle, joint, tip = (hand.joints[JOINT_NAMES.index(f"index_{name}")] for name in ("mcp", "pip", "tip"))
+    x, y = across_at(float(joint[2]))
+    beyond = (y < knuckle[1] - 15.0) & (drawn > 0)
+    gap = beyond & (y > knuckle[1] - 23.0)
+    depth = np.where(drawn > 0, drawn, WALL_MM)
+    if not is_finger:
+        beyond |= (np.abs(x - tip[0]) < 7.0) & (y < tip[1]) & (y > tip[1] - 100.0)
+        depth = np.where(beyond & (drawn == 0), tip[2], depth)
+    fist = PredictedHand.of(ANATOMY, posed(SHAPES["fist"]))
+    image = np.where(gap, 0.0, depth).astype(np.float32)
+    settings = SegmentationSettings()
+    told = segment(image, SAMPLER, scene.window, KINECT, fist, settings, is_followed=is_followed)
+    labels = told.labels[scene.in_window(beyond & ~gap)]
+    assert len(labels) > 50
+    assert (labels == (Label.HAND if is_finger and is_followed else Label.OTHER)).mean() > 0.95
 
 
 def test_a_hand_close_before_a_body_is_told_by_the_step_of_its_rim(scene: Scene) -> None:
