@@ -142,8 +142,12 @@ def _bounds(schema: Mapping[str, Any]) -> str:
     most = schema.get("maximum", schema.get("exclusiveMaximum"))
     if least is None and most is None:
         return ""
-    words = [f"from {least:.10g}"] if least is not None else []
-    return " ".join(["", *words, *([f"to {most:.10g}"] if most is not None else [])])
+    words = [f"from {_number(least)}"] if least is not None else []
+    return " ".join(["", *words, *([f"to {_number(most)}"] if most is not None else [])])
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value == int(value) else f"{value:g}"
 
 
 def _value(value: object) -> str:

@@ -1,0 +1,70 @@
+"""Code in the documentation: fenced blocks, and the command lines in them."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGES = (
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+)
+"""Everything that is read; the changelog tells of what was."""
+
+_FENCE = re.compile(
+    r"^(?:<!-- not run: (?P<reason>[^>]+) -->\n)?```(?P<language>\S*)\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+_ENDS = frozenset("|&;<>()")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: page relative to the root, line, language, text, why it is not run, if so."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+    reason: str | None
+
+    @property
+    def place(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+def blocks(path: Path) -> list[Block]:
+    """All fenced blocks of a page."""
+    text = path.read_text(encoding="utf-8")
+    page = path.relative_to(ROOT).as_posix()
+    return [
+        Block(page, text.count("\n", 0, found.start()) + 1, found["language"], found["text"], found["reason"])
+        for found in _FENCE.finditer(text)
+    ]
+
+
+def without_blocks(path: Path) -> str:
+    """What stands around the fenced blocks."""
+    return _FENCE.sub("", path.read_text(encoding="utf-8"))
+
+
+def statements(text: str) -> list[str]:
+    """Lines of a shell script, continued ones joined, without those that only comment."""
+    joined = text.replace("\\\n", " ").splitlines()
+    return [line.strip() for line in joined if line.strip() and not line.lstrip().startswith("#")]
+
+
+def invocations(statement: str) -> Iterator[list[str]]:
+    """The arguments of each ``posetrack`` in a line of shell."""
+    lexer = shlex.shlex(statement, posix=True, punctuation_chars=True)
+    lexer.whitespace_split = True
+    words = list(lexer)
+    for start, word in enumerate(words):
+        if word.rsplit("/", 1)[-1] == "posetrack":
+            rest = words[start + 1 :]
+            end = next((k for k, each in enumerate(rest) if set(each) <= _ENDS), len(rest))
+            yield rest[:end]
