@@ -191,6 +191,8 @@ def _close(
     if not count:
         raise _nothing(drawn)
     print_line(f"{count} {'frame' if count == 1 else 'frames'}: {output}")
+    if drawn.remark:
+        print_note(drawn.remark)
     losses = [(str(result.path), loss_line(result.losses)) for result in results if result.losses]
     losses += [(f"{drawn.recording_path}", loss_line(drawn.losses))] if drawn.losses else []
     for where, line in losses:

@@ -41,7 +41,7 @@ class Picture:
 def worst_frame_pictures(
     evaluation: Evaluation, recording: Recording, count: int, device: int | None = None
 ) -> list[Picture]:
-    """Draw the worst frames: the largest error, without truth the lost ones and then the highest cost.
+    """Draw the worst frames: the largest error, without truth the lost ones and then the least confidence.
 
     Each picture shows what was observed, in depth with the estimate right of it, on grey images with the
     estimate on them, the truth in green; all are cut out around the subject and of one size.

@@ -21,6 +21,7 @@ from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, mo
 from posetrack_cli.head.smoothing.track import HeadMemory
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.grey import Grey
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.keypoints.use import KeypointUse
 from posetrack_cli.recording.recording import Recording
@@ -37,6 +38,9 @@ from posetrack_cli.tracking.two_pass import (
     NothingFoundError,
     TwoPassRun,
 )
+
+_PLAIN_BITS = 8
+"""Of an image that people look at."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ class HeadRun(TwoPassRun):
                 "no face found",
                 where=self._recording.path,
                 found=searched,
-                hint="--init FILE begins with clicked points; --detector yunet finds faces that haar misses",
+                hint=_hint(self._recording),
             )
         return self.tracker.learned(state)
 
@@ -160,6 +164,13 @@ class HeadRun(TwoPassRun):
         """Return what the tracker remarks, and whether few frames had landmarks."""
         unused = () if self._use is None else self._use.remarks
         return (*unused, *self.tracker.remarks(state))
+
+
+def _hint(recording: Recording) -> str:
+    """What helps where no face is found; more than 8 bits are more often of depth than of infrared light."""
+    if any(isinstance(pixels, Grey) and pixels.bits > _PLAIN_BITS for pixels in recording.pixels):
+        return "are these images of depth? posetrack hand run tracks hands in them"
+    return "--init FILE begins with clicked points; --detector yunet finds faces that haar misses"
 
 
 def check_head_run(recording: Recording, options: HeadRunOptions) -> None:

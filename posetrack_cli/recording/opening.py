@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -129,8 +130,17 @@ def describe(path: Path) -> dict[str, Any]:
 
 def _source_of(path: Path) -> Source:
     if not path.exists():
-        raise RecordingError("no such file or folder", where=path)
+        raise RecordingError("no such file or folder", where=path, hint=_what_it_may_be(str(path)))
     return next(source for source in SOURCES if source.holds(path))
+
+
+def _what_it_may_be(text: str) -> str:
+    """What to do about a name that no file has, but that looks like something else."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", text):  # pathlib has made one slash of two
+        return "addresses are not read: download it first"
+    if any(sign in text for sign in "*?["):
+        return "posetrack batch takes patterns of many recordings"
+    return ""
 
 
 def _refuse_others(words: str, opener: Opener, options: Mapping[str, object]) -> None:

@@ -451,3 +451,14 @@ def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, 
     assert list(read_result(part_path(tmp_path / "cut.mcap")).estimates())
     assert track("cut.mcap", resume=True).tracked < FRAMES
     assert filecmp.cmp(tmp_path / "whole.mcap", tmp_path / "cut.mcap", shallow=False)
+
+
+def test_images_of_depth_are_told_from_faces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "depth"
+    folder.mkdir()
+    rng = np.random.default_rng(1)
+    for index in range(2):
+        depth = rng.integers(600, 4000, (CAMERA.height, CAMERA.width), dtype=np.uint16)
+        cv2.imwrite(str(folder / f"{index:06d}.png"), depth)
+    assert mono(folder, tmp_path / "r.mcap", "--fps", "30") == 1
+    assert lines(capsys)[-1].endswith("; are these images of depth? posetrack hand run tracks hands in them")

@@ -33,6 +33,20 @@ def test_what_is_not_there_is_said_before_any_option(tmp_path: Path, pixels: str
         describe(tmp_path / "none")
 
 
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("https://example.org/face.mp4", "addresses are not read: download it first"),
+        ("s3://bucket/a.mcap", "addresses are not read: download it first"),
+        ("in/**/*.mcap", "posetrack batch takes patterns of many recordings"),
+    ],
+)
+def test_what_a_name_may_have_meant_is_told(name: str, hint: str) -> None:
+    with pytest.raises(RecordingError, match="no such file or folder") as caught:
+        open_recording(Path(name), "grey")
+    assert str(caught.value).endswith(f"; {hint}")
+
+
 def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--depth-unit-mm does not apply to a folder of images"):
         open_recording(tmp_path, "grey", depth_unit_mm=2.0)

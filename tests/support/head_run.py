@@ -16,6 +16,7 @@ from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.confidence import NO_SIGNS
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.recording.pixels import Pixels
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import floats
 from posetrack_cli.tracking.state_codec import Fields, Value, whole
@@ -36,6 +37,7 @@ class Memory:
     count: int = 12
     appears: int = 2
     cameras: tuple[Camera, ...] = CAMERAS
+    pixels: tuple[Pixels, ...] = ()
     true: tuple[TruthMessage, ...] = ()
     losses: tuple[Loss, ...] = ()
     path: Path = Path("/somewhere/secret/memory")

@@ -46,10 +46,19 @@ def chosen_rows(choice: str, track: Track, errors: FloatArray | None) -> IntArra
     return np.sort(worst_rows(track, errors, count))
 
 
+def fewer_said(choice: str, found: int) -> str:
+    """Say why there are fewer of the worst frames than were asked for; nothing where there are not."""
+    many = _MANY.fullmatch(choice)
+    if many is None or many[1] != "worst" or found >= int(many[2]):
+        return ""
+    return f"{choice} gives {found}: they are {APART_NS / 1e9:g} s or more apart"
+
+
 def worst_rows(track: Track, errors: FloatArray | None, count: int) -> IntArray:
     """Rows of the worst frames, the worst first, at least a second apart: not all of the same moment.
 
-    The largest error counts; where there is no truth, lost frames come first, then the highest cost.
+    The largest error counts; where there is no truth, lost frames come first, then the least confidence, and
+    of frames with as much the highest cost.
 
     Args:
         track: of the result.
@@ -75,8 +84,9 @@ def _worst_first(track: Track, errors: FloatArray | None) -> IntArray:
         return order[np.isfinite(errors[order])]
     none = np.zeros(len(track))
     lost: BoolArray | FloatArray = none if track.lost is None else track.lost
+    sure = none if track.confidence is None else np.nan_to_num(track.confidence, nan=np.inf)
     cost = none if track.cost is None else np.nan_to_num(track.cost, nan=-np.inf)
-    return np.lexsort((-cost, ~np.asarray(lost, dtype=np.bool_)))
+    return np.lexsort((-cost, sure, ~np.asarray(lost, dtype=np.bool_)))
 
 
 def _rows_of_numbers(choice: str, frame_index: IntArray) -> IntArray:

@@ -15,6 +15,7 @@ from posetrack_cli.evaluation.recording_of import cameras_of, pixels_of
 from posetrack_cli.evaluation.viewing.colours import TRUTH
 from posetrack_cli.evaluation.viewing.depth_panels import depth_layout, depth_panels
 from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
+from posetrack_cli.evaluation.viewing.frame_choice import fewer_said
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.image_panels import ImagePanels, image_layout
 from posetrack_cli.evaluation.viewing.layers import (
@@ -84,6 +85,10 @@ class ResultView:
     Raises:
         UsageError: options that cannot be meant, or no frame to draw.
         ResultError: a result that cannot be drawn, or without truth where truth is asked for.
+
+    Attributes:
+        rows: of the first result that are drawn.
+        remark: why there are fewer than were asked for, or nothing.
     """
 
     def __init__(
@@ -96,6 +101,7 @@ class ResultView:
         tracks = drawn_tracks(results, options.tracks, truth, lambda result: drawer_of(result, device))
         self._track = tracks[0].track
         self.rows = rows_to_draw(options, tracks[0])
+        self.remark = fewer_said(options.frames or "", len(self.rows))
         drawing = Drawing(
             tracks,
             DrawnTrack(truth, tracks[0].drawer, TRUTH) if options.truth and truth is not None else None,

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.frame_choice import APART_NS, chosen_rows, worst_rows
+from posetrack_cli.evaluation.viewing.frame_choice import APART_NS, chosen_rows, fewer_said, worst_rows
 from support.tracks import FRAME_NS, hand_track
 
 FRAMES = 120
@@ -75,13 +75,34 @@ def test_the_worst_are_those_of_largest_error_a_second_apart() -> None:
     assert chosen_rows("worst:3", track(), errors).tolist() == [11, 50, 95], "drawn in order of time"
 
 
+@pytest.mark.parametrize(
+    ("choice", "found", "said"),
+    [
+        ("worst:8", 2, "worst:8 gives 2: they are 1 s or more apart"),
+        ("worst:2", 2, ""),
+        ("spread:8", 2, ""),
+        ("", 9, ""),
+    ],
+)
+def test_fewer_than_were_asked_for_are_explained(choice: str, found: int, said: str) -> None:
+    assert fewer_said(choice, found) == said
+
+
 def test_frames_without_truth_are_not_the_worst() -> None:
     errors = np.full(FRAMES, np.nan)
     errors[[3, 80]] = [1.0, 2.0]
     assert worst_rows(track(), errors, 5).tolist() == [80, 3]
 
 
-def test_without_truth_lost_frames_are_worst_then_those_of_highest_cost() -> None:
+def test_without_truth_lost_frames_are_worst_then_those_of_least_confidence() -> None:
+    """As of a head with one camera, whose track tells no cost."""
+    sure, lost = np.full(FRAMES, 0.9), np.zeros(FRAMES, np.bool_)
+    sure[[20, 100]], sure[60], lost[60] = [0.1, 0.2], 1.0, True
+    unsure = replace(track(), confidence=sure, lost=lost, cost=None)
+    assert worst_rows(unsure, None, 3).tolist() == [60, 20, 100]
+
+
+def test_of_frames_alike_in_confidence_those_of_highest_cost_are_worst() -> None:
     cost, lost = np.full(FRAMES, 5.0), np.zeros(FRAMES, np.bool_)
     cost[[20, 100]], cost[60], lost[60] = [30.0, 25.0], 1.0, True
     unsure = replace(track(), cost=cost, lost=lost)
