@@ -59,8 +59,7 @@ class Job:
         gates: conditions under which the result fails.
         page: about the result, to be written; None writes none.
         kind: what is done.
-        chunk_s, overlap_s: of a recording that is split: length of a piece, and what it shares with others,
-        s.
+        chunk_s, overlap_s: of a recording that is split: length of a piece and of what it shares, s.
         pieces: of a recording that is joined.
         digests: of the recording's files, where a process before has computed them (``identity.Digests``).
     """

@@ -73,32 +73,32 @@ class Manifest(Settings):
     recordings: tuple[ManifestRecording, ...]
 
 
-def find_sources(given: Sequence[str]) -> list[Source]:
+def find_sources(given: Sequence[str], results: Path | None = None) -> list[Source]:
     """Return the recordings that arguments stand for.
 
     Args:
-        given: each a file or folder, a pattern (``**`` goes through folders), a list of those (``.txt``, one
-        a
-            line) or a manifest (``.toml``).
+        given: each a file or folder, a pattern (``**`` goes through folders), a list of those (``.txt``) with
+            one a line, or a manifest (``.toml``).
+        results: folder of results; what a pattern finds in it is no recording.
 
     Raises:
         UsageError: nothing is there, or what is there cannot be meant.
     """
-    found = [source for one in given for source in _sources_of(one)]
+    found = [source for one in given for source in _sources_of(one, results)]
     _check_names(found)
     return found
 
 
-def _sources_of(given: str) -> list[Source]:
+def _sources_of(given: str, results: Path | None) -> list[Source]:
     path = Path(given)
     if path.suffix == ".toml":
-        return read_manifest(path)
+        return read_manifest(path, results)
     if path.suffix in _LIST_ENDINGS and not path.is_dir():
-        return _read_list(path)
-    return [Source(path, name) for path, name in _matched(given)]
+        return _read_list(path, results)
+    return [Source(path, name) for path, name in _matched(given, None, results)]
 
 
-def _matched(pattern: str, base: Path | None = None) -> list[tuple[Path, str]]:
+def _matched(pattern: str, base: Path | None, results: Path | None) -> list[tuple[Path, str]]:
     """The files and folders of a pattern, with names relative to the part of it without wildcards."""
     path = Path(pattern) if base is None else base / pattern
     if not any(sign in pattern for sign in _MAGIC) or path.exists():
@@ -107,7 +107,9 @@ def _matched(pattern: str, base: Path | None = None) -> list[tuple[Path, str]]:
         return [(path, _plain_name(path))]
     fixed = _fixed_part(path)
     found = [Path(one) for one in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207 ** of any root
-    recordings = [one for one in found if one != fixed and _may_be_recording(one, found)]
+    recordings = [
+        one for one in found if one != fixed and _may_be_recording(one, found) and not _is_in(one, results)
+    ]
     if not recordings:
         raise UsageError(
             "no recording matches", where=path, hint="quote the pattern, so that ** is seen by posetrack"
@@ -130,23 +132,30 @@ def _may_be_recording(path: Path, found: Sequence[Path]) -> bool:
     return not path.is_dir() or not any(path in other.parents for other in found)
 
 
+def _is_in(path: Path, folder: Path | None) -> bool:
+    return folder is not None and folder.resolve() in (path.resolve(), *path.resolve().parents)
+
+
 def _plain_name(path: Path) -> str:
     name = path.resolve().name if path.name in ("", "..") else path.name
     return Path(name).stem if path.is_file() else name
 
 
-def _read_list(path: Path) -> list[Source]:
+def _read_list(path: Path, results: Path | None) -> list[Source]:
     """The recordings of a file with one name or pattern a line, relative to it; # begins a remark."""
     lines = [line.partition("#")[0].strip() for line in _text_of(path).splitlines()]
     found = [
-        Source(recording, name) for line in lines if line for recording, name in _matched(line, path.parent)
+        Source(recording, name)
+        for line in lines
+        if line
+        for recording, name in _matched(line, path.parent, results)
     ]
     if not found:
         raise UsageError("names no recording", where=path)
     return found
 
 
-def read_manifest(path: Path) -> list[Source]:
+def read_manifest(path: Path, results: Path | None = None) -> list[Source]:
     """Return the recordings of a manifest.
 
     Raises:
@@ -159,11 +168,13 @@ def read_manifest(path: Path) -> list[Source]:
     manifest = validated(Manifest, values, path)
     if not manifest.recordings:
         raise UsageError("names no recording", where=path, expected="tables [[recordings]]")
-    return [source for one in manifest.recordings for source in _of_manifest(path, manifest, one)]
+    return [source for one in manifest.recordings for source in _of_manifest(path, manifest, one, results)]
 
 
-def _of_manifest(path: Path, manifest: Manifest, one: ManifestRecording) -> Iterable[Source]:
-    found = _matched(one.path, path.parent)
+def _of_manifest(
+    path: Path, manifest: Manifest, one: ManifestRecording, results: Path | None
+) -> Iterable[Source]:
+    found = _matched(one.path, path.parent, results)
     if one.name is not None and len(found) > 1:
         raise UsageError(f"name '{one.name}' of several recordings", where=path, found=one.path)
     truth = None if one.truth is None else path.parent / one.truth

@@ -222,7 +222,7 @@ def run_batch_command(
 
     if options["scheduler"] is not None and options["scheduler_file"] is not None:
         raise UsageError("--scheduler and --scheduler-file both say where", hint="leave one of them out")
-    plan = _planned(command, find_sources(recordings), arguments, options)
+    plan = _planned(command, find_sources(recordings, options["results"]), arguments, options)
     judging = _judging(options)
     if options["dry_run"]:
         _show_plan(plan)

@@ -144,9 +144,7 @@ def _truth_after(result: Result, after_ns: int) -> Iterator[TruthMessage]:
 
 
 def _frames(result: Result, track: str) -> Iterator[tuple[list[Message], Estimate]]:
-    """The messages of each frame of a track; its estimate is the last of them, but for what is drawn of
-    it.
-    """
+    """The messages of each frame of a track, and its estimate, which is one of them."""
     topic = result.topic_of_track(track)
     wanted = {channel.topic for _, channel in result.channels if _is_of_track(channel.topic, track)}
     messages: list[Message] = []

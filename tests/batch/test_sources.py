@@ -31,6 +31,15 @@ def test_patterns_name_results_by_what_is_below_them(folder: Path) -> None:
     assert names("in/ima*") == ["images"]
 
 
+def test_results_are_no_recordings(folder: Path) -> None:
+    """A pattern of everything finds them, too, once there are some."""
+    for name in ("out/a.mcap", "out/.batch/a.pieces/00000.mcap"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).write_bytes(b"")
+    found = find_sources(["**/*.mcap"], Path("out"))
+    assert [one.name for one in found] == ["in/a", "in/day1/b", "in/day2/b"]
+
+
 def test_a_file_of_signs_is_no_pattern(folder: Path) -> None:
     Path("in/x[1].mcap").write_bytes(b"")
     assert names("in/x[1].mcap") == ["x[1]"]

@@ -26,9 +26,8 @@ VIEW, CALIBRATE = "view", "calibrate"
 """Begin of the arguments of an entrant that does not track: it draws another one's result on one sheet, or
 estimates the hand's shape alone."""
 HAND_OF = "{hand}:"
-"""Begin of an argument that goes on with an entrant's name: the path of its result, with the side and the
-shape
-that it found. That one comes before."""
+"""Begin of an argument that goes on with an entrant's name: the path of its result, with the side and
+the shape that it found. That one comes before."""
 _SUFFIXES = {VIEW: "png", CALIBRATE: "toml"}
 
 
