@@ -515,6 +515,59 @@ def tables(seeds: Seeds) -> Strategy:
     )
 
 
+MANIFEST = """gates = ["coverage < 0.5"]
+[options]
+seed = 3
+[[recordings]]
+path = "r.mcap"
+name = "a"
+truth = "r.mcap"
+options = { hand-side = "left", smooth = true }
+[[recordings]]
+path = "*.mcap"
+"""
+MANIFEST_PIECES = (
+    *CSV_PIECES,
+    "[[recordings]]",
+    'path = "/"',
+    'path = "**/*"',
+    'name = "../x"',
+    "options = {}",
+)
+JOB_RECORD = {
+    "key": "0" * 64,
+    "page": "",
+    "input": {"files": 1, "bytes": 5, "changed_ns": 1, "names": "", "sha256": "0" * 64},
+    "output": [5, "0" * 64],
+    "state": "done",
+    "outcome": {"name": "r", "state": "done", "seconds": 1.5, "last_lines": ["x"], "pieces": []},
+    "format": "posetrack.batch.job/1",
+}
+
+
+def batches(seeds: Seeds) -> Strategy:
+    """Lists, manifests, and what is known of jobs; nothing is tracked."""
+
+    def planned(source: str) -> Strategy:
+        return st.just(("batch", "hand", "run", source, "-o", "out", "--dry-run"))
+
+    recording = {"r.mcap": seeds.hand}
+    return st.one_of(
+        made_of("batches", "m.toml", changed_text(MANIFEST, MANIFEST_PIECES), planned("m.toml"), **recording),
+        made_of(
+            "batches", "l.txt", changed_text("r.mcap\n*.mcap\n", CSV_PIECES), planned("l.txt"), **recording
+        ),
+        made_of(
+            "batches",
+            "out/.batch/r.json",
+            changed_tree(JOB_RECORD).map(lambda t: utf8(json_text(t))),
+            planned("r.mcap"),
+            **recording,
+            **{"out/r.mcap": seeds.results["hand"]},
+        ),
+    )
+
+
 # Pixels and meshes
 
 
@@ -697,6 +750,7 @@ TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
     "cameras": cameras,
     "configurations": configurations,
     "tables": tables,
+    "batches": batches,
     "images": images,
     "videos": videos,
     "meshes": meshes,
