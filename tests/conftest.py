@@ -20,6 +20,7 @@ pytest_plugins = ["support.recordings"]
 LONGEST = (
     "tests/hostile/",
     "docs/test_snippets.py",
+    "cli/test_batch.py",
     "cli/test_hand_run.py",
     "hand/test_calibration.py",
     "cli/test_head_mono.py",

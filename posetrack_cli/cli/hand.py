@@ -107,7 +107,7 @@ hand.add_command(hand_synth)
     "keypoint_file",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="21 points per frame that another program found, CSV or JSON (README: Keypoints): further starts "
+    help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md): further starts "
     "and evidence for side and place.",
 )
 @click.option(

@@ -90,7 +90,7 @@ start_options = option_group(
         metavar="FILE",
         type=click.Path(path_type=Path),
         help="Points per frame that another program found in the images (of the reference camera), CSV or "
-        "JSON: OpenFace's 68, MediaPipe's 478, or our ten by name (README: Landmarks).",
+        "JSON: OpenFace's 68, MediaPipe's 478, or our ten by name (docs/landmarks.md).",
     ),
     click.option(
         "--landmarks-unit",
