@@ -97,7 +97,7 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
 
 def test_copies_have_the_stamp_of_the_original(tmp_path: Path) -> None:
     path = tmp_path / "result.mcap"
-    path.write_bytes(os.urandom(200_000))
+    path.write_bytes(bytes(200_000))
     copy = Path(shutil.copy(path, tmp_path / "copy.mcap"))
     os.utime(copy, ns=(1, 1))
     assert output_stamp(copy) == output_stamp(path)
