@@ -48,7 +48,8 @@ class Ending:
         code: its exit code, negative for the signal that killed it.
         seconds: wall-clock time.
         timed_out, stopped: whether it was ended because of its time, or as it was asked to.
-        told: the last of each thing that it told, by name; of remarks all.
+        told: the last of each thing that it told, by name.
+        remarks: that it told.
         last_lines: what it printed last.
     """
 
@@ -75,7 +76,7 @@ def run_child(
 
     Args:
         job: what is done.
-        arguments: of the command line; none to measure a result that is there.
+        arguments: of the command line; none where nothing is tracked.
         limits: what it may take.
         progress: called now and then.
         stopped: asked every quarter of a second whether it shall stop.

@@ -18,6 +18,7 @@ from typing import Any
 from uuid import uuid4
 
 from posetrack_cli import __version__
+from posetrack_cli.batch.children import Progress
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
 from posetrack_cli.errors import PosetrackError, UsageError
 
@@ -43,7 +44,7 @@ _SETTINGS = {
     "distributed.worker.memory.terminate": False,
 }
 
-Perform = Callable[[Job, Limits, Callable[[str, int, "int | None"], None], Callable[[], bool]], Outcome]
+Perform = Callable[[Job, Limits, Progress, Callable[[], bool]], Outcome]
 
 
 class EngineError(PosetrackError):
@@ -102,7 +103,7 @@ class Engine:
         self._topic = f"{_TOPIC}-{self._run}"
         self._stop = Event(f"{_TOPIC}-stop-{self._run}", client=client)
         self._done: SimpleQueue[tuple[str, Any]] = SimpleQueue()
-        self._futures: dict[str, Any] = {}
+        self._futures: dict[str, Any] = {}  # of jobs that are not over: Dask drops what nobody holds
         client.subscribe_topic(self._topic, lambda event: told(Told(*event[1])))
 
     def submit(self, job: Job, limits: Limits, *, goes_on: bool = False) -> None:

@@ -12,6 +12,15 @@ RECORDS_FOLDER = ".batch"
 """Below the folder of results: what is known of every job, its log, and pieces that are not joined yet."""
 
 
+PIECE = "//"
+"""Before the number in the name of a piece's job; recordings are named by paths, which never have it."""
+
+
+def recording_of(name: str) -> str:
+    """Return the name of the recording's job that a job is, or is a piece of."""
+    return name.partition(PIECE)[0]
+
+
 class Kind(StrEnum):
     """What the process of a job does."""
 

@@ -32,11 +32,12 @@ class JobRecord:
     Attributes:
         key: of the job that began last (``job_key``).
         page: key of the page about its result (``page_key``); empty without one.
-        input: size, time and digest of the recording's files as they were then (``InputDigest``).
+        input: size, time and digest of the recording's files as they were then (``input_digest``).
         output: the finished result (``output_stamp``), also one that is about to be replaced; empty if there
             is none.
         state: ``RUNNING``, or what came of it (``jobs.State``).
         outcome: what came of it; None while it runs.
+        format: of the file; one of another format counts as none.
     """
 
     key: str
@@ -78,7 +79,7 @@ def job_key(job: Job, digest: str) -> str:
 
     Args:
         job: of a recording or a piece of it.
-        digest: of the recording (``InputDigest``).
+        digest: of the recording (``input_digest``).
     """
     chunks = [job.chunk_s, job.overlap_s]
     files = sorted(_digests_of_options(job.arguments).items())

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
-from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, Piece, State
+from posetrack_cli.batch.jobs import PIECE, Job, Kind, Limits, Outcome, Piece, State, recording_of
 
 _LOOKED_EVERY_S = 0.25
-_PIECE = "//"  # in no name of a recording's job: they are paths in their shortest form
 
 
 class JobEngine(Protocol):
@@ -26,27 +26,16 @@ class JobEngine(Protocol):
         """Have jobs stop, and begin no others."""
 
 
-@dataclass(frozen=True)
-class Chunking:
-    """How long recordings are tracked in pieces.
-
-    Attributes:
-        length_s: of a piece.
-        overlap_s: what it is tracked for before and after its own frames.
-        arguments: returns the options of a piece, but for its frames: of a job, the piece's number, and the
-            first piece's result, which the others begin with what was learned of.
-    """
-
-    length_s: float
-    overlap_s: float
-    arguments: Callable[[Job, int, Path], tuple[str, ...]]
+PieceArguments = Callable[[Job, int, Path], tuple[str, ...]]
+"""Returns the options of a piece, but for its frames: of the job, the piece's number, and the result of the
+first piece, from which the others begin."""
 
 
 def run_batch(
     engine: JobEngine,
     jobs: Sequence[Job],
     limits: Limits,
-    chunking: Chunking | None = None,
+    piece_arguments: PieceArguments | None = None,
     report: Callable[[Outcome], None] = lambda outcome: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[Outcome]:
@@ -56,14 +45,14 @@ def run_batch(
         engine: does them.
         jobs: of one recording each, with different names.
         limits: what each may take.
-        chunking: how long recordings are split; None leaves them whole.
+        piece_arguments: of the pieces that long recordings are split into; None leaves them whole.
         report: called with what came of each recording.
         stopped: asked several times a second whether to stop.
 
     Returns:
         What came of each, in the order of the jobs.
     """
-    parts = {job.name: _Recording(job, chunking) for job in jobs}
+    parts = {job.name: _Recording(job, piece_arguments) for job in jobs}
     found: dict[str, Outcome] = {}
     is_stopping = False
     for recording in parts.values():
@@ -75,7 +64,7 @@ def run_batch(
         outcome = engine.next_outcome(_LOOKED_EVERY_S)
         if outcome is None:
             continue
-        recording = parts[outcome.name.partition(_PIECE)[0]]
+        recording = parts[recording_of(outcome.name)]
         for job in recording.after(outcome):
             engine.submit(job, limits, goes_on=True)
         if recording.result is not None and recording.job.name not in found:
@@ -89,7 +78,7 @@ class _Recording:
     """Where a recording is, and what is to be done next."""
 
     job: Job
-    chunking: Chunking | None
+    piece_arguments: PieceArguments | None
     result: Outcome | None = None
     _split: tuple[Piece, ...] = ()
     _pieces: dict[str, Outcome] = field(default_factory=dict)
@@ -98,7 +87,7 @@ class _Recording:
     @property
     def first(self) -> Job:
         """What is done first."""
-        return self.job if self.chunking is None else self.job.as_kind(Kind.SPLIT)
+        return self.job if self.piece_arguments is None else self.job.as_kind(Kind.SPLIT)
 
     def after(self, outcome: Outcome) -> Iterable[Job]:
         """Return what is to be done after a job of this recording; none once there is a result."""
@@ -126,20 +115,20 @@ class _Recording:
     def _failed(self, missing: Sequence[Outcome]) -> Outcome:
         """What came of a recording whose pieces are not all there; the others wait for the next time."""
         worst = next((one for one in missing if one.state is State.FAILED), missing[0])
-        number = int(worst.name.partition(_PIECE)[2])
+        number = int(worst.name.partition(PIECE)[2])
         piece = self._split[number]
         reason = f"frames {piece.start} to {piece.end - 1}: {worst.reason}" if worst.reason else ""
         outcome = replace(worst, name=self.job.name, reason=reason, seconds=0.0, cpu_s=0.0, frames=0)
         return _together(outcome, self._pieces.values())
 
     def _piece(self, number: int) -> Job:
-        assert self.chunking is not None
+        assert self.piece_arguments is not None
         piece, folder = self._split[number], self._folder
         return replace(
             self.job,
-            name=f"{self.job.name}{_PIECE}{number}",
+            name=f"{self.job.name}{PIECE}{number}",
             arguments=(
-                *self.chunking.arguments(self.job, number, self._output(0)),
+                *self.piece_arguments(self.job, number, self._output(0)),
                 f"--start={piece.start}",
                 f"--end={piece.end}",
             ),
@@ -175,9 +164,8 @@ def _together(outcome: Outcome, parts: Iterable[Outcome]) -> Outcome:
     )
 
 
-def count_states(outcomes: Iterable[Outcome]) -> Mapping[State, int]:
-    """Return how many outcomes there are of each state."""
-    counts = dict.fromkeys(State, 0)
-    for outcome in outcomes:
-        counts[outcome.state] += 1
-    return counts
+def states_line(outcomes: Sequence[Outcome]) -> str:
+    """Say how many recordings there are of each state: ``3 recordings: 2 done, 1 failed``."""
+    counts = Counter(outcome.state for outcome in outcomes)
+    said = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
+    return f"{len(outcomes)} recordings: {said}"

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from posetrack_cli.batch.jobs import Job, Outcome, State
-from posetrack_cli.batch.running import count_states
+from posetrack_cli.batch.running import states_line
 from posetrack_cli.evaluation.assessment import MEASURED, Assessment, Own, Request, assess, stated_options
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, parse_gate
@@ -218,14 +218,12 @@ def _facts(summary: Summary, job: Job, outcome: Outcome) -> dict[str, Any]:
 
 def _page(summary: Summary) -> RowsPage:
     found = summary.found
-    counts = count_states(summary.outcomes)
-    said = ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
     missing = [(one.name, _failure(one)) for one in summary.missing]
     return RowsPage(
         found.sets,
         [one for one in summary.gates if one.title != TRACKED],
         found.notes,
-        title=f"{len(summary.jobs)} recordings: {said}",
+        title=states_line(summary.outcomes),
         missing=missing,
         remarks=[(one.name, remark) for one in summary.outcomes for remark in one.remarks],
         links={

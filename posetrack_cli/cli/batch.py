@@ -27,7 +27,7 @@ from posetrack_cli.errors import (
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.jobs import Job, Limits, Outcome
-    from posetrack_cli.batch.running import Chunking
+    from posetrack_cli.batch.running import PieceArguments
     from posetrack_cli.batch.sources import Source
     from posetrack_cli.batch.summary import Judging, Summary
 
@@ -204,7 +204,7 @@ class _Plan:
 
     jobs: tuple[Job, ...]
     limits: Limits
-    chunking: Chunking | None
+    piece_arguments: PieceArguments | None
 
 
 def run_batch_command(
@@ -245,16 +245,14 @@ def _judging(options: dict[str, Any]) -> Judging:
     from posetrack_cli.batch.summary import Judging
     from posetrack_cli.evaluation.assessment import Request
     from posetrack_cli.evaluation.baseline import read_baseline
-    from posetrack_cli.evaluation.gates import parse_gate, read_gates
+    from posetrack_cli.evaluation.gates import all_gates
     from posetrack_cli.evaluation.reports.report_files import check_reports
     from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN
     from posetrack_cli.evaluation.reports.writing import Reports
 
-    gates = [parse_gate(text) for text in options["conditions"]]
-    gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
     baseline = options["baseline"]
     request = Request(
-        gates=tuple(gates),
+        gates=all_gates(options["conditions"], options["gate_files"]),
         baseline=None if baseline is None else read_baseline(baseline),
         baseline_tolerance=options["baseline_tolerance"],
     )
@@ -273,7 +271,6 @@ def _planned(
 ) -> _Plan:
     """The jobs; everything that can be refused is refused here."""
     from posetrack_cli.batch.jobs import RECORDS_FOLDER, Job, Limits
-    from posetrack_cli.batch.running import Chunking
     from posetrack_cli.evaluation.gates import parse_gate
 
     folder, chunk_s = options["results"], options["chunk_s"]
@@ -301,14 +298,11 @@ def _planned(
             )
         )
     limits = Limits(options["memory_limit"], options["timeout_s"], redo=options["redo"])
-    chunking = None
-    if chunk_s:
-        chunking = Chunking(
-            chunk_s,
-            options["overlap_s"],
-            lambda job, number, learned: command.of_piece(job.arguments, number, learned),
-        )
-    return _Plan(tuple(jobs), limits, chunking)
+
+    def piece_arguments(job: Job, number: int, learned: Path) -> tuple[str, ...]:
+        return command.of_piece(job.arguments, number, learned)
+
+    return _Plan(tuple(jobs), limits, piece_arguments if chunk_s else None)
 
 
 def _show_plan(plan: _Plan) -> None:
@@ -357,32 +351,31 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
     from posetrack_cli.batch.running import run_batch
 
     jobs = options["jobs"] or len(os.sched_getaffinity(0))
-    where = Where(min(jobs, max(1, len(plan.jobs) if plan.chunking is None else jobs)))
-    where = Where(where.jobs, options["scheduler"], options["scheduler_file"])
+    if plan.piece_arguments is None:
+        jobs = min(jobs, len(plan.jobs))  # so that one alone has all cores
+    where = Where(jobs, options["scheduler"], options["scheduler_file"])
     with (
         BatchProgress(len(plan.jobs)) as shown,
         stop_signals() as stopped,
         open_engine(where, perform, shown.on_progress, shown.note) as engine,
     ):
-        return run_batch(engine, plan.jobs, plan.limits, plan.chunking, shown.on_outcome, stopped)
+        return run_batch(engine, plan.jobs, plan.limits, plan.piece_arguments, shown.on_outcome, stopped)
 
 
 def _close(folder: Path, summary: Summary) -> None:
     """Say what came of the batch, and set the exit code."""
     from posetrack_cli.batch.jobs import State
-    from posetrack_cli.batch.running import count_states
+    from posetrack_cli.batch.running import states_line
     from posetrack_cli.batch.summary import PAGE
 
     outcomes = summary.outcomes
-    counts = count_states(outcomes)
-    said = ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
-    print_note(f"{len(outcomes)} recordings: {said}: {folder / PAGE}")
+    print_note(f"{states_line(outcomes)}: {folder / PAGE}")
     failed = [one for one in outcomes if one.state is State.FAILED]
     for one in failed:
         print_note(f"failed: {one.name}: {one.reason}")
     for gate in summary.failed:
         print_note(gate.line)
-    if counts[State.STOPPED]:
+    if any(one.state is State.STOPPED for one in outcomes):
         print_note("interrupted; the same command goes on")
         code = EXIT_INTERRUPTED
     elif summary.failed:

@@ -49,10 +49,11 @@ class BatchProgress:
 
     def on_outcome(self, outcome: Outcome) -> None:
         """A recording is over."""
+        from posetrack_cli.batch.jobs import recording_of
+
         with self._lock:
-            pieces = [name for name in self._frames if name.partition("//")[0] == outcome.name]
-            for name in pieces:
-                del self._frames[name]
+            others = {name: n for name, n in self._frames.items() if recording_of(name) != outcome.name}
+            self._frames = others
             self._over += 1
             self._done += outcome.frames
             is_failed = outcome.state == "failed"

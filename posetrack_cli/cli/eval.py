@@ -196,13 +196,11 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     from posetrack_cli.evaluation.baseline import read_baseline
     from posetrack_cli.evaluation.comparing.groups import expand_groups
     from posetrack_cli.evaluation.evaluate import EvalOptions
-    from posetrack_cli.evaluation.gates import parse_gate, read_gates
+    from posetrack_cli.evaluation.gates import all_gates
 
     groups = expand_groups(options["groups"])
     if not (results or groups):
         raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
-    gates = [parse_gate(text) for text in options["conditions"]]
-    gates += [gate for path in options["gate_files"] for gate in read_gates(path)]
     names = ("truth", "tolerance_ms", "time_offset_s", "align", "recording", "joint_offsets")
     track = options["track"]
     request = Request(
@@ -213,7 +211,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         page=options["html"] is not None and track is None,
         layout=options["layout"],
         parts=options["parts"],
-        gates=tuple(gates),
+        gates=all_gates(options["conditions"], options["gate_files"]),
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
         baseline_tolerance=options["baseline_tolerance"],
         keep_tracks=options["html"] is not None,

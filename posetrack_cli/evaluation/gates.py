@@ -161,6 +161,16 @@ def read_gates(path: Path) -> list[Gate]:
     return gates
 
 
+def all_gates(conditions: Iterable[str], files: Iterable[Path]) -> tuple[Gate, ...]:
+    """Return the gates of conditions and of files of them, in this order.
+
+    Raises:
+        UsageError: as of ``parse_gate`` and ``read_gates``.
+    """
+    every = [parse_gate(text) for text in conditions]
+    return (*every, *(gate for path in files for gate in read_gates(path)))
+
+
 def check_gates(
     gates: Sequence[Gate], evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()
 ) -> list[GateOutcome]:

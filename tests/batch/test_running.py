@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, Piece, State
-from posetrack_cli.batch.running import Chunking, run_batch
+from posetrack_cli.batch.running import PieceArguments, run_batch
 
 PIECES = (Piece(0, 40, 0, 40), Piece(30, 80, 40, 80), Piece(70, 120, 80, 120))
 
@@ -48,11 +48,11 @@ def make_jobs(*names: str) -> list[Job]:
     ]
 
 
-def chunking() -> Chunking:
+def piece_arguments() -> PieceArguments:
     def arguments(job: Job, number: int, learned: Path) -> tuple[str, ...]:
         return job.arguments if number == 0 else (*job.arguments, f"--shape={learned}")
 
-    return Chunking(10.0, 2.0, arguments)
+    return arguments
 
 
 def tracked(job: Job) -> Outcome:
@@ -76,7 +76,7 @@ def test_outcomes_are_in_the_order_of_the_jobs() -> None:
 
 def test_pieces_follow_the_first_and_are_joined() -> None:
     engine = OneByOne(tracked)
-    (found,) = run_batch(engine, make_jobs("a"), Limits(), chunking())
+    (found,) = run_batch(engine, make_jobs("a"), Limits(), piece_arguments())
     split, first, *others, join = engine.done
     assert (split.kind, join.kind) == (Kind.SPLIT, Kind.JOIN)
     assert first.arguments == ("--seed=1", "--start=0", "--end=40")
@@ -92,7 +92,7 @@ def test_pieces_follow_the_first_and_are_joined() -> None:
 
 def test_what_is_begun_is_finished_before_others_begin() -> None:
     engine = OneByOne(tracked)
-    run_batch(engine, make_jobs("a", "b"), Limits(), chunking())
+    run_batch(engine, make_jobs("a", "b"), Limits(), piece_arguments())
     assert [job.name[0] for job in engine.done] == ["a"] * 5 + ["b"] * 5
 
 
@@ -101,7 +101,7 @@ def test_a_recording_of_one_piece_is_tracked_whole() -> None:
         return Outcome(job.name, State.DONE, pieces=PIECES[:1] if job.kind is Kind.SPLIT else ())
 
     engine = OneByOne(one_piece)
-    run_batch(engine, make_jobs("a"), Limits(), chunking())
+    run_batch(engine, make_jobs("a"), Limits(), piece_arguments())
     assert [(job.name, job.kind, job.arguments) for job in engine.done] == [
         ("a", Kind.SPLIT, ("--seed=1",)),
         ("a", Kind.TRACK, ("--seed=1",)),
@@ -110,7 +110,7 @@ def test_a_recording_of_one_piece_is_tracked_whole() -> None:
 
 def test_a_joined_result_that_is_kept_is_the_end() -> None:
     engine = OneByOne(lambda job: Outcome(job.name, State.KEPT))
-    (found,) = run_batch(engine, make_jobs("a"), Limits(), chunking())
+    (found,) = run_batch(engine, make_jobs("a"), Limits(), piece_arguments())
     assert (found.state, len(engine.done)) == (State.KEPT, 1)
 
 
@@ -122,7 +122,7 @@ def test_a_piece_that_fails_is_told_with_its_frames(number: int, jobs: int) -> N
         return Outcome(job.name, State.FAILED, "no hand") if job.name == f"a//{number}" else tracked(job)
 
     engine = OneByOne(fails)
-    (found,) = run_batch(engine, make_jobs("a"), Limits(), chunking())
+    (found,) = run_batch(engine, make_jobs("a"), Limits(), piece_arguments())
     piece = PIECES[number]
     assert (found.name, found.state) == ("a", State.FAILED)
     assert found.reason == f"frames {piece.start} to {piece.end - 1}: no hand"

@@ -6,8 +6,11 @@ import base64
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
+from string import Template
 
+from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.html.components import text
 from posetrack_cli.files import write_output
 from posetrack_cli.outputs import check_place, whole_or_nothing
 
@@ -39,6 +42,21 @@ def write_page(path: Path, content: str) -> None:
     check_page(path)
     with whole_or_nothing(path) as part:
         write_output(part, content.encode("utf-8", "backslashreplace"))
+
+
+def filled(template: str, title: str, names: Iterable[str], **parts: str) -> str:
+    """Return a page: a template with its head, style and scripts, and the parts that are its own.
+
+    Args:
+        template: file beside this module; its placeholders are those of all pages and of ``parts``.
+        title: of the page, not escaped yet.
+        names: of its scripts, in the order in which they run.
+        parts: HTML, by placeholder.
+    """
+    style, script = asset("report.css"), scripts(names)
+    shared = {"title": text(title), "version": text(__version__), "style": style, "script": script}
+    head = Template(asset("head.html")).substitute(shared, policy=policy(style, script))
+    return Template(asset(template)).substitute(shared, head=head, **parts)
 
 
 def scripts(names: Iterable[str]) -> str:

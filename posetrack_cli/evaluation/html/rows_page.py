@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from string import Template
 from types import MappingProxyType
 
-from posetrack_cli import __version__
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.html.assets import asset, policy, scripts, write_page
+from posetrack_cli.evaluation.html.assets import filled, write_page
 from posetrack_cli.evaluation.html.components import details, element, listed, row, scrolling, text
 from posetrack_cli.evaluation.html.summary import comparison_section
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of, split_address
@@ -66,16 +64,13 @@ def write_rows_html(path: Path, page: RowsPage) -> None:
 def rows_page(page: RowsPage) -> str:
     """Return the page's text, see ``write_rows_html``."""
     evaluations = worst_first(page.sets)
-    style, script = asset("report.css"), scripts(SCRIPTS)
     failed = [one for one in page.outcomes if one.failed]
     title = page.title or f"{len(evaluations)} results"
     comparison = comparison_section(page.comparison)
-    return Template(asset("rows.html")).substitute(
-        policy=policy(style, script),
-        version=text(__version__),
-        title=text(title),
-        style=style,
-        script=script,
+    return filled(
+        "rows.html",
+        title,
+        SCRIPTS,
         lead=_lead(page, failed),
         notices=_against(page.notes),
         failed=_named("Recordings without a result", page.missing) + _failed(failed),

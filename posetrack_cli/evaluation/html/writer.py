@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from string import Template
 
-from posetrack_cli import __version__
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.assets import asset, policy, scripts, write_page
-from posetrack_cli.evaluation.html.components import text
+from posetrack_cli.evaluation.html.assets import filled, write_page
 from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
@@ -83,16 +80,12 @@ def write_html(path: Path, page: ReportPage) -> None:
 def html_page(page: ReportPage) -> str:
     """Return the page's text, see ``write_html``."""
     evaluations = page.evaluations
-    style = asset("report.css")
-    script = scripts(SCRIPTS)
     gallery = fitting(evaluations, page.pictures)
     data = page_data(evaluations, gallery.pictures, page.pools)
-    return Template(asset("report.html")).substitute(
-        policy=policy(style, script),
-        version=text(__version__),
-        title=text(page.title),
-        style=style,
-        script=script,
+    return filled(
+        "report.html",
+        page.title,
+        SCRIPTS,
         top="top single" if len(evaluations) == 1 else "top",
         lead=lead(evaluations),
         notices=notices(evaluations),
