@@ -89,7 +89,7 @@ class VideoFile:
                 "video cannot be written",
                 where=self._path,
                 found=f"{width}x{height}",
-                hint="try a smaller --scale",
+                hint="try a smaller --zoom",
             )
         return writer
 
