@@ -18,7 +18,7 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input, utf8_name
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage
-from posetrack_cli.recording.camera_file import Rig, found_rig
+from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import grey_like
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
@@ -86,6 +86,7 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
             "stored": video.pixels.words,
             "mirror": str(window.mirror).lower(),
             **({} if fps is None else {"fps": str(fps)}),
+            **camera_record(file),
         }
 
     return Recording(path, [stream], identity=identity, frame_count=video.count, is_guessed=rig.is_guessed)
