@@ -26,11 +26,11 @@ const canvas = document.createElement('canvas'), context = canvas.getContext('2d
 video.onerror = () => told(video.error.message || 'cannot be played');
 const at = (number) => {
   if (number === arguments[0]) { told(null); return; }
-  video.onseeked = () => {
+  video.requestVideoFrameCallback(() => {  // 'seeked' may come before its picture
     context.drawImage(video, 0, 0);
     told.pixels.push(Array.from(context.getImageData(8, 8, 1, 1).data.slice(0, 3)));
     at(number + 1);
-  };
+  });
   video.currentTime = (number + 0.5) / arguments[1];
 };
 if (video.error) told(video.error.message); else if (video.readyState > 0) at(0);
