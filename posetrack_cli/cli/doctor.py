@@ -23,6 +23,7 @@ LIBRARIES = (
     "scipy",
     "numba",
     "fast-simplification",
+    "filelock",
     "opencv-python-headless",
     "moderngl",
     "lz4",
@@ -33,7 +34,6 @@ LIBRARIES = (
     "pydantic",
     "click",
     "rich",
-    "tqdm",
     "zstandard",
 )
 

@@ -216,7 +216,7 @@ def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
         return rig
     name = folders.path.resolve().name
     if name not in rig.cameras:
-        raise RecordingError(
+        raise UsageError(
             "one folder of images and several cameras",
             where=folders.path,
             found=", ".join(rig.cameras),

@@ -9,7 +9,7 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
-from posetrack_cli.errors import RecordingError, nearest_name
+from posetrack_cli.errors import RecordingError, UsageError, nearest_name
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -138,7 +138,8 @@ class FileTopics:
 
         Raises:
             RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
-                or if there is not exactly one candidate.
+                or if there is none.
+            UsageError: listing them, if there are several and none is asked for.
         """
         depth = [topic for topic in self.images if topic.is_depth]
         asked = None if wanted is None else self.by_name.get(wanted)
@@ -157,7 +158,7 @@ class FileTopics:
             return depth[0]
         if depth:
             what, hint = "several topics hold depth", "choose one with --topic"
-            raise RecordingError(what, where=self.path, found=_labels(depth), hint=hint)
+            raise UsageError(what, where=self.path, found=_labels(depth), hint=hint)
         among = f" among {', '.join(sorted(self.by_name))}" if self.by_name else ""
         raise RecordingError(
             "no topic holds depth",
