@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +12,16 @@ from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import CAMERA_FILE_KEY, CAMERA_FILE_NAME, RECORDING_KEY
+from posetrack_cli.recording.base import (
+    CAMERA_FILE_KEY,
+    CAMERA_FILE_NAME,
+    RECORDING_KEY,
+    NotCalibratedError,
+)
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
 from posetrack_cli.recording.identity import file_digest
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import open_recording, options_for
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
@@ -99,6 +104,8 @@ def another(path: Path, run: Mapping[str, str], found: str, expected: str) -> Re
 
 MEANT = ("fps", "mirror")
 """Options that frames and estimates depend on: those of the run must not be replaced by others."""
+WITHOUT_CAMERA = (*MEANT, "depth_unit_mm", "missing")
+"""And those that a camera file would tell."""
 
 
 def _truth(text: str) -> bool:
@@ -142,7 +149,7 @@ def search_recording(
     Args:
         result: its run record says what to look for, and how it was opened.
         given: the file or folder to take.
-        any_recording: take ``given`` whatever it is, opened with ``opening`` alone.
+        any_recording: take ``given`` whatever it is; what it does not tell of rate and cameras is the run's.
         opening: options of ``open_recording`` that replace those of the run.
 
     Raises:
@@ -152,7 +159,7 @@ def search_recording(
     if given is None:
         return _found_beside(result, opening)
     if any_recording:
-        return Search(open_recording(given, pixels_of(result), **opening))
+        return Search(_another(given, result, opening))
     return Search(_same(given, result, opening))
 
 
@@ -217,7 +224,7 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
         options.pop("camera_topic", None)
         if run.get("input.kind") == "video":
             options.pop("cameras", None)  # its one camera is called what the file calls it
-    with _camera_file(path, result, given) as camera:
+    with _camera_file(result, given) as camera:
         try:
             recording = open_recording(path, pixels_of(result), **(options | camera | given))
         except RecordingError:
@@ -225,6 +232,25 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
             raise
         check_identity(recording, run)  # the camera file is part of a folder's identity
     return recording
+
+
+def _another(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
+    """Open a recording that need not be the run's; where it tells no camera, those of the run will do."""
+    pixels, run = pixels_of(result), _options_of(result.run)
+    usable = options_for(path, pixels) & run.keys()
+    given = {key: value for key, value in opening.items() if value is not None}
+    try:
+        return open_recording(path, pixels, **({key: run[key] for key in usable.intersection(MEANT)} | given))
+    except NotCalibratedError:
+        if "camera_file" in given:
+            raise
+    options = {key: run[key] for key in usable.intersection(WITHOUT_CAMERA)}
+    with _written(_camera_text(result)) as file:
+        try:
+            return open_recording(path, pixels, **({"camera_file": file} | options | given))
+        except RecordingError as error:  # about a file that no user knows
+            words = str(error).replace(str(file), CAMERA_FILE_NAME).removeprefix(f"{CAMERA_FILE_NAME}: ")
+            raise RecordingError(words, where=f"{path}, with the run's camera") from error
 
 
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
@@ -254,22 +280,12 @@ def _readable(value: float | bool) -> str:
 
 
 @contextmanager
-def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The run's camera file, or cameras, for what was tracked with a camera file where none is given now."""
-    run = result.run
-    if path.is_dir() and f"input.{CAMERA_FILE_KEY}" in run and "camera_file" not in given:
-        with _written(run[f"input.{CAMERA_FILE_KEY}"]) as file:
-            yield {"camera_file": file}
-        return
-    with_file = run.get("input.camera_topic") == "" or run.get("input.calibration") == "camera file"
-    if not with_file or path.is_dir() or {"camera_file", "camera_topic"} & given.keys():
+def _camera_file(result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The run's camera file where none is given now."""
+    if f"input.{CAMERA_FILE_KEY}" not in result.run or {"camera_file", "camera_topic"} & given.keys():
         yield {}
         return
-    mirrored = run.get("input.mirror") == "true"
-    cameras = result.several_cameras or (camera_of(run),)
-    stored = [camera.mirrored() if mirrored else camera for camera in cameras]
-    write = _depth_camera_text if pixels_of(result) == "depth" else camera_file_text
-    with _written(write(stored)) as file:
+    with _written(_camera_text(result)) as file:
         yield {"camera_file": file}
 
 
@@ -282,9 +298,20 @@ def _written(text: str) -> Iterator[Path]:
         yield file
 
 
-def _depth_camera_text(cameras: Sequence[Camera]) -> str:
-    """The camera file of the one camera of a depth recording, which has no name there."""
-    values = {key: value for key, value in cameras[0].values().items() if key != "name"}
+def _camera_text(result: Result) -> str:
+    """The camera file of a run; of one that used none, its cameras as a camera file has them."""
+    run = result.run
+    if f"input.{CAMERA_FILE_KEY}" in run:
+        return run[f"input.{CAMERA_FILE_KEY}"]
+    mirrored = run.get("input.mirror") == "true"
+    known = result.several_cameras or (camera_of(run),)
+    cameras = [camera.mirrored() if mirrored else camera for camera in known]
+    return camera_file_text(cameras) if len(cameras) > 1 else _lone_camera_text(cameras[0])
+
+
+def _lone_camera_text(camera: Camera) -> str:
+    """The camera file of one camera, which has no name there."""
+    values = {key: value for key, value in camera.values().items() if key != "name"}
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 

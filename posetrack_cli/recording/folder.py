@@ -6,20 +6,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import (
-    CAMERA_FILE_KEY,
     CAMERA_FILE_NAME,
     StoredImage,
     no_intrinsics,
     no_png,
 )
-from posetrack_cli.recording.camera_file import DepthCamera, Rig, found_rig, load_depth_camera, load_rig
+from posetrack_cli.recording.camera_file import (
+    DepthCamera,
+    Rig,
+    camera_record,
+    found_rig,
+    load_depth_camera,
+    load_rig,
+)
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.guess import check_one_camera
@@ -75,7 +79,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
             "missing": str(settings.missing),
             "mirror": str(settings.mirror).lower(),
             **_rate(fps),
-            **_given_camera(options),
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(path, [stream], identity=identity, frame_count=len(images))
@@ -115,7 +119,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
             "mirror": str(next(iter(windows.values())).mirror).lower(),
             "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
             **_rate(fps),
-            **_given_camera(options),
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(
@@ -126,12 +130,6 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
     )
-
-
-def _given_camera(options: ReadingOptions) -> dict[str, str]:
-    """The text of a camera file that is not the folder's own: whoever opens the folder again has it then."""
-    file = options.get("camera_file")
-    return {} if file is None else {CAMERA_FILE_KEY: read_text(file, limits.TEXT_BYTES)}
 
 
 def depth_camera_path(folder: Path, camera_file: Path | None) -> Path:

@@ -26,7 +26,13 @@ from posetrack_cli.recording.base import (
     no_png,
     truth_message,
 )
-from posetrack_cli.recording.camera_file import DepthCamera, Rig, load_depth_camera, load_rig
+from posetrack_cli.recording.camera_file import (
+    DepthCamera,
+    Rig,
+    camera_record,
+    load_depth_camera,
+    load_rig,
+)
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, identity_record
@@ -80,6 +86,7 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
             "camera_topic": calibration,
             "frames": str(source.topic.count),
             "mirror": str(window.mirror).lower(),
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(
@@ -121,6 +128,7 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
             "stored": ", ".join(dict.fromkeys(source.pixels.words for source in sources)),
             "mirror": str(windows[0].mirror).lower(),
             "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(

@@ -115,6 +115,12 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
     return opener.open(path, options)
 
 
+def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:
+    """Return the names of the options that apply to what a path is; none where it is no such recording."""
+    opener = _source_of(path).openers.get(pixels)
+    return frozenset() if opener is None else opener.options
+
+
 def describe(path: Path) -> dict[str, Any]:
     """Describe folders of images, a video or an MCAP file, recording or result, in plain values.
 
