@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from posetrack_cli.cli.options import FILTERED, TRACKS
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.options import FILE, FILTERED, TRACKS, output_option, overwrite_option, track_option
+from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
@@ -18,40 +19,43 @@ if TYPE_CHECKING:
 
 FORMATS = ("csv", "tum", "npz", "json", "bvh", "c3d", "mcap")
 SCHEMAS = ("ros2",)
-_STANDARD_OUTPUT = Path("-")
 _BY_SUFFIX = {f".{name}": name for name in FORMATS}
 
 
-@click.command(short_help="Write a result for other tools: CSV, TUM, numpy, JSON, BVH, C3D, ROS 2.")
-@click.argument("path", metavar="RESULT", type=click.Path(path_type=Path))
-@click.option(
+@click.command(
+    cls=Command,
+    examples=(
+        "posetrack export result.mcap -o result.csv",
+        "posetrack export result.mcap --format tum --no-lost -o head.tum",
+        "posetrack export result.mcap -o hand.bvh",
+        "posetrack export result.mcap --schemas ros2 -o result-ros2.mcap",
+        "posetrack export result.mcap --estimate-topic /truth/hand/estimate",
+    ),
+    former={"--topic": "--estimate-topic"},
+    short_help="Write a result for other tools: CSV, TUM, numpy, JSON, BVH, C3D, ROS 2.",
+)
+@click.argument("path", metavar="RESULT", type=FILE)
+@option(
     "--format",
     "format_name",
     type=click.Choice(FORMATS),
     help="What to write.  [default: as FILE is named, else csv]",
 )
-@click.option(
+@option(
     "--schemas",
     type=click.Choice(SCHEMAS),
     help="Whose messages an MCAP file holds; RESULT itself has Foxglove's.  [default: ros2]",
 )
-@click.option(
-    "-o",
-    "--output",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Where to write; nothing or - is standard output.",
+@output_option("Nothing or - is standard output.", "FILE|-", required=False)
+@overwrite_option("The file of -o")
+@track_option(*TRACKS, default=FILTERED)
+@option(
+    "--estimate-topic",
+    "topic",
+    metavar="TOPIC",
+    help="MCAP topic of the estimates, such as /truth/hand/estimate.  [default: the result's own]",
 )
-@click.option(
-    "--track",
-    type=click.Choice(TRACKS),
-    default=FILTERED,
-    show_default=True,
-    help="Which track of the result.",
-)
-@click.option("--topic", help="Of the estimates, such as /truth/hand/estimate.  [default: the result's own]")
-@click.option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
-@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
 def export(
     path: Path,
     format_name: str | None,
@@ -83,10 +87,10 @@ def export(
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
 
-    output = None if output == _STANDARD_OUTPUT else output
+    output = None if output == STANDARD_OUTPUT else output
     chosen = _chosen_format(format_name, schemas, output)
     if topic is not None and track != FILTERED:
-        raise UsageError("--topic and --track exclude each other", found=f"{topic} and {track}")
+        raise UsageError("--estimate-topic and --track exclude each other", found=f"{topic} and {track}")
     result = read_result(path)
     source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
     notes: tuple[str, ...] = ()

@@ -101,7 +101,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         (["{path}", "--schemas", "ros2", "-o", "{folder}/a.csv"], EXIT_USAGE, "--schemas is of MCAP files"),
         (["{path}", "--schemas", "ros1"], EXIT_USAGE, "'ros1' is not 'ros2'"),
         (["{path}", "--format", "bvh"], EXIT_USAGE, "BVH is of hands of posetrack hand run"),
-        (["{path}", "--topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
+        (["{path}", "--estimate-topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
         (["{path}", "-o", "{path}", "--overwrite"], EXIT_USAGE, "output would replace the result"),
         (["{path}", "-o", "{folder}"], EXIT_USAGE, "output is a folder"),
         (["{path}", "-o", "/dev/null", "--overwrite"], EXIT_USAGE, "output is no plain file"),
