@@ -66,7 +66,11 @@ DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
     type=click.Choice(["full", "hand", "head"]),
     help="All of the image, or where hand or head go.  [default: full; of layout paper hand]",
 )
-@click.option("--scale", type=FiniteRange(0.05, 16.0), help="Picture pixels per image pixel.")
+@click.option(
+    "--scale",
+    type=FiniteRange(0.05, 16.0),
+    help="Picture pixels per image pixel.  [default: 1, more for small images; of a sheet what fits]",
+)
 @click.option(
     "--rate",
     type=FiniteRange(0.1, 240.0),
