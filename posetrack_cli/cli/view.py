@@ -104,9 +104,8 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     an orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
     error of its points. Images of a camera with lens distortion are drawn without it.
 
-    Videos are MPEG-4 Part 2: VLC, mpv, ffplay and QuickTime play them; for browsers, convert with ffmpeg -i
-    FILE.mp4 -c:v libx264 -pix_fmt yuv420p OUT.mp4. Ctrl-C leaves what was drawn, readable. Exit code 3 means
-    that the result is truncated, or frames of it are not in the recording.
+    Videos are H.264, which browsers, players and chats play. Ctrl-C leaves what was drawn, readable. Exit
+    code 3 means that the result is truncated, or frames of it are not in the recording.
     """
     from posetrack_cli.evaluation.viewing.outputs import check_view_output, open_output
     from posetrack_cli.results.reader import read_result

@@ -76,6 +76,7 @@ def prepare() -> None:
     for module in pkgutil.walk_packages(posetrack_cli.__path__, "posetrack_cli."):
         importlib.import_module(module.name)
     for name in (
+        "av",
         "encodings.idna",
         "multiprocessing.util",
         "http.client",
