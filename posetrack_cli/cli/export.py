@@ -7,40 +7,42 @@ from pathlib import Path
 
 import click
 
-from posetrack_cli.cli.options import FILTERED, TRACKS
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.options import FILE, FILTERED, TRACKS, output_option, overwrite_option, track_option
+from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 FORMATS = ("csv", "tum", "npz", "json")
-_STANDARD_OUTPUT = Path("-")
 _BY_SUFFIX = {f".{name}": name for name in FORMATS}
 
 
-@click.command(short_help="Write a result as CSV, TUM, numpy or JSON.")
-@click.argument("path", metavar="RESULT", type=click.Path(path_type=Path))
-@click.option(
+@click.command(
+    cls=Command,
+    examples=(
+        "posetrack export result.mcap -o result.csv",
+        "posetrack export result.mcap --format tum --no-lost -o head.tum",
+        "posetrack export result.mcap --estimate-topic /truth/hand/estimate",
+    ),
+    former={"--topic": "--estimate-topic"},
+    short_help="Write a result as CSV, TUM, numpy or JSON.",
+)
+@click.argument("path", metavar="RESULT", type=FILE)
+@option(
     "--format",
     "format_name",
     type=click.Choice(FORMATS),
     help="What to write.  [default: as FILE is named, else csv]",
 )
-@click.option(
-    "-o",
-    "--output",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Where to write; nothing or - is standard output.",
+@output_option("Nothing or - is standard output.", "FILE|-", required=False)
+@overwrite_option("The file of -o")
+@track_option(*TRACKS, default=FILTERED)
+@option(
+    "--estimate-topic",
+    "topic",
+    metavar="TOPIC",
+    help="MCAP topic of the estimates, such as /truth/hand/estimate.  [default: the result's own]",
 )
-@click.option(
-    "--track",
-    type=click.Choice(TRACKS),
-    default=FILTERED,
-    show_default=True,
-    help="Which track of the result.",
-)
-@click.option("--topic", help="Of the estimates, such as /truth/hand/estimate.  [default: the result's own]")
-@click.option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
-@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
 def export(
     path: Path,
     format_name: str | None,
@@ -69,9 +71,9 @@ def export(
 
     result = read_result(path)
     if topic is not None and track != FILTERED:
-        raise UsageError("--topic and --track exclude each other", found=f"{topic} and {track}")
+        raise UsageError("--estimate-topic and --track exclude each other", found=f"{topic} and {track}")
     source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
-    if output == _STANDARD_OUTPUT:
+    if output == STANDARD_OUTPUT:
         output = None
     chosen = format_name or _BY_SUFFIX.get(output.suffix.lower() if output else "", "csv")
     if output is None:

@@ -97,7 +97,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         (["{folder}/text.mcap"], EXIT_FAILED, "is no MCAP file"),
         (["{path}", "--format", "npz"], EXIT_USAGE, "npz is no text"),
         (["{path}", "--format", "xml"], EXIT_USAGE, "'csv', 'tum', 'npz', 'json'"),
-        (["{path}", "--topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
+        (["{path}", "--estimate-topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
         (["{path}", "-o", "{path}", "--overwrite"], EXIT_USAGE, "output would replace the result"),
         (["{path}", "-o", "{folder}"], EXIT_USAGE, "output is a folder"),
         (["{path}", "-o", "/dev/null", "--overwrite"], EXIT_USAGE, "output is no plain file"),

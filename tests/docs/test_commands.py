@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -13,27 +13,12 @@ import click
 import pytest
 
 from posetrack_cli.cli.main import cli
-from support.markdown import PAGES, ROOT, blocks, invocations, statements, without_blocks
+from support.markdown import PAGES, ROOT, blocks, check, invocations, statements, without_blocks
 
 LANGUAGES = {"bash", "python", "toml", "yaml", "csv", "json", ""}
 """Those that are used, so that no command hides in one that nothing looks at."""
 GENERATED = ROOT / "docs" / "reference"
 WRITTEN = [path for path in PAGES if GENERATED not in path.parents]
-
-
-def check(arguments: Sequence[str]) -> None:
-    """Have click parse a command line as it would before it runs the command."""
-    command, name, rest, context = cli, "posetrack", list(arguments), None
-    while True:
-        try:
-            context = command.make_context(name, rest, parent=context)
-        except click.exceptions.Exit:
-            return  # --help, --version
-        if not isinstance(command, click.Group):
-            return
-        found, within, rest = command.resolve_command(context, [*context._protected_args, *context.args])
-        assert found is not None and within is not None
-        name, command = found, within
 
 
 def commands(

@@ -65,7 +65,7 @@ def _plain(line: str) -> str:
 def write_face(path: Path, folder: Path) -> None:
     """A video of a synthetic head."""
     made = [
-        "--cameras",
+        "--camera-count",
         "1",
         "--frames",
         str(FRAMES),

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import click
+
+from posetrack_cli.cli.main import cli
 
 ROOT = Path(__file__).parents[2]
 PAGES = (
@@ -68,3 +72,18 @@ def invocations(statement: str) -> Iterator[list[str]]:
             rest = words[start + 1 :]
             end = next((k for k, each in enumerate(rest) if set(each) <= _ENDS), len(rest))
             yield rest[:end]
+
+
+def check(arguments: Sequence[str]) -> None:
+    """Have click parse a command line as it would before it runs the command."""
+    command, name, rest, context = cli, "posetrack", list(arguments), None
+    while True:
+        try:
+            context = command.make_context(name, rest, parent=context)
+        except click.exceptions.Exit:
+            return  # --help, --version
+        if not isinstance(command, click.Group):
+            return
+        found, within, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        assert found is not None and within is not None
+        name, command = found, within

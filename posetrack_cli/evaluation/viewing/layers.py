@@ -255,7 +255,7 @@ def truth_of(result: Result, options: ViewOptions) -> Track | None:
             raise
         return None
     if truth is None and options.truth:
-        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --truth")
+        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --show-truth")
     return truth
 
 
@@ -286,7 +286,7 @@ def rows_to_draw(options: ViewOptions, first: DrawnTrack) -> IntArray:
     rows = chosen_rows(choice, first.track, first.error_mm)
     if options.sheet and len(rows) > MOST_IN_SHEET:
         expected = f"at most {MOST_IN_SHEET} in one picture"
-        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --frames")
+        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --select")
     return rows
 
 

@@ -136,7 +136,7 @@ class VideoFile:
                 "video cannot be written",
                 where=self._path,
                 found=f"{width}x{height}, {error.strerror}",
-                hint="is the disk full? If not, try a smaller --scale",
+                hint="is the disk full? If not, try a smaller --zoom",
             ) from error
 
     def close(self) -> None:
