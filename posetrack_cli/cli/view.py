@@ -89,7 +89,12 @@ DRAWN = {
         type=click.Choice(["full", "hand", "head"]),
         help="All of the image, or where hand or head go.  [default: full; of layout paper hand]",
     ),
-    option("--zoom", metavar="FACTOR", type=FiniteRange(0.05, 16.0), help="Picture pixels per image pixel."),
+    option(
+        "--zoom",
+        metavar="FACTOR",
+        type=FiniteRange(0.05, 16.0),
+        help="Picture pixels per image pixel.  [default: 1, more for small images; of a sheet what fits]",
+    ),
     option(
         "--rate",
         metavar="HZ",
