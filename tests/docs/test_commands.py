@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -98,7 +99,7 @@ def test_other_code_is_what_it_says(path: Path) -> None:
     for block in blocks(path):
         if block.language == "toml":
             tomllib.loads(block.text)
-        if block.language == "python":
+        if block.language == "python" and all(map(find_spec, block.needs)):
             tree = ast.parse(block.text)
             imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
             assert imports

@@ -25,6 +25,8 @@ NOT_RUN = {
     ("README.md", "installs packages"): 1,
     ("docs/index.md", "installs packages"): 1,
     ("docs/index.md", "prepares a checkout"): 1,
+    ("docs/other-tools.md", "installs packages"): 1,
+    ("docs/other-tools.md", "programs of ROS 2"): 1,
 }
 """Blocks that are marked as not run, by page and reason: whoever marks another one, tells it here."""
 

@@ -20,7 +20,8 @@ PAGES = (
 """Everything that is read; the changelog tells of what was."""
 
 _FENCE = re.compile(
-    r"^(?:<!-- not run: (?P<reason>[^>]+) -->\n)?```(?P<language>\S*)\n(?P<text>.*?)^```$",
+    r"^(?:<!-- (?:not run: (?P<reason>[^>]+)|needs: (?P<needs>[\w ]+)) -->\n)?"
+    r"```(?P<language>\S*)\n(?P<text>.*?)^```$",
     re.DOTALL | re.MULTILINE,
 )
 _ENDS = frozenset("|&;<>()")
@@ -28,13 +29,19 @@ _ENDS = frozenset("|&;<>()")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: page relative to the root, line, language, text, why it is not run, if so."""
+    """A fenced block: page relative to the root, line, language, text.
+
+    Attributes:
+        reason: why it is not run, if so.
+        needs: modules without which it cannot be run, which are no dependencies, not even of tests.
+    """
 
     page: str
     line: int
     language: str
     text: str
     reason: str | None
+    needs: tuple[str, ...] = ()
 
     @property
     def place(self) -> str:
@@ -46,7 +53,14 @@ def blocks(path: Path) -> list[Block]:
     text = path.read_text(encoding="utf-8")
     page = path.relative_to(ROOT).as_posix()
     return [
-        Block(page, text.count("\n", 0, found.start()) + 1, found["language"], found["text"], found["reason"])
+        Block(
+            page,
+            text.count("\n", 0, found.start()) + 1,
+            found["language"],
+            found["text"],
+            found["reason"],
+            tuple((found["needs"] or "").split()),
+        )
         for found in _FENCE.finditer(text)
     ]
 
