@@ -1,4 +1,4 @@
-"""What topics an MCAP file has, and which one holds the depth."""
+"""What topics a file of messages has, and which one holds the depth."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
+from posetrack_cli.bags.message_file import MessageFile, message_file
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
@@ -17,8 +18,7 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     kind_of,
 )
-from posetrack_cli.mcap.stream import McapFile, McapItem
-from posetrack_cli.mcap.summary import read_summary
+from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.depth import ImageDescription, describe_image
 
 TRIES = 50
@@ -111,7 +111,7 @@ class FileTopics:
         by_name: its topics.
     """
 
-    file: McapFile
+    file: MessageFile
     by_name: Mapping[str, Topic]
 
     @property
@@ -169,19 +169,19 @@ class FileTopics:
 
 def scan_topics(path: Path) -> FileTopics:
     """Return the topics of a file: from its index, or by reading all of it if it has none."""
-    file, summary, scan = McapFile(path), read_summary(path), TopicScan()
-    if summary is None or summary.statistics is None:
+    file, scan = message_file(path), TopicScan()
+    counts = file.counts()
+    if counts is None:
         for item in file.messages():
             scan.inspect(item).count += 1
         return FileTopics(file, scan.topics)
-    for channel in summary.channels.values():
-        topic = scan.topic(summary.schemas.get(channel.schema_id), channel)
-        topic.count += summary.statistics.channel_message_counts.get(channel.id, 0)
+    for schema, channel, count in counts:
+        scan.topic(schema, channel).count += count
     _settle(file, scan)
     return FileTopics(file, scan.topics)
 
 
-def _settle(file: McapFile, scan: TopicScan) -> None:
+def _settle(file: MessageFile, scan: TopicScan) -> None:
     """Look at messages until all topics that have any are settled: one pass for however many topics."""
     waiting = {name for name, topic in scan.topics.items() if topic.count and not topic.is_settled}
     if not waiting:
