@@ -1,8 +1,8 @@
 """ROS 2 recordings in SQLite (``.db3``): all that the database is asked for is to walk its tables.
 
 A database can hold views that never end, columns that are computed, virtual tables and triggers. None of
-that is run: only columns of stored tables may be read, no function is allowed, and a query ends after as many
-steps as a whole table of that size can take.
+that is run: only stored columns of stored tables are read, and a query ends after as many steps as a table of
+that size can take.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ COLUMNS = {
 _READS = frozenset((table, column) for table, columns in COLUMNS.items() for column in columns)
 _MASTER = ("type", "name", "rootpage")
 _ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ})
+_COLUMNS_OF = "table_xinfo"
+"""A pragma whose last value is not 0 for columns that are not stored."""
 _STEPS = 1000
 """Between two looks at how many there were."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -117,15 +119,15 @@ class Ros2Database:
         Raises:
             RecordingError: it has not the tables of ROS 2.
         """
-        stored = {
-            _text(row[1]) for row in self._rows(database, "sqlite_master", (), _MASTER) if _is_stored(row)
-        }
+        rows = self._rows(database, "sqlite_master", (), _MASTER)
+        tables = {_text(row[1]) for row in rows if _is_stored(row)}
+        stored = {table for table in COLUMNS if table in tables and not _computes(database, table)}
         if not {"topics", "messages"} <= stored:
             raise RecordingError(
                 "is no recording of ROS 2",
                 where=self.path,
-                found=f"tables {', '.join(sorted(stored)) or 'none'}",
-                expected="topics and messages",
+                found=f"tables {', '.join(sorted(tables)) or 'none'}",
+                expected="topics and messages, without computed columns",
             )
         definitions: dict[str, tuple[str, bytes]] = {}
         if "message_definitions" in stored:
@@ -146,7 +148,7 @@ class Ros2Database:
         topics: Collection[int] = (),
         columns: Collection[str] | None = None,
     ) -> Iterator[tuple[Any, ...]]:
-        """Yield some columns of a table; where it is damaged it ends, with a loss.
+        """Yield some columns of a table; that of messages ends where it is damaged, with a loss.
 
         Args:
             database: open.
@@ -159,7 +161,9 @@ class Ros2Database:
             words += f" WHERE topic_id IN ({', '.join(str(number) for number in topics)})"
         try:
             yield from database.execute(words)
-        except (sqlite3.Error, OverflowError) as error:
+        except sqlite3.Error as error:
+            if table != "messages":
+                raise
             self.losses.add(DAMAGED, f"{table}: {error}")
 
 
@@ -182,7 +186,9 @@ def _bound(database: sqlite3.Connection, size: int) -> None:
 def _authorised(
     action: int, table: str | None, column: str | None, name: str | None, view: str | None
 ) -> int:
-    """Allow what reads a column of a stored table, and nothing else: no function, view or trigger."""
+    """Allow what reads a column of a table, and what lists columns; no function, view or trigger."""
+    if action == sqlite3.SQLITE_PRAGMA and table == _COLUMNS_OF:
+        return sqlite3.SQLITE_OK
     if action not in _ALLOWED or view is not None:
         return sqlite3.SQLITE_DENY
     if action == sqlite3.SQLITE_READ and (table, column) not in _READS:
@@ -195,6 +201,11 @@ def _is_stored(row: tuple[Any, ...]) -> bool:
     """Whether a row of the master table is of a table that has pages of its own: no view, nothing virtual."""
     kind, _, page = row
     return bool(kind == b"table" and isinstance(page, int) and page > 0)
+
+
+def _computes(database: sqlite3.Connection, table: str) -> bool:
+    """Whether a table has columns that are computed, by whatever function takes long."""
+    return any(row[-1] for row in database.execute(f"PRAGMA {_COLUMNS_OF}({table})"))
 
 
 def _message(number: int, stamp: Any, data: Any, budget: ExpansionBudget) -> Message:
