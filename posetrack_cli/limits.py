@@ -113,6 +113,14 @@ TRANSFORMS = 20_000
 """Of all messages of a file, as far as they are looked at; and so many bytes of them:"""
 TRANSFORM_BYTES = 16 * MIB
 
+# Frames that an export makes up
+
+EXPORT_FRAMES = 10_000
+EXPORT_EXPANSION = 16
+"""Of a format with a fixed frame rate, whose frames fill the gaps between estimates: at most so many, or so
+many times the estimates, whichever is more. Five minutes at 30 Hz, or gaps of 15 s for each second between.
+"""
+
 # Numbers and names in results
 
 LENGTH_MM = 1e9

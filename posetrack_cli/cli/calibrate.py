@@ -11,6 +11,15 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.options import (
+    FILE,
+    camera_names,
+    cameras_option,
+    option_group,
+    output_option,
+    overwrite_option,
+)
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -22,38 +31,56 @@ def calibrate() -> None:
     """Measure cameras."""
 
 
-@calibrate.command("stereo", short_help="Measure two or more cameras from images of a board.")
-@click.argument("images", metavar="FOLDER", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    metavar="camera.toml",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Camera file to write.",
+@calibrate.command(
+    "stereo",
+    cls=Command,
+    examples=(
+        "posetrack calibrate stereo boards/ --squares 10x7 --square-mm 25 -o rig.toml",
+        "posetrack calibrate stereo boards/ --squares 10x7 --square-mm 25 \\",
+        "    --marker-mm 18 --cameras left,right -o rig.toml",
+    ),
+    short_help="Measure two or more cameras from images of a board.",
 )
-@click.option(
-    "--squares",
-    metavar="COLUMNSxROWS",
-    required=True,
-    help="Squares of the board across and down: 10x7 has 9x6 inner corners.",
+@click.argument("images", metavar="FOLDER", type=FILE)
+@output_option("The camera file.", "camera.toml")
+@option_group(
+    option(
+        "--squares",
+        metavar="COLUMNSxROWS",
+        required=True,
+        help="Squares of the board across and down: 10x7 has 9x6 inner corners.",
+    ),
+    option(
+        "--square-mm",
+        metavar="MM",
+        type=float,
+        required=True,
+        help="Side of a square, mm; measure it on the print.",
+    ),
+    option(
+        "--marker-mm",
+        metavar="MM",
+        type=float,
+        help="Side of a marker, mm: a ChArUco board instead of a chessboard.",
+    ),
+    option(
+        "--dictionary",
+        metavar="NAME",
+        default="4X4_50",
+        show_default=True,
+        help="Markers of the ChArUco board, OpenCV's name.",
+    ),
+    title="Board",
 )
-@click.option("--square-mm", type=float, required=True, help="Side of a square, mm; measure it on the print.")
-@click.option(
-    "--marker-mm", type=float, help="Side of a marker, mm: a ChArUco board instead of a chessboard."
-)
-@click.option(
-    "--dictionary", default="4X4_50", show_default=True, help="Markers of the ChArUco board, OpenCV's name."
-)
-@click.option("--cameras", metavar="NAME,NAME", help="Folders to use, the reference first.  [default: all]")
-@click.option(
+@cameras_option("Names of folders, the reference first.  [default: all]")
+@option(
     "--distortion",
     type=click.Choice(["none", "four", "five", "eight"]),
     default="four",
     show_default=True,
     help="Coefficients of the lens: k1 k2 p1 p2, and k3, and k4 k5 k6.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing camera file.")
+@overwrite_option("The camera file")
 def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     """Measure intrinsics, distortion and places of the cameras whose images of a board lie in FOLDER.
 
@@ -72,7 +99,7 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     board = Board(
         *_squares(options["squares"]), options["square_mm"], options["marker_mm"], options["dictionary"]
     )
-    names = options["cameras"].split(",") if options["cameras"] else None
+    names = camera_names(options["cameras"]) if options["cameras"] else None
     losses = LossLog()
     with _progress() as report:
         views = find_views(images, board, names, report, losses)

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.options import reading_options, recording_options
+from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.options import (
+    FILE,
+    config_option,
+    hand_mesh_option,
+    hand_side_option,
+    option_group,
+    output_option,
+    overwrite_option,
+    reading_options,
+    recording_options,
+)
 from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
@@ -17,30 +28,34 @@ if TYPE_CHECKING:
     from posetrack_cli.hand.config import HandConfig
 
 
-@click.command("calibrate", short_help="Find the size and proportions of the hand in a recording.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    metavar="HAND.toml",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="File to write.",
+@click.command(
+    "calibrate",
+    cls=Command,
+    examples=(
+        "posetrack hand calibrate depth.mcap -o hand.toml",
+        "posetrack hand run other.mcap --shape hand.toml -o hand.mcap",
+    ),
+    former={"--frames": "--fit-frames"},
+    short_help="Find the size and proportions of the hand in a recording.",
 )
-@click.option(
-    "--frames",
-    type=click.IntRange(min=4, max=200),
-    default=16,
-    show_default=True,
-    help="Frames that the shape is fitted to: those that show the most of fingers.",
+@click.argument("recording", type=FILE)
+@output_option("The hand, a configuration file.", "HAND.toml")
+@overwrite_option("HAND.toml")
+@option_group(
+    option(
+        "--fit-frames",
+        metavar="N",
+        type=click.IntRange(min=4, max=200),
+        default=16,
+        show_default=True,
+        help="How many frames the shape is fitted to: those that show the most of fingers.",
+    ),
+    hand_side_option("auto", "right", "left", details="auto tells from the images.  [default: auto]"),
+    hand_mesh_option,
+    title="Hand",
 )
-@click.option(
-    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: detected]"
-)
-@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Shape this hand instead of the average one.")
-@click.option("--config", "configs", multiple=True, help="TOML file or a shipped name, as of hand run.")
+@config_option("As of hand run")
 @recording_options
-@click.option("--overwrite", is_flag=True, help="Replace an existing HAND.toml.")
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """Estimate side, size and shape of the hand in RECORDING, which may be some separate depth images.
 
@@ -56,8 +71,9 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
+    side = None if options["side"] == "auto" else options["side"]
     source = open_recording(recording, **reading_options(options))
-    chosen = CalibrationOptions(options["side"], options["frames"])
+    chosen = CalibrationOptions(side, options["fit_frames"])
     with compiling_said():
         found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)

@@ -7,21 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option
 from posetrack_cli.cli.head_options import (
+    LEARNED,
+    START,
     head_configuration,
     head_run_options,
     learning_options,
-    particle_option,
     start_options,
     track_head,
 )
 from posetrack_cli.cli.options import (
-    finishing_options,
+    FILE,
+    configuration_options,
     frame_options,
     image_options,
+    option_group,
+    particles_option,
     reading_options,
     result_options,
-    smooth_option,
 )
 from posetrack_cli.errors import UsageError
 
@@ -33,21 +37,29 @@ if TYPE_CHECKING:
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
-@click.command("stereo", short_help="Track a head in the images of calibrated cameras.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@result_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
-@particle_option(1000)
-@click.option(
+@click.command(
+    "stereo",
+    cls=Command,
+    examples=(
+        "posetrack head stereo recording.mcap -o head.mcap",
+        "posetrack head stereo images/ --fps 30 --camera rig.toml -o head.mcap",
+    ),
+    short_help="Track a head in the images of calibrated cameras.",
+)
+@click.argument("recording", type=FILE)
+@result_options("The result, and the model of --save-model")
+@option(
     "--model",
     type=click.Choice(["deformable", "rigid"]),
     help="Whether the face's deformations are learnt and tracked.  [default: deformable]",
+    group=LEARNED,
 )
 @learning_options(passes=1)
-@start_options
-@smooth_option
+@option_group(start_options, title=START)
+@particles_option(1000)
+@configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
 @frame_options
 @image_options
-@finishing_options("an existing result, and an existing model")
 def head_stereo(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a folder with one folder of images per camera, or an MCAP file.
 

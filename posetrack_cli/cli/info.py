@@ -2,40 +2,58 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
+from json import dumps
 from pathlib import Path
 from typing import Any
 
 import click
 
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.options import FILE, json_option, overwrite_option
+from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.text import printable_json
 
 Values = Mapping[str, Any]
 
 
-@click.command(short_help="Tell what a recording or a result holds.")
-@click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print the same as JSON.")
-def info(path: Path, as_json: bool) -> None:
+@click.command(
+    cls=Command,
+    examples=("posetrack info recording.mcap", "posetrack info recording.mcap --json -"),
+    short_help="Tell what a recording or a result holds.",
+)
+@click.argument("path", metavar="FILE", type=FILE)
+@json_option()
+@overwrite_option("The file of --json")
+def info(path: Path, json: Path | None, overwrite: bool) -> None:
     """Tell what FILE holds: folders of images, a video, a recording or a result, also an unfinished one.
 
     Exit code 3 means that the file is truncated or damaged; what can be read is listed all the same.
     """
+    from posetrack_cli.files import write_output
+    from posetrack_cli.outputs import check_target, whole_or_nothing
     from posetrack_cli.recording.opening import describe
 
+    if json is not None and json != STANDARD_OUTPUT:
+        check_target(json, overwrite=overwrite, source=path)
     report = describe(path)
-    if as_json:
-        print_data(printable_json(json.dumps(report, indent=2, ensure_ascii=False)) + "\n")
+    if json == STANDARD_OUTPUT:
+        print_data(_json_text(report))
     else:
         for line in report_lines(report):
             print_line(line)
+    if json is not None and json != STANDARD_OUTPUT:
+        with whole_or_nothing(json) as part:
+            write_output(part, _json_text(report).encode())
     for loss in report["losses"]:
         print_note(f"{path}: {loss['what']}: {loss['count']}, first {loss['first']}")
     if report["losses"]:
         click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _json_text(report: Values) -> str:
+    return printable_json(dumps(report, indent=2, ensure_ascii=False)) + "\n"
 
 
 def report_lines(report: Values) -> Iterator[str]:

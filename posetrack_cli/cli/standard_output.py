@@ -10,8 +10,12 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from posetrack_cli.text import one_line, printable
+
+STANDARD_OUTPUT = Path("-")
+"""What stands for it as the name of a file."""
 
 
 def print_line(text: str = "") -> None:

@@ -196,7 +196,7 @@ def test_another_seed_gives_other_estimates(
 def test_a_recording_its_folder_and_what_that_is_converted_to_give_identical_estimates(
     track: Track, folder: Path, result: Path, tmp_path: Path
 ) -> None:
-    assert run(["convert", str(folder), str(tmp_path / "in.mcap")]) == 0
+    assert run(["convert", str(folder), "-o", str(tmp_path / "in.mcap")]) == 0
     assert track(folder, tmp_path / "a.mcap", "--end", "6") == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", "--end", "6") == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
@@ -590,7 +590,7 @@ def test_real_kinect_frames_from_folder_and_mcap(track: Track, tmp_path: Path, m
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
     reading = ["--fps", "30", "--camera", str(camera)]
-    assert run(["convert", str(kinect), str(tmp_path / "in.mcap"), *reading]) == 0
+    assert run(["convert", str(kinect), "-o", str(tmp_path / "in.mcap"), *reading]) == 0
     left = ["--hand-side", "left"]
     assert track(kinect, tmp_path / "a.mcap", *left, *reading) == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", *left) == 0

@@ -5,35 +5,21 @@ from __future__ import annotations
 import ast
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
 import pytest
 
 from posetrack_cli.cli.main import cli
-from support.markdown import PAGES, ROOT, blocks, invocations, statements, without_blocks
+from support.markdown import PAGES, ROOT, blocks, check, invocations, statements, without_blocks
 
 LANGUAGES = {"bash", "python", "toml", "yaml", "csv", "json", ""}
 """Those that are used, so that no command hides in one that nothing looks at."""
 GENERATED = ROOT / "docs" / "reference"
 WRITTEN = [path for path in PAGES if GENERATED not in path.parents]
-
-
-def check(arguments: Sequence[str]) -> None:
-    """Have click parse a command line as it would before it runs the command."""
-    command, name, rest, context = cli, "posetrack", list(arguments), None
-    while True:
-        try:
-            context = command.make_context(name, rest, parent=context)
-        except click.exceptions.Exit:
-            return  # --help, --version
-        if not isinstance(command, click.Group):
-            return
-        found, within, rest = command.resolve_command(context, [*context._protected_args, *context.args])
-        assert found is not None and within is not None
-        name, command = found, within
 
 
 def commands(
@@ -113,7 +99,7 @@ def test_other_code_is_what_it_says(path: Path) -> None:
     for block in blocks(path):
         if block.language == "toml":
             tomllib.loads(block.text)
-        if block.language == "python":
+        if block.language == "python" and all(map(find_spec, block.needs)):
             tree = ast.parse(block.text)
             imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
             assert imports

@@ -25,6 +25,8 @@ NOT_RUN = {
     ("README.md", "installs packages"): 1,
     ("docs/index.md", "installs packages"): 1,
     ("docs/index.md", "prepares a checkout"): 1,
+    ("docs/other-tools.md", "installs packages"): 1,
+    ("docs/other-tools.md", "programs of ROS 2"): 1,
 }
 """Blocks that are marked as not run, by page and reason: whoever marks another one, tells it here."""
 
@@ -65,7 +67,7 @@ def _plain(line: str) -> str:
 def write_face(path: Path, folder: Path) -> None:
     """A video of a synthetic head."""
     made = [
-        "--cameras",
+        "--camera-count",
         "1",
         "--frames",
         str(FRAMES),

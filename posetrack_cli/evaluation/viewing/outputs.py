@@ -45,7 +45,12 @@ BT709 = 1
 HUNDREDTHS = 100
 SLOWEST_HZ, FASTEST_HZ = 0.1, 240.0
 FAST = 1
-_SHEET_WIDTH, _SHEET_GAP = 2400, 6
+SHEET_PX = 3000, 2000
+"""Width and height that a sheet has at most, unless there are so many pictures that none could be read."""
+LEAST_PICTURE_PX = 160
+"""Rows that a picture of a sheet keeps."""
+_SHEET_GAP, _CAPTION_ROOM_PX = 6, 36
+_ROUNDED_PX = 3  # a picture of several panels may be larger by so much than the factor says
 _NUMBERED = re.compile(r"frame_\d{6,}\.png", re.ASCII)
 
 
@@ -131,7 +136,7 @@ class VideoFile:
                 "video cannot be written",
                 where=self._path,
                 found=f"{width}x{height}, {error.strerror}",
-                hint="is the disk full? If not, try a smaller --scale",
+                hint="is the disk full? If not, try a smaller --zoom",
             ) from error
 
     def close(self) -> None:
@@ -246,12 +251,52 @@ class Sheet:
         """Nothing was written."""
 
 
+def fitting_sheet(count: int, size: tuple[int, int]) -> float:
+    """Return the factor, 1 at most, that makes pictures small enough for a sheet, but not too small to read.
+
+    Args:
+        count: how many there are.
+        size: (width, height) of each without its caption, pixels.
+    """
+    width, height = size
+    most_wide, most_high = SHEET_PX
+    factors = []
+    for columns in range(1, count + 1):
+        rows = math.ceil(count / columns)
+        across = (most_wide - (columns - 1) * _SHEET_GAP) / columns
+        down = (most_high - (rows - 1) * _SHEET_GAP) / rows - _CAPTION_ROOM_PX
+        factors.append(min(1.0, across / width, down / height))
+    return max(*factors, min(1.0, LEAST_PICTURE_PX / height, most_wide / width))
+
+
+def sheet_columns(count: int, size: tuple[int, int]) -> int:
+    """Return how many pictures stand in a row: no sheet is too wide or high that need not be.
+
+    Of what remains that is chosen whose shape is nearest to a sheet's, and then the fullest.
+
+    Args:
+        count: how many there are.
+        size: (width, height) of each, pixels.
+    """
+    width, height = size
+    most_wide, most_high = SHEET_PX
+
+    def badness(columns: int) -> tuple[float, ...]:
+        rows = math.ceil(count / columns)
+        wide = columns * (width + _SHEET_GAP) - _SHEET_GAP
+        high = rows * (height + _SHEET_GAP) - _SHEET_GAP
+        shape = abs(math.log(wide * most_high / (high * most_wide)))
+        over = wide - most_wide - _ROUNDED_PX * columns, high - most_high - _ROUNDED_PX * rows
+        return max(0.0, over[0]), max(0.0, over[1]), shape, columns * rows
+
+    return min(range(1, count + 1), key=badness)
+
+
 def sheet_of(pictures: list[ImageArray]) -> ImageArray:
     """Pictures of one size in rows that are equally long as far as can be."""
     height, width = pictures[0].shape[:2]
-    most = max(1, _SHEET_WIDTH // (width + _SHEET_GAP))
-    rows = math.ceil(len(pictures) / most)
-    columns = math.ceil(len(pictures) / rows)
+    columns = sheet_columns(len(pictures), (width, height))
+    rows = math.ceil(len(pictures) / columns)
     step_down, step_right = height + _SHEET_GAP, width + _SHEET_GAP
     sheet = np.zeros((rows * step_down - _SHEET_GAP, columns * step_right - _SHEET_GAP, 3), dtype=np.uint8)
     for number, picture in enumerate(pictures):
