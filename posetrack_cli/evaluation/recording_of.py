@@ -263,6 +263,8 @@ def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
         options = {key: _STATED[key](text) for key, text in stated.items() if text}
     except ValueError as error:
         raise ResultError("run record cannot be read", found=error) from error
+    if run.get("input.topics") and run.get("input.calibration") != "camera file":
+        options["cameras"] = run["input.topics"].split(",")  # frames' names need not be of one topic only
     if run.get("intrinsics") == "guessed":
         options["guess"] = guess_of_camera(camera_of(run))
     return options

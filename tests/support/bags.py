@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
@@ -16,6 +17,9 @@ START_NS, PERIOD_NS = 1_700_000_000_000_000_000, 33_000_000
 DEPTH, DEPTH_INFO = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
 COLOUR, COLOUR_INFO = "/camera/color/image_raw", "/camera/color/camera_info"
 FX, FY, CX, CY = 70.0, 71.0, 31.5, 23.5
+
+Row: TypeAlias = tuple[str, int, Any]
+"""Topic, number of the instant, message."""
 
 
 def depth_codes(number: int) -> np.ndarray:
@@ -30,7 +34,7 @@ def colours(number: int) -> np.ndarray:
     return np.stack([3 * u, 4 * v, np.full_like(u, 20 * number)], axis=-1).astype(np.uint8)
 
 
-class _Messages:
+class Messages:
     """The messages of one generation of ROS."""
 
     def __init__(self, store: Stores) -> None:
@@ -72,41 +76,49 @@ class _Messages:
             roi=region,
         )
 
-    def write(self, writer: Any, serialise: Any) -> None:
-        """All of them, as a driver would: each camera's calibration, then its images."""
-        image, info = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-        topics = {DEPTH_INFO: info, DEPTH: image, COLOUR_INFO: info, COLOUR: image}
-        known = {t: writer.add_connection(t, kind, typestore=self.store) for t, kind in topics.items()}
+    def value(self, number: float) -> Any:
+        return self._types["std_msgs/msg/Float32"](data=number)
 
-        def put(topic: str, number: int, message: Any) -> None:
-            data = serialise(message, topics[topic])
+    def usual(self) -> Iterator[Row]:
+        """As a driver would: each camera's calibration, then its images."""
+        yield DEPTH_INFO, 0, self.camera_info("depth_frame")
+        yield COLOUR_INFO, 0, self.camera_info("color_frame")
+        for number in range(COUNT):
+            yield DEPTH, number, self.image(number, "depth_frame", "16UC1", depth_codes(number))
+            yield COLOUR, number, self.image(number, "color_frame", "rgb8", colours(number))
+
+    def write(self, rows: Iterable[Row], writer: Any, serialise: Any) -> None:
+        known: dict[str, Any] = {}
+        for topic, number, message in rows:
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, message.__msgtype__, typestore=self.store)
+            data = serialise(message, message.__msgtype__)
             writer.write(known[topic], START_NS + number * PERIOD_NS, bytes(data))
 
-        put(DEPTH_INFO, 0, self.camera_info("depth_frame"))
-        put(COLOUR_INFO, 0, self.camera_info("color_frame"))
-        for number in range(COUNT):
-            put(DEPTH, number, self.image(number, "depth_frame", "16UC1", depth_codes(number)))
-            put(COLOUR, number, self.image(number, "color_frame", "rgb8", colours(number)))
 
-
-def write_bag(path: Path, compression: str = "none", chunk_bytes: int = 20_000) -> Path:
+def write_bag(
+    path: Path,
+    compression: str = "none",
+    rows: Callable[[Messages], Iterable[Row]] = Messages.usual,
+    chunk_bytes: int = 20_000,
+) -> Path:
     """A ROS 1 bag, of several chunks."""
-    messages = _Messages(Stores.ROS1_NOETIC)
+    messages = Messages(Stores.ROS1_NOETIC)
     writer = Writer1(path)
     writer.chunk_threshold = chunk_bytes
     if compression != "none":
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
     with writer:
-        messages.write(writer, messages.store.serialize_ros1)
+        messages.write(rows(messages), writer, messages.store.serialize_ros1)
     return path
 
 
 def write_folder(path: Path, storage: str, compression: str = "none", version: int = 9) -> Path:
     """A folder of ROS 2; of compressions there is ``message``, and ``file``."""
-    messages = _Messages(Stores.ROS2_HUMBLE)
+    messages = Messages(Stores.ROS2_HUMBLE)
     writer = Writer2(path, version=version, storage_plugin=StoragePlugin[storage.upper()])
     if compression != "none":
         writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
     with writer:
-        messages.write(writer, messages.store.serialize_cdr)
+        messages.write(messages.usual(), writer, messages.store.serialize_cdr)
     return path
