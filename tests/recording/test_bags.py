@@ -89,7 +89,7 @@ UNIT_MM = 0.25
 
 
 def of_realsense(messages: Messages) -> Iterator[Row]:
-    """As librealsense 2.56 writes them: calibrations in a namespace beside, the unit an option of the sensor."""
+    """As librealsense 2.56 writes them: calibrations in a namespace beside, the unit an option."""
     yield f"{SENSOR}/Depth_0/info/camera_info", 0, messages.camera_info("")
     yield "/device_0/sensor_1/Color_0/info/camera_info", 0, messages.camera_info("")
     yield f"{SENSOR}/option/Depth_Units/value", 0, messages.value(UNIT_MM / 1000)
@@ -148,7 +148,7 @@ def test_the_likeliest_depth_is_taken_and_said(tmp_path: Path, others: list[str]
             yield topic, number, message
             if topic == DEPTH:
                 for other in others:
-                    yield other, number, message
+                    yield other, number, messages.image(number, "its_frame", "mono16", depth_codes(number))
 
     path = write_bag(tmp_path / "r.bag", rows=rows)
     recording = open_recording(path)
