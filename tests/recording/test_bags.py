@@ -17,6 +17,7 @@ from support.bags import (
     COUNT,
     CX,
     DEPTH,
+    DEPTH_INFO,
     FX,
     HEIGHT,
     PERIOD_NS,
@@ -153,7 +154,7 @@ def test_the_likeliest_depth_is_taken_and_said(tmp_path: Path, others: list[str]
     path = write_bag(tmp_path / "r.bag", rows=rows)
     recording = open_recording(path)
     assert recording.remark == f"depth is taken from {DEPTH}; --topic takes another: {remark}"
-    assert open_recording(path, topic=others[0]).identity()["topic"] == others[0]
+    assert open_recording(path, topic=others[0], camera_topic=DEPTH_INFO).identity()["topic"] == others[0]
 
 
 def test_of_two_cameras_of_depth_none_is_likelier(tmp_path: Path) -> None:
