@@ -68,7 +68,7 @@ document.body.setAttribute("data-md-color-scheme", arguments[0]);
 
 
 def test_axe_finds_nothing_serious(site: Path, tmp_path: Path) -> None:
-    """On a telephone in light colours, wide in dark ones: text, code, tables, pictures, and the theme around."""
+    """On a telephone in light colours, wide in dark ones: text, code, tables, pictures, the theme around."""
     with open_browser(tmp_path) as driver:
         for name, width, scheme in (("index", 390, "default"), ("results", 1200, "slate")):
             set_width(driver, width)
