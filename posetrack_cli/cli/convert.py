@@ -12,10 +12,10 @@ from posetrack_cli.cli.options import (
     FILE,
     output_option,
     overwrite_option,
-    reading_options,
     recording_options,
     truth_option,
 )
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -47,9 +47,8 @@ def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, 
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
-    from posetrack_cli.recording.opening import open_recording
 
-    source = open_recording(recording, **reading_options(options))
+    source = open_for_reading(recording, options)
     joints = [] if truth is None else _joints(truth, source)
     conversion = convert_recording(source, output, overwrite=overwrite, truth=joints)
     print_line(f"{output}: {conversion.frames} frames, {output.stat().st_size} bytes")

@@ -19,6 +19,7 @@ PARTICLES = 512
 REPEATS = 11
 MOST_DEVICES = 16
 LIBRARIES = (
+    "av",
     "numpy",
     "scipy",
     "numba",

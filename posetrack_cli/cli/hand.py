@@ -23,14 +23,18 @@ from posetrack_cli.cli.options import (
     init_option,
     option_group,
     particles_option,
-    reading_options,
     recording_options,
     result_options,
     scale_option,
 )
 from posetrack_cli.cli.process import stop_signals
+<<<<<<< HEAD
 from posetrack_cli.cli.running import close, compiling_said, kept, print_remark, progress, tell_settings
 from posetrack_cli.cli.standard_output import print_aside, print_detail
+=======
+from posetrack_cli.cli.running import close, compiling_said, kept, open_for_reading, print_remark, progress
+from posetrack_cli.cli.standard_output import print_note
+>>>>>>> main
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -195,9 +199,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
 def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording of depth."""
-    from posetrack_cli.recording.opening import open_recording
-
-    return open_recording(recording, **reading_options(options))
+    return open_for_reading(recording, options)
 
 
 def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:

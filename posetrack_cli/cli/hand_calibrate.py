@@ -16,11 +16,15 @@ from posetrack_cli.cli.options import (
     option_group,
     output_option,
     overwrite_option,
-    reading_options,
     recording_options,
 )
+<<<<<<< HEAD
 from posetrack_cli.cli.running import compiling_said, tell_next
 from posetrack_cli.cli.standard_output import print_aside, print_line, print_note
+=======
+from posetrack_cli.cli.running import compiling_said, open_for_reading
+from posetrack_cli.cli.standard_output import print_line, print_note
+>>>>>>> main
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:
@@ -68,12 +72,11 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     from posetrack_cli.hand.calibration.doubts import doubts_of
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
-    from posetrack_cli.recording.opening import open_recording
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
     side = None if options["side"] == "auto" else options["side"]
-    source = open_recording(recording, **reading_options(options))
+    source = open_for_reading(recording, options)
     chosen = CalibrationOptions(side, options["fit_frames"])
     with compiling_said():
         found = calibrate(source, config, chosen, lambda line: print_aside(f"{line} ..."))

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+<<<<<<< HEAD
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+=======
+import sys
+from collections.abc import Callable, Iterator, Mapping
+>>>>>>> main
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -11,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.options import reading_options
 from posetrack_cli.cli.process import leave_process, signals_watched
 from posetrack_cli.cli.progress import bar, close_bars, print_above
 from posetrack_cli.cli.standard_output import is_quiet, print_detail, print_line, print_note
@@ -18,9 +24,26 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackErro
 from posetrack_cli.text import printable
 
 if TYPE_CHECKING:
+<<<<<<< HEAD
     from posetrack_cli.configuration import Settings
+=======
+    from posetrack_cli.recording.pixels import PixelKind
+    from posetrack_cli.recording.recording import Recording
+>>>>>>> main
     from posetrack_cli.results.estimate import Estimate
     from posetrack_cli.tracking.options import RunOutcome
+
+
+def open_for_reading(
+    path: Path, options: Mapping[str, Any], pixels: PixelKind = "depth", **further: Any
+) -> Recording:
+    """Open a recording as a command's options say; tell what was taken of several things that would do."""
+    from posetrack_cli.recording.opening import open_recording
+
+    recording = open_recording(path, pixels, **reading_options(options), **further)
+    if recording.remark:
+        print_note(f"{path}: {recording.remark}")
+    return recording
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage
 from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
@@ -152,7 +153,7 @@ def describe_video(path: Path) -> dict[str, Any]:
         height, width = _first_image(video, path).shape[:2]
     recording, no_camera = opened(lambda: open_video(path, {}))
     return {
-        "name": shown_name(path.resolve()),
+        "name": shown_name(placed_path(path)),
         "kind": "video",
         "bytes": path.stat().st_size,
         "image": {"width": width, "height": height},

@@ -28,7 +28,7 @@ from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import part_path, state_path
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 

@@ -25,7 +25,6 @@ NOT_RUN = {
     ("README.md", "installs packages"): 1,
     ("docs/index.md", "installs packages"): 1,
     ("docs/index.md", "prepares a checkout"): 1,
-    ("docs/index.md", "lines of a shell's start file"): 1,
     ("docs/other-tools.md", "installs packages"): 1,
     ("docs/other-tools.md", "programs of ROS 2"): 1,
 }

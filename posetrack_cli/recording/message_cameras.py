@@ -16,9 +16,9 @@ from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
 from posetrack_cli.recording.base import TRUTH_PREFIX, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
-from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
-from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
-from posetrack_cli.recording.mcap_topics import FileTopics, Topic
+from posetrack_cli.recording.message_calibration import camera_from_message, choose_calibration
+from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, rectification
+from posetrack_cli.recording.message_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Pixels
 
 COMPRESSED = "/compressed"
