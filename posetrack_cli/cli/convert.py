@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.command import Command, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     output_option,
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 @overwrite_option("The recording")
 @truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes.")
 @recording_options
+@volume_options
 def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
     """Write IN, a folder of depth images or an MCAP file, as Foxglove MCAP without loss.
 

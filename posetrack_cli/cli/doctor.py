@@ -24,6 +24,7 @@ LIBRARIES = (
     "scipy",
     "numba",
     "fast-simplification",
+    "filelock",
     "opencv-python-headless",
     "moderngl",
     "lz4",
@@ -34,7 +35,6 @@ LIBRARIES = (
     "pydantic",
     "click",
     "rich",
-    "tqdm",
     "zstandard",
 )
 

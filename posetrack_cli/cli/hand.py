@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.options import (
@@ -28,8 +28,13 @@ from posetrack_cli.cli.options import (
     scale_option,
 )
 from posetrack_cli.cli.process import stop_signals
+<<<<<<< HEAD
+from posetrack_cli.cli.running import close, compiling_said, kept, print_remark, progress, tell_settings
+from posetrack_cli.cli.standard_output import print_aside, print_detail
+=======
 from posetrack_cli.cli.running import close, compiling_said, kept, open_for_reading, print_remark, progress
 from posetrack_cli.cli.standard_output import print_note
+>>>>>>> main
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -147,6 +152,7 @@ hand.add_command(hand_synth)
 @configuration_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
 @frame_options
 @recording_options
+@volume_options
 def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
 
@@ -166,7 +172,7 @@ def hand_run(recording: Path, **options: Any) -> None:
         if found.is_doubtful:
             print_remark(recording, found.line)
         else:
-            print_note(f"{recording}: {found.line}")
+            print_aside(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 
@@ -183,8 +189,10 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
+    print_detail(f"draws with {device.info}")
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], _say, keypoints)
+    tell_settings(found.config)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found
 
@@ -205,12 +213,12 @@ def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
     from posetrack_cli.hand.keypoints.file import read_keypoints
 
     keypoints = read_keypoints(path, camera, unit, swap)
-    print_note(f"{path}: {keypoints.line}")
+    print_aside(f"{path}: {keypoints.line}")
     return keypoints
 
 
 def _say(line: str) -> None:
-    print_note(f"{line} ...")
+    print_aside(f"{line} ...")
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     config_option,
@@ -18,8 +18,13 @@ from posetrack_cli.cli.options import (
     overwrite_option,
     recording_options,
 )
+<<<<<<< HEAD
+from posetrack_cli.cli.running import compiling_said, tell_next
+from posetrack_cli.cli.standard_output import print_aside, print_line, print_note
+=======
 from posetrack_cli.cli.running import compiling_said, open_for_reading
 from posetrack_cli.cli.standard_output import print_line, print_note
+>>>>>>> main
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:
@@ -55,6 +60,7 @@ if TYPE_CHECKING:
 )
 @config_option("As of hand run")
 @recording_options
+@volume_options
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """Estimate side, size and shape of the hand in RECORDING, which may be some separate depth images.
 
@@ -73,7 +79,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     source = open_for_reading(recording, options)
     chosen = CalibrationOptions(side, options["fit_frames"])
     with compiling_said():
-        found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
+        found = calibrate(source, config, chosen, lambda line: print_aside(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
     print_line(
@@ -81,6 +87,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     )
     if doubts := doubts_of(found):
         print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{doubts}")
+    result = Path(f"{recording.resolve().stem}-tracked.mcap")
+    tell_next(("hand", "run", recording, "--shape", output, "-o", result))
     if source.losses:
         print_note(f"{recording}: {loss_line(source.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.head_options import (
     START,
     head_configuration,
@@ -114,6 +114,7 @@ OWN_CONFIGURED = {
     "[default: 53, a guess]",
     group=READ,
 )
+@volume_options
 def head_mono(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a video, a folder of images or an MCAP file.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.head_options import (
     LEARNED,
     START,
@@ -60,6 +60,7 @@ if TYPE_CHECKING:
 @configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
 @frame_options
 @image_options
+@volume_options
 def head_stereo(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a folder with one folder of images per camera, or an MCAP file.
 

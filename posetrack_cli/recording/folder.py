@@ -217,7 +217,7 @@ def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
         return rig
     name = placed_path(folders.path).name
     if name not in rig.cameras:
-        raise RecordingError(
+        raise UsageError(
             "one folder of images and several cameras",
             where=folders.path,
             found=", ".join(rig.cameras),

@@ -9,8 +9,12 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
+<<<<<<< HEAD:posetrack_cli/recording/mcap_topics.py
+from posetrack_cli.errors import RecordingError, UsageError, nearest_name
+=======
 from posetrack_cli.bags.message_file import MessageFile, message_file
 from posetrack_cli.errors import RecordingError, nearest_name
+>>>>>>> main:posetrack_cli/recording/message_topics.py
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -148,7 +152,12 @@ class FileTopics:
 
         Raises:
             RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
+<<<<<<< HEAD:posetrack_cli/recording/mcap_topics.py
+                or if there is none.
+            UsageError: listing them, if there are several and none is asked for.
+=======
                 or if there is none or no likeliest one.
+>>>>>>> main:posetrack_cli/recording/message_topics.py
         """
         depth = self.depth_topics
         asked = None if wanted is None else self.by_name.get(wanted)
@@ -168,7 +177,7 @@ class FileTopics:
             return likeliest[0]
         if depth:
             what, hint = "several topics hold depth", "choose one with --topic"
-            raise RecordingError(what, where=self.path, found=_labels(depth), hint=hint)
+            raise UsageError(what, where=self.path, found=_labels(depth), hint=hint)
         among = f" among {', '.join(sorted(self.by_name))}" if self.by_name else ""
         raise RecordingError(
             "no topic holds depth",
