@@ -28,13 +28,16 @@ from posetrack_cli.cli.options import (
     scale_option,
 )
 from posetrack_cli.cli.process import stop_signals
-<<<<<<< HEAD
-from posetrack_cli.cli.running import close, compiling_said, kept, print_remark, progress, tell_settings
+from posetrack_cli.cli.running import (
+    close,
+    compiling_said,
+    kept,
+    open_for_reading,
+    print_remark,
+    progress,
+    tell_settings,
+)
 from posetrack_cli.cli.standard_output import print_aside, print_detail
-=======
-from posetrack_cli.cli.running import close, compiling_said, kept, open_for_reading, print_remark, progress
-from posetrack_cli.cli.standard_output import print_note
->>>>>>> main
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:

@@ -18,13 +18,8 @@ from posetrack_cli.cli.options import (
     overwrite_option,
     recording_options,
 )
-<<<<<<< HEAD
-from posetrack_cli.cli.running import compiling_said, tell_next
+from posetrack_cli.cli.running import compiling_said, open_for_reading, tell_next
 from posetrack_cli.cli.standard_output import print_aside, print_line, print_note
-=======
-from posetrack_cli.cli.running import compiling_said, open_for_reading
-from posetrack_cli.cli.standard_output import print_line, print_note
->>>>>>> main
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:

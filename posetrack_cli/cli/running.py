@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-=======
-import sys
-from collections.abc import Callable, Iterator, Mapping
->>>>>>> main
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -24,12 +19,9 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackErro
 from posetrack_cli.text import printable
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
     from posetrack_cli.configuration import Settings
-=======
     from posetrack_cli.recording.pixels import PixelKind
     from posetrack_cli.recording.recording import Recording
->>>>>>> main
     from posetrack_cli.results.estimate import Estimate
     from posetrack_cli.tracking.options import RunOutcome
 

@@ -9,12 +9,8 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
-<<<<<<< HEAD:posetrack_cli/recording/mcap_topics.py
-from posetrack_cli.errors import RecordingError, UsageError, nearest_name
-=======
 from posetrack_cli.bags.message_file import MessageFile, message_file
-from posetrack_cli.errors import RecordingError, nearest_name
->>>>>>> main:posetrack_cli/recording/message_topics.py
+from posetrack_cli.errors import RecordingError, UsageError, nearest_name
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -152,12 +148,8 @@ class FileTopics:
 
         Raises:
             RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
-<<<<<<< HEAD:posetrack_cli/recording/mcap_topics.py
                 or if there is none.
-            UsageError: listing them, if there are several and none is asked for.
-=======
-                or if there is none or no likeliest one.
->>>>>>> main:posetrack_cli/recording/message_topics.py
+            UsageError: listing them, if there are several and none is asked for, or likeliest.
         """
         depth = self.depth_topics
         asked = None if wanted is None else self.by_name.get(wanted)
