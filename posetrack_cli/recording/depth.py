@@ -49,7 +49,10 @@ class Depth:
 
     def from_file(self, data: bytes, where: object) -> Float32Array:
         """Return (height, width) depth, mm, of an image file."""
-        codes = decode_codes(data, str(where))
+        return self.from_stored(decode_codes(data, str(where)), where)
+
+    def from_stored(self, codes: ImageArray, where: object) -> Float32Array:
+        """Return (height, width) depth, mm, of codes as they are stored."""
         check_size(codes, self, where)
         return depth_from_codes(codes, self.unit_mm, self.missing)
 

@@ -149,7 +149,7 @@ class FileTopics:
         Raises:
             RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
                 or if there is none.
-            UsageError: listing them, if there is no likeliest one of several.
+            UsageError: listing them, if there are several and none is asked for, or likeliest.
         """
         depth = self.depth_topics
         asked = None if wanted is None else self.by_name.get(wanted)

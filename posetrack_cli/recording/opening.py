@@ -13,6 +13,7 @@ from posetrack_cli.bags.message_file import container_of
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
 from posetrack_cli.recording.folder_description import describe_folder
+from posetrack_cli.recording.kinect import open_kinect
 from posetrack_cli.recording.message_description import describe_messages
 from posetrack_cli.recording.message_source import open_depth_messages, open_grey_messages
 from posetrack_cli.recording.pixels import PixelKind
@@ -83,7 +84,7 @@ SOURCES = (
     Source(
         "a video",
         lambda path: True,  # any other file; what is none is told when it is opened
-        {"grey": Opener(open_video, CAMERAS | {"fps"})},
+        {"grey": Opener(open_video, CAMERAS | {"fps"}), "depth": Opener(open_kinect, ANY)},
         describe_video,
     ),
 )
@@ -91,7 +92,7 @@ SOURCES = (
 
 
 def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[ReadingOptions]) -> Recording:
-    """Open a folder of images, an MCAP file or a video.
+    """Open a folder of images, a file or folder of messages, or a video.
 
     Depth is of one camera. Grey images may be of several: ``cameras`` has the reference first, the others
     placed relative to it, and frames have None at the place of a camera without an image at that instant.
@@ -106,22 +107,14 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
         UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
     """
     source = _source_of(path)
-    if pixels not in source.openers:
-        raise RecordingError(
-            "is not a recording",
-            where=path,
-            found="an empty file" if path.stat().st_size == 0 else "a file of another kind",
-            expected="a folder of 16-bit images, an MCAP file or a bag of ROS",
-        )
     opener = source.openers[pixels]
     _refuse_others(source.words, opener, options)
     return opener.open(path, options)
 
 
 def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:
-    """Return the names of the options that apply to what a path is; none where it is no such recording."""
-    opener = _source_of(path).openers.get(pixels)
-    return frozenset() if opener is None else opener.options
+    """Return the names of the options that apply to what a path is."""
+    return _source_of(path).openers[pixels].options
 
 
 def describe(path: Path) -> dict[str, Any]:

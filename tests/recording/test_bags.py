@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from posetrack_cli.errors import RecordingError
+from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
@@ -164,5 +164,5 @@ def test_of_two_cameras_of_depth_none_is_likelier(tmp_path: Path) -> None:
             yield topic.replace("/camera", "/other"), number, message
 
     path = write_bag(tmp_path / "r.bag", rows=rows)
-    with pytest.raises(RecordingError, match=r"several topics hold depth, .*; choose one with --topic"):
+    with pytest.raises(UsageError, match=r"several topics hold depth, .*; choose one with --topic"):
         open_recording(path)
