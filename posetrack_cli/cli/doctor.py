@@ -24,6 +24,7 @@ LIBRARIES = (
     "scipy",
     "numba",
     "fast-simplification",
+    "jinja2",
     "filelock",
     "opencv-python-headless",
     "moderngl",
