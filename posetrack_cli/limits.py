@@ -30,6 +30,11 @@ Messages without any content at 1 kHz of a simulated clock, which differ in noth
 bytes each in zstd's level 19; with a real clock's stamps 5 and more.
 """
 
+BAG_HEAD_BYTES = MIB
+"""Of the head of a record of a ROS 1 bag: a few names and numbers."""
+DATABASE_STEPS_PER_BYTE, SPARE_DATABASE_STEPS = 4, 1_000_000
+"""What SQLite may do for one query of a ROS 2 database, for each byte of it and to spare: a row takes ten
+steps and, as it is stored, 30 bytes at least."""
 DEFINITION_BYTES = 64 * MIB
 CHANNEL_BYTES = 4 * MIB
 """Of all different schemas, and of all different channels, within the chunks of an MCAP file.

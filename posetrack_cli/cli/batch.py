@@ -14,7 +14,7 @@ import click
 
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS, BatchCommand
 from posetrack_cli.cli.batch_progress import BatchProgress
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     WRITTEN,
@@ -137,6 +137,7 @@ BATCH_OPTIONS = options_of(
             title="Batch",
         ),
         gate_options,
+        volume_options,
         title=WRITTEN,
     )
 )
@@ -165,7 +166,7 @@ def _command(command: BatchCommand) -> click.Command:
 
     @click.pass_context
     def callback(context: click.Context, /, recordings: tuple[str, ...], **options: Any) -> None:
-        own = {str(one.name): options[str(one.name)] for one in BATCH_OPTIONS}
+        own = {str(one.name): options[str(one.name)] for one in BATCH_OPTIONS if one.expose_value}
         run_batch_command(command, recordings, command.arguments(context), own)
 
     return Command(

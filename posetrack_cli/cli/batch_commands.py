@@ -18,7 +18,7 @@ from posetrack_cli.errors import UsageError, nearest_name
 if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
-_OWN = ("recording", "output", "resume", "overwrite", "save_model")
+_OWN = ("recording", "output", "resume", "overwrite", "save_model", "quiet", "verbose")
 """Parameters that a batch sets for each recording, or that name one file to write."""
 _OF_FIRST = "init"
 """How a recording begins: not of the pieces behind the first one."""

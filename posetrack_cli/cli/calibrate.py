@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     camera_names,
@@ -20,6 +19,7 @@ from posetrack_cli.cli.options import (
     output_option,
     overwrite_option,
 )
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -81,6 +81,7 @@ def calibrate() -> None:
     help="Coefficients of the lens: k1 k2 p1 p2, and k3, and k4 k5 k6.",
 )
 @overwrite_option("The camera file")
+@volume_options
 def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     """Measure intrinsics, distortion and places of the cameras whose images of a board lie in FOLDER.
 
@@ -126,12 +127,5 @@ def _squares(text: str) -> tuple[int, int]:
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Yield a function that moves a progress bar; a bar only where a person looks."""
-    from tqdm import tqdm
-
-    with tqdm(unit="image", desc="board", file=sys.stderr, disable=None, dynamic_ncols=True) as bar:
-
-        def report(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield report
+    with bar("board", "image") as shown:
+        yield lambda done, total: shown.advance(done - shown.done, total=total)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 import click
 
+from posetrack_cli.cli.standard_output import QUIET, USUAL, VERBOSE, print_detail, volume
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 OTHERS = "Other options"
+_VOLUME = "posetrack.volume"
 
 
 class Option(click.Option):
@@ -40,6 +44,16 @@ class Command(click.Command):
     ) -> None:
         super().__init__(*arguments, **attributes)
         self.examples, self.former = tuple(examples), dict(former or {})
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, as loud as it was asked to be."""
+        began_s = time.perf_counter(), time.process_time()
+        with volume(ctx.meta.get(_VOLUME, USUAL)):
+            try:
+                return super().invoke(ctx)
+            finally:
+                spent = (time.perf_counter() - began_s[0], time.process_time() - began_s[1])
+                print_detail(f"took {spent[0]:.1f} s, {spent[1]:.1f} s of processor time")
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse a command line; a former name is told with the one it has now."""
@@ -86,6 +100,35 @@ class Adding(Protocol):
 def option(*names: str, **attributes: Any) -> Adding:
     """Return what adds an ``Option`` to a command, as ``click.option`` does."""
     return click.option(*names, cls=Option, **attributes)
+
+
+def _set_volume(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    """Callback of --quiet and --verbose.
+
+    Raises:
+        click.BadParameter: both are given.
+    """
+    if not asked:
+        return
+    own = QUIET if parameter.name == "quiet" else VERBOSE
+    if context.meta.setdefault(_VOLUME, own) != own:
+        raise click.BadParameter("--quiet and --verbose exclude each other", context, parameter)
+
+
+def volume_options(function: Function) -> Function:
+    """Add --quiet and --verbose to a command that runs for more than an instant."""
+    more: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _set_volume, "group": OTHERS}
+    for adding in (
+        option("-v", "--verbose", help="Also say what is read and used, and what it took.", **more),
+        option(
+            "-q",
+            "--quiet",
+            help="Say nothing but what went wrong, and show no progress.",
+            **more,
+        ),
+    ):
+        function = adding(function)
+    return function
 
 
 def commands_of(

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.command import Command, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     output_option,
     overwrite_option,
-    reading_options,
     recording_options,
     truth_option,
 )
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 @overwrite_option("The recording")
 @truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes.")
 @recording_options
+@volume_options
 def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
     """Write IN, a folder of depth images or an MCAP file, as Foxglove MCAP without loss.
 
@@ -46,9 +47,8 @@ def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, 
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
-    from posetrack_cli.recording.opening import open_recording
 
-    source = open_recording(recording, **reading_options(options))
+    source = open_for_reading(recording, options)
     joints = [] if truth is None else _joints(truth, source)
     conversion = convert_recording(source, output, overwrite=overwrite, truth=joints)
     print_line(f"{output}: {conversion.frames} frames, {output.stat().st_size} bytes")

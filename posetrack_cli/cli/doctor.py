@@ -19,10 +19,13 @@ PARTICLES = 512
 REPEATS = 11
 MOST_DEVICES = 16
 LIBRARIES = (
+    "av",
     "numpy",
     "scipy",
     "numba",
     "fast-simplification",
+    "jinja2",
+    "filelock",
     "opencv-python-headless",
     "moderngl",
     "lz4",
@@ -33,7 +36,6 @@ LIBRARIES = (
     "pydantic",
     "click",
     "rich",
-    "tqdm",
     "zstandard",
 )
 

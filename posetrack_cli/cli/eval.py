@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     BOTH,
     FILE,
@@ -27,8 +27,10 @@ from posetrack_cli.cli.options import (
     track_option,
     truth_option,
 )
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.cli.standard_output import (
     STANDARD_OUTPUT,
+    is_quiet,
     print_data,
     print_line,
     print_note,
@@ -181,6 +183,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     title="Reports",
 )
 @gate_options
+@volume_options
 def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     """Measure RESULTs against truth, by themselves without it; also of unfinished or running runs.
 
@@ -266,11 +269,11 @@ def _check_reports(request: Request, options: dict[str, Any]) -> None:
 @contextmanager
 def _progress(total: int) -> Iterator[Callable[[], Any]]:
     """Yield a function that counts results; a bar only for several, and where a person looks."""
-    from tqdm import tqdm
-
-    quiet = True if total < 2 else None
-    with tqdm(total=total, unit="result", desc="eval", file=sys.stderr, disable=quiet, leave=False) as bar:
-        yield bar.update
+    if total < 2:
+        yield lambda: None
+        return
+    with bar("eval", "result", total, stays=False) as shown:
+        yield shown.advance
 
 
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
@@ -354,7 +357,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     )
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
-    if sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
+    if is_quiet() or sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
     made, lines = _rows(found, options) if found.rows else _columns(found, given, options)
     if options["honesty"]:

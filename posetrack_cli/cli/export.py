@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import FILE, FILTERED, TRACKS, output_option, overwrite_option, track_option
 from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
@@ -56,6 +56,7 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
     help="MCAP topic of the estimates, such as /truth/hand/estimate.  [default: the result's own]",
 )
 @option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
+@volume_options
 def export(
     path: Path,
     format_name: str | None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.options import (
@@ -23,14 +23,21 @@ from posetrack_cli.cli.options import (
     init_option,
     option_group,
     particles_option,
-    reading_options,
     recording_options,
     result_options,
     scale_option,
 )
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.running import close, compiling_said, kept, print_remark, progress
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.running import (
+    close,
+    compiling_said,
+    kept,
+    open_for_reading,
+    print_remark,
+    progress,
+    tell_settings,
+)
+from posetrack_cli.cli.standard_output import print_aside, print_detail
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -148,6 +155,7 @@ hand.add_command(hand_synth)
 @configuration_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
 @frame_options
 @recording_options
+@volume_options
 def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
 
@@ -167,7 +175,7 @@ def hand_run(recording: Path, **options: Any) -> None:
         if found.is_doubtful:
             print_remark(recording, found.line)
         else:
-            print_note(f"{recording}: {found.line}")
+            print_aside(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 
@@ -184,17 +192,17 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
+    print_detail(f"draws with {device.info}")
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], _say, keypoints)
+    tell_settings(found.config)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found
 
 
 def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording of depth."""
-    from posetrack_cli.recording.opening import open_recording
-
-    return open_recording(recording, **reading_options(options))
+    return open_for_reading(recording, options)
 
 
 def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
@@ -208,12 +216,12 @@ def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
     from posetrack_cli.hand.keypoints.file import read_keypoints
 
     keypoints = read_keypoints(path, camera, unit, swap)
-    print_note(f"{path}: {keypoints.line}")
+    print_aside(f"{path}: {keypoints.line}")
     return keypoints
 
 
 def _say(line: str) -> None:
-    print_note(f"{line} ...")
+    print_aside(f"{line} ...")
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:

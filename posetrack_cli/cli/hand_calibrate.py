@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     config_option,
@@ -16,11 +16,10 @@ from posetrack_cli.cli.options import (
     option_group,
     output_option,
     overwrite_option,
-    reading_options,
     recording_options,
 )
-from posetrack_cli.cli.running import compiling_said
-from posetrack_cli.cli.standard_output import print_line, print_note
+from posetrack_cli.cli.running import compiling_said, open_for_reading, tell_next
+from posetrack_cli.cli.standard_output import print_aside, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
 )
 @config_option("As of hand run")
 @recording_options
+@volume_options
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """Estimate side, size and shape of the hand in RECORDING, which may be some separate depth images.
 
@@ -67,15 +67,14 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     from posetrack_cli.hand.calibration.doubts import doubts_of
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
-    from posetrack_cli.recording.opening import open_recording
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
     side = None if options["side"] == "auto" else options["side"]
-    source = open_recording(recording, **reading_options(options))
+    source = open_for_reading(recording, options)
     chosen = CalibrationOptions(side, options["fit_frames"])
     with compiling_said():
-        found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
+        found = calibrate(source, config, chosen, lambda line: print_aside(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
     print_line(
@@ -83,6 +82,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     )
     if doubts := doubts_of(found):
         print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{doubts}")
+    result = Path(f"{recording.resolve().stem}-tracked.mcap")
+    tell_next(("hand", "run", recording, "--shape", output, "-o", result))
     if source.losses:
         print_note(f"{recording}: {loss_line(source.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

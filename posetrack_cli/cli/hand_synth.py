@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     fps_option,
     frames_option,
@@ -24,6 +23,8 @@ from posetrack_cli.cli.options import (
     seed_option,
     speed_option,
 )
+from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.running import tell_next
 from posetrack_cli.cli.standard_output import print_line
 from posetrack_cli.errors import UsageError
 
@@ -114,6 +115,7 @@ shape_options = option_group(
 @hand_side_option("right", "left", details="", default="right")
 @shape_options
 @switch_options
+@volume_options
 def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
     """Make OUT.mcap, a recording of a moving hand as a Kinect v2 would see it, with truth on /truth/hand.
 
@@ -132,6 +134,7 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
         f"{output}: {made.frames} frames, {made.missing} dropped, {made.seconds:.3f} s long, "
         f"made in {time.perf_counter() - began:.1f} s"
     )
+    tell_next(("hand", "run", output, "-o", output.with_stem(f"{output.stem}-tracked")))
 
 
 def synth_options(values: dict[str, Any]) -> Any:
@@ -166,12 +169,6 @@ def _given_shape(values: dict[str, Any]) -> dict[str, Any]:
 @contextmanager
 def _progress(frames: int) -> Iterator[Callable[[Any], None]]:
     """A bar on stderr if that is a terminal; it counts the instants that the frames have reached."""
-    from tqdm import tqdm
-
-    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
-        yield lambda frame: _advance(bar, frame.instant + 1)
-        _advance(bar, frames)
-
-
-def _advance(bar: Any, done: int) -> None:
-    bar.update(done - bar.n)
+    with bar("synth", "frame", frames) as shown:
+        yield lambda frame: shown.advance(frame.instant + 1 - shown.done)
+        shown.advance(frames - shown.done)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import FILE, WRITTEN, output_option, overwrite_option
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     help="Draw what the model knows: identities downwards, deformations across.",
     group=WRITTEN,
 )
+@volume_options
 def head_build_model(
     results: tuple[Path, ...],
     output: Path,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.head_options import (
     START,
     head_configuration,
@@ -25,9 +25,9 @@ from posetrack_cli.cli.options import (
     one_camera_options,
     option_group,
     particles_option,
-    reading_options,
     result_options,
 )
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
@@ -114,6 +114,7 @@ OWN_CONFIGURED = {
     "[default: 53, a guess]",
     group=READ,
 )
+@volume_options
 def head_mono(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a video, a folder of images or an MCAP file.
 
@@ -141,11 +142,10 @@ def head_mono(recording: Path, **options: Any) -> None:
 def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording of one camera, which may be guessed."""
     from posetrack_cli.recording.guess import Guess, guess_of_field
-    from posetrack_cli.recording.opening import open_recording
 
     fov = options["fov"]
     guess = Guess() if fov is None else guess_of_field(fov)
-    source = open_recording(recording, "grey", **reading_options(options), guess=guess)
+    source = open_for_reading(recording, options, "grey", guess=guess)
     if fov is not None and not source.is_guessed:
         raise UsageError(
             "--fov does not apply to a calibrated camera",

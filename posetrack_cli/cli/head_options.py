@@ -18,8 +18,8 @@ from posetrack_cli.cli.options import (
     option_group,
 )
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.running import close, compiling_said, kept, progress
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.running import close, compiling_said, kept, progress, tell_settings
+from posetrack_cli.cli.standard_output import print_aside
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def head_configuration(
         UsageError: what cannot be meant, such as a model for a detector that uses none.
     """
     config = configuration_of(kind, options, {**CONFIGURED, **own})
+    tell_settings(config)
     detector = config.start.detection.detector
     if options["detector_model"] is not None and detector != "yunet":
         raise UsageError(
@@ -147,7 +148,7 @@ def _landmarks(options: Mapping[str, Any], camera: Camera) -> LandmarkFile | Non
     from posetrack_cli.head.landmarks.file import read_landmarks
 
     landmarks = read_landmarks(path, camera, unit)
-    print_note(f"{path}: {landmarks.line}")
+    print_aside(f"{path}: {landmarks.line}")
     return landmarks
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.head_options import (
     LEARNED,
     START,
@@ -24,9 +24,9 @@ from posetrack_cli.cli.options import (
     image_options,
     option_group,
     particles_option,
-    reading_options,
     result_options,
 )
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ if TYPE_CHECKING:
 @configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
 @frame_options
 @image_options
+@volume_options
 def head_stereo(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a folder with one folder of images per camera, or an MCAP file.
 
@@ -77,9 +78,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
 def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording, of two cameras at least."""
-    from posetrack_cli.recording.opening import open_recording
-
-    source = open_recording(recording, "grey", **reading_options(options))
+    source = open_for_reading(recording, options, "grey")
     if len(source.cameras) < 2:
         raise UsageError(
             "too few cameras",

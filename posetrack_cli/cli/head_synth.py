@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     WRITTEN,
     fps_option,
@@ -22,6 +21,8 @@ from posetrack_cli.cli.options import (
     seed_option,
     speed_option,
 )
+from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.running import tell_next
 from posetrack_cli.cli.standard_output import print_line
 from posetrack_cli.errors import UsageError
 
@@ -125,6 +126,7 @@ from posetrack_cli.errors import UsageError
     ),
     title="Cameras",
 )
+@volume_options
 def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) -> None:
     """Make a recording of a head as one or two grey cameras see it, with truth on /truth/head.
 
@@ -143,6 +145,8 @@ def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) 
         f"{output}: {made.frames} frames of {options.cameras} camera{'s'[: options.cameras - 1]}, "
         f"{made.missing} images missing, {made.seconds:.3f} s long, made in {seconds:.1f} s"
     )
+    tracked = output.with_name(f"{output.stem}-tracked.mcap")
+    tell_next(("head", "stereo" if options.cameras == 2 else "mono", output, "-o", tracked))
 
 
 def head_synth_options(values: dict[str, Any]) -> Any:
@@ -168,7 +172,5 @@ def _size(text: str) -> tuple[int, int]:
 @contextmanager
 def _progress(frames: int) -> Iterator[Callable[[Any], None]]:
     """A bar on stderr if that is a terminal."""
-    from tqdm import tqdm
-
-    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
-        yield lambda frame: bar.update(1)
+    with bar("synth", "frame", frames) as shown:
+        yield lambda frame: shown.advance()

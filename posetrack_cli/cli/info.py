@@ -58,8 +58,8 @@ def _json_text(report: Values) -> str:
 
 def report_lines(report: Values) -> Iterator[str]:
     """Yield the lines that tell a report of ``describe`` to people."""
-    lines = {"folder": _folder_lines, "images": _image_lines, "video": _video_lines, "mcap": _mcap_lines}
-    yield from lines[report["kind"]](report)
+    lines = {"folder": _folder_lines, "images": _image_lines, "video": _video_lines}
+    yield from lines.get(report["kind"], _message_lines)(report)
 
 
 def _folder_lines(report: Values) -> Iterator[str]:
@@ -114,9 +114,9 @@ def _camera_lines(report: Values) -> Iterator[str]:
         yield f"camera: {report['no_camera']}"
 
 
-def _mcap_lines(report: Values) -> Iterator[str]:
+def _message_lines(report: Values) -> Iterator[str]:
     state = "complete" if report["complete"] else "INCOMPLETE"
-    yield f"{report['name']}: MCAP, {_size(report['bytes'])}, {state}"
+    yield f"{report['name']}: {report['container']}, {_size(report['bytes'])}, {state}"
     for loss in report["losses"]:
         yield f"lost: {loss['what']}: {loss['count']}, first {loss['first']}"
     for topic in report["topics"]:
@@ -134,7 +134,7 @@ def _mcap_lines(report: Values) -> Iterator[str]:
 
 
 def _rig_lines(report: Values) -> Iterator[str]:
-    """Tell how the cameras of an MCAP file stand to each other."""
+    """Tell how the cameras of a file of messages stand to each other."""
     if report["no_rig"]:
         yield f"cameras together: {report['no_rig']}"
     if report["rig"]:

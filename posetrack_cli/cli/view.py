@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.command import Command, option
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     BOTH,
     FILE,
@@ -30,6 +29,7 @@ from posetrack_cli.cli.options import (
     track_option,
 )
 from posetrack_cli.cli.process import stop_signals
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
@@ -117,6 +117,7 @@ DRAWN = {
 )
 @recording_options
 @device_option("[default: the driver's]")
+@volume_options
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
 
@@ -192,17 +193,12 @@ def _draw(drawn: ResultView, out: Output, stopped: Any) -> int:
     """Draw the frames until it is stopped; return how many there are."""
     from contextlib import closing
 
-    from tqdm import tqdm
-
     count = 0
-    bar = tqdm(
-        total=len(drawn.rows), unit="frame", desc="view", file=sys.stderr, disable=None, dynamic_ncols=True
-    )
-    with bar, closing(drawn.pictures()) as pictures:
+    with bar("view", "frame", len(drawn.rows)) as shown, closing(drawn.pictures()) as pictures:
         for frame_index, picture in pictures:
             out.add(frame_index, picture)
             count += 1
-            bar.update()
+            shown.advance()
             if stopped():
                 break
     return count

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
+from posetrack_cli.files import placed_path
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import (
     CAMERA_FILE_KEY,
@@ -29,6 +30,7 @@ from posetrack_cli.results.records import camera_from_json
 from posetrack_cli.results.subject_kind import kind_of
 
 SHOWN_DIGITS = 12
+FOLDER_KINDS = ("folder", "ros2")
 ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
 
 
@@ -39,7 +41,7 @@ def check_kind(path: Path, run: Mapping[str, str]) -> None:
         RecordingError: the run's input was of the other kind.
     """
     kinds = {True: "a folder", False: "a file"}
-    is_folder, was_folder = path.is_dir(), run.get("input.kind") == "folder"
+    is_folder, was_folder = path.is_dir(), run.get("input.kind") in FOLDER_KINDS
     if path.exists() and run.get("input.kind") and is_folder != was_folder:
         raise another(path, run, kinds[is_folder], kinds[was_folder])
 
@@ -203,7 +205,8 @@ def pixels_of(result: Result) -> PixelKind:
 def folders_of(result: Result) -> Iterator[Path]:
     """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
-    yield from (beside, beside.resolve().parent, Path())
+    above = placed_path(beside).parent, beside.resolve().parent  # two of them where the folder is a link
+    yield from (beside, *dict.fromkeys(above), Path())
 
 
 def _places(result: Result, name: str) -> Iterator[Path]:
@@ -260,6 +263,8 @@ def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
         options = {key: _STATED[key](text) for key, text in stated.items() if text}
     except ValueError as error:
         raise ResultError("run record cannot be read", found=error) from error
+    if run.get("input.topics") and run.get("input.calibration") != "camera file":
+        options["cameras"] = run["input.topics"].split(",")  # frames' names need not be of one topic only
     if run.get("intrinsics") == "guessed":
         options["guess"] = guess_of_camera(camera_of(run))
     return options

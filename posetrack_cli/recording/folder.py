@@ -8,6 +8,7 @@ from pathlib import Path
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import placed_path
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import (
@@ -214,9 +215,9 @@ def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
         )
     if "" not in folders.by_name or len(rig.cameras) == 1:
         return rig
-    name = folders.path.resolve().name
+    name = placed_path(folders.path).name
     if name not in rig.cameras:
-        raise RecordingError(
+        raise UsageError(
             "one folder of images and several cameras",
             where=folders.path,
             found=", ".join(rig.cameras),
@@ -227,11 +228,11 @@ def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
 
 def _camera_file(path: Path, given: Path | None) -> Path | None:
     """The camera file given, the folder's own, or that of the recording the folder is a camera of, if any."""
-    above = path.resolve().parent / CAMERA_FILE_NAME
+    above = placed_path(path).parent / CAMERA_FILE_NAME
     own = path / CAMERA_FILE_NAME
     if given is not None or own.exists():
         return given or own
-    if above.exists() and path.resolve().name in load_rig(above).cameras:
+    if above.exists() and placed_path(path).name in load_rig(above).cameras:
         return above
     return None
 

@@ -91,6 +91,7 @@ class Recording:
         truth: yields the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
         tolerance_ns: largest difference of stamps within a frame.
         is_guessed: whether the intrinsics are a ``Guess``.
+        remark: what was taken where several things would do; empty where nothing had to be chosen.
     """
 
     def __init__(
@@ -103,8 +104,9 @@ class Recording:
         truth: Callable[[], Iterator[TruthMessage]] = no_truth,
         tolerance_ns: int = 0,
         is_guessed: bool = False,
+        remark: str = "",
     ) -> None:
-        self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
+        self.path, self.frame_count, self.is_guessed, self.remark = path, frame_count, is_guessed, remark
         self.identity, self.truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
         self.pixels: tuple[Pixels, ...] = tuple(stream.pixels for stream in streams)

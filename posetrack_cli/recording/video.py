@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
+from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage
 from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
+from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
-from posetrack_cli.recording.grey import grey_like
+from posetrack_cli.recording.grey import Grey, grey_like
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
@@ -46,7 +50,7 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
     file = options.get("camera_file") or _beside(path)
     rig = _one_camera(found_rig(path, file, [""], options.get("guess")), options.get("cameras"))
     (name,) = rig.cameras
-    video = _Video(path, fps)
+    video = VideoImages(path, fps, opened_video, shown_image, lambda first: grey_like(first, path))
     if fps is not None:
         stamps_at_rate(0, fps)  # refuses what is no rate
     window = rig.window(name, options.get("mirror"))
@@ -67,33 +71,47 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
     return Recording(path, [stream], identity=identity, frame_count=video.count, is_guessed=rig.is_guessed)
 
 
-class _Video:
+P = TypeVar("P", Depth, Grey)
+
+
+class VideoImages(Generic[P]):
     """What a video tells of itself, and its images.
 
     Args:
         path: a file that FFmpeg can read.
         fps: frame rate, Hz, in place of the video's own stamps.
+        opened: opens the stream of its images.
+        stored: returns the image that a frame stores.
+        pixels_of: tells from the first image what all hold.
 
     Attributes:
         count: the number of frames that it tells, None if it does not.
         pixels: what its frames hold.
     """
 
-    def __init__(self, path: Path, fps: float | None) -> None:
-        self._path, self._fps = path, fps
-        with opened_video(path) as video:
+    def __init__(
+        self,
+        path: Path,
+        fps: float | None,
+        opened: Callable[[Path], AbstractContextManager[OpenVideo]],
+        stored: Callable[[VideoFrame], ImageArray],
+        pixels_of: Callable[[ImageArray], P],
+    ) -> None:
+        self._path, self._fps, self._opened, self._stored = path, fps, opened, stored
+        with opened(path) as video:
             self.count, rate = video.frame_count, video.rate_hz
-            self.pixels = grey_like(_first_image(video, path), path)
+            self.pixels: P = pixels_of(stored(_first_frame(video, path)))
         self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 if it tells no rate
 
-    def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage]:
+    def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage | None]:
         """Yield the frames, decoded: a video cannot go back to one that was passed.
 
-        Behind frames that cannot be decoded those that can are looked for.
+        Behind frames that cannot be decoded those that can are looked for; where frames are numbered as they
+        are stored these are None.
         """
         index, failed, reached = 0, 0, -1.0
         stamps = VideoStamps(round(self._period_ns))
-        with opened_video(self._path) as video:
+        with self._opened(self._path) as video:
             begin = video.stream.start_time or 0
             for frame in video.frames():
                 if frame is None:
@@ -101,13 +119,15 @@ class _Video:
                     continue
                 if failed:
                     losses.add(UNDECODABLE, f"frame {index}", failed)
+                    if self.pixels.is_numbered_as_stored:
+                        yield from repeat(None, failed)
                 index, failed = index + failed, 0
                 reached = max(reached, _told_ns(frame), _told_ns(frame, begin))
                 stamp = stamps.stamp(_told_ns(frame, begin))
                 if self._fps is not None:
                     stamp = stamp_at_rate(index, self._fps)
-                image = shown_image(frame)
-                yield StoredImage(stamp, f"video frame {index}", partial(self._grey, image, index, window))
+                image = self._stored(frame)
+                yield StoredImage(stamp, f"video frame {index}", partial(self._decoded, image, index, window))
                 index += 1
         missing = self._end(index, reached) - index
         if missing > 0:
@@ -124,7 +144,7 @@ class _Video:
         is_full = self._period_ns > 0 and reached + 1.5 * self._period_ns >= self.count * self._period_ns
         return index if is_full else self.count
 
-    def _grey(self, image: ImageArray, index: int, window: Window) -> ImageArray:
+    def _decoded(self, image: ImageArray, index: int, window: Window) -> ImageArray:
         return window.apply(self.pixels.from_stored(image, f"{self._path}, frame {index}"))
 
 
@@ -149,10 +169,10 @@ def describe_video(path: Path) -> dict[str, Any]:
         )
     with opened_video(path) as video:
         rate, frames = video.rate_hz, video.frame_count
-        height, width = _first_image(video, path).shape[:2]
+        height, width = shown_image(_first_frame(video, path)).shape[:2]
     recording, no_camera = opened(lambda: open_video(path, {}))
     return {
-        "name": shown_name(path.resolve()),
+        "name": shown_name(placed_path(path)),
         "kind": "video",
         "bytes": path.stat().st_size,
         "image": {"width": width, "height": height},
@@ -164,10 +184,10 @@ def describe_video(path: Path) -> dict[str, Any]:
     }
 
 
-def _first_image(video: OpenVideo, path: Path) -> ImageArray:
+def _first_frame(video: OpenVideo, path: Path) -> VideoFrame:
     for frame, _ in zip(video.frames(), range(MOST_FAILURES), strict=False):
         if frame is not None:
-            return shown_image(frame)
+            return frame
     raise RecordingError("video has no frame that can be decoded", where=path)
 
 

@@ -45,7 +45,9 @@ FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,o
 """What FFmpeg may take a file for."""
 OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "none"}
 """It is handed an open file, so that a protocol would only be for what the file refers to."""
-DEPTH_FORMATS = ("gray16be", "gray16le")
+SENSOR_FORMAT = "gray16be"
+DEPTH_TITLE, INFRARED_TITLE = "DEPTH", "IR"
+"""Of the streams of an Azure Kinect, whose codec Matroska calls b16g."""
 QUARTER_TURN = 90
 MICROSECONDS = 1_000_000
 """FFmpeg's unit of durations."""
@@ -131,7 +133,30 @@ def opened_video(path: Path) -> Iterator[OpenVideo]:
         RecordingError: it cannot be read, is none, or has larger frames than any that are read.
     """
     with opened_container(path) as container:
-        yield opened_stream(container, _image_stream(container), path)
+        stream = _image_stream(container)
+        if stream is None and depth_stream(container) is not None:
+            hint = "posetrack hand run tracks hands in it"
+            raise RecordingError("holds depth, and no images of colour or grey", where=path, hint=hint)
+        yield opened_stream(container, stream, path)
+
+
+@contextmanager
+def opened_depth(path: Path) -> Iterator[OpenVideo]:
+    """Yield the depth of an Azure Kinect's recording.
+
+    Raises:
+        RecordingError: it cannot be read, or holds none.
+    """
+    with opened_container(path) as container:
+        stream = depth_stream(container)
+        if stream is None:
+            raise RecordingError(
+                "is a video without depth",
+                where=path,
+                expected="the depth of an Azure Kinect, or another recording of depth",
+                hint="posetrack head mono tracks heads in videos",
+            )
+        yield opened_stream(container, stream, path)
 
 
 def opened_stream(container: InputContainer, stream: VideoStream | None, path: Path) -> OpenVideo:
@@ -192,17 +217,24 @@ def _container(file: IO[bytes], path: Path) -> InputContainer:
         av.logging.set_level(None)
 
 
+def depth_stream(container: InputContainer) -> VideoStream | None:
+    """Return the stream of depth of an Azure Kinect, which has infrared of the same kind beside it."""
+    titled = (s for s in _decodable(container) if s.metadata.get("title") == DEPTH_TITLE)
+    return next(filter(_is_of_sensor, titled), None)
+
+
 def _image_stream(container: InputContainer) -> VideoStream | None:
     """The stream that shows what people look at: not one of depth, and no picture of a cover."""
-    streams = [s for s in container.streams.video if is_decodable(s) and not _is_depth(s)]
+    streams = [stream for stream in _decodable(container) if not _is_of_sensor(stream)]
     best = container.streams.best("video")
     return best if best in streams else next(iter(streams), None)
 
 
-def is_decodable(stream: VideoStream) -> bool:
-    """Whether FFmpeg knows its codec."""
-    return getattr(stream, "codec_context", None) is not None
+def _decodable(container: InputContainer) -> list[VideoStream]:
+    """The streams whose codec FFmpeg knows."""
+    return [s for s in container.streams.video if getattr(s, "codec_context", None) is not None]
 
 
-def _is_depth(stream: VideoStream) -> bool:
-    return stream.pix_fmt in DEPTH_FORMATS
+def _is_of_sensor(stream: VideoStream) -> bool:
+    """Whether it is depth or infrared of an Azure Kinect, by its format and name."""
+    return stream.pix_fmt == SENSOR_FORMAT and stream.metadata.get("title") in (DEPTH_TITLE, INFRARED_TITLE)

@@ -60,7 +60,8 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_table_and_a_configuration(
     recording: Path, calibrated: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    output, shown = calibrated
+    output, (*shown, following) = calibrated
+    assert following.startswith(f"next: posetrack hand run {recording} --shape {output} -o ")
     assert shown[0].split() == ["side", "right"] and shown[1].split() == ["mm", "sd"]
     rows = {" ".join(line.split()[:-2]): line.split()[-2:] for line in shown[2:-1]}
     assert list(rows) == [*(name.replace("_", " ") for name in MEASURES), "padding"]

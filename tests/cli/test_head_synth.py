@@ -30,7 +30,7 @@ def test_defaults_of_command_and_library_are_the_same() -> None:
     values = {
         parameter.name: parameter.get_default(head_synth.make_context("synth", ["-o", "a.mcap"]))
         for parameter in head_synth.params
-        if parameter.name not in ("output", "image_format", "overwrite", "help")
+        if parameter.name not in ("output", "image_format", "overwrite", "verbose", "quiet")
     }
     assert head_synth_options(values) == HeadSynthOptions()
 

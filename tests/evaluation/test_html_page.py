@@ -99,7 +99,7 @@ def test_several_results_have_a_column_each_and_their_differences() -> None:
         for name, error in (("a", 3.0), ("b", 9.0))
     )
     text = page(one, two, comparison=compare([one, two]))
-    assert len(cells(text, "joint error mm")) == 2
+    assert len(cells(text, "joint error, mean mm")) == 2
     words = Outline(text).words
     assert "Paired differences" in words and "b - a" in words
 

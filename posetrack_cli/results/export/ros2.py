@@ -18,7 +18,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.ros2_messages import CDR, ros2_encoder, ros2_schema
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.results import messages
 from posetrack_cli.results.channels import camera_topic
 from posetrack_cli.results.estimate import Estimate, Subject
