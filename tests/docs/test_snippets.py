@@ -1,6 +1,6 @@
 """What README and the documentation say is typed here, on small recordings, in a folder of its page.
 
-A shell runs each ``bash`` block and each ``run`` of a ``yaml`` block as it stands there, Python each ``python``
+A shell runs each ``bash`` block and each ``run`` of a ``yaml`` block as it stands there, Python each Python
 block; what is a file (``toml``, ``json``, ``csv``, gates) goes to what reads such files. What cannot be run
 is marked so, with its reason, and listed below. Pages in ``docs/reference`` are made of the commands
 themselves: their examples are parsed (``test_reference``).
@@ -167,6 +167,15 @@ def gates(text: str, folder: Path, made: Made) -> None:
     assert len(read_gates(folder / "gates.txt")) == len(text.splitlines())
 
 
+def completion(text: str, folder: Path, made: Made) -> None:
+    """Bash, which is there, runs its line; each shell's line gets what the shell then runs."""
+    place = made.place(folder)
+    for line in text.splitlines():
+        (told,) = re.findall(r"_POSETRACK_COMPLETE=\w+_source posetrack", line)
+        place.run(f"{told} | grep -q _POSETRACK_COMPLETE")
+    place.run(f"{text.splitlines()[0]}\ncomplete -p posetrack")
+
+
 def keypoints(text: str, folder: Path, made: Made) -> None:
     path = folder / ("k.json" if text[0] in "[{" else "k.csv")
     filled = (
@@ -191,6 +200,7 @@ def landmarks(text: str, folder: Path, made: Made) -> None:
 
 
 READERS = {
+    "docs/index.md": (completion,),
     "docs/recordings.md": (folder_of_depth, folder_of_two_cameras),
     "docs/batch.md": (manifest,),
     "docs/ci.md": (gates,),

@@ -23,7 +23,10 @@ from hostile.server import prepare
 
 REQUEST_BYTES = 1 << 16
 WARM = "--warm"
-TIMEOUT_S = 120.0
+TIMEOUT_S = 600.0
+"""Where nothing is compiled yet, and much else is done beside."""
+OWN = ("POSETRACK_", "_POSETRACK_")
+"""How the variables begin that a command reads, and that are handed over."""
 BROKEN = 70
 """Exit code of a command whose process crashed."""
 
@@ -31,7 +34,8 @@ _CLIENT = """#!{python} -IS
 import json, os, socket, sys
 with socket.socket(socket.AF_UNIX) as line:
     line.connect({socket!r})
-    socket.send_fds(line, [json.dumps([sys.argv[1:], os.getcwd()]).encode()], [0, 1, 2])
+    told = {{name: value for name, value in os.environ.items() if name.startswith({own!r})}}
+    socket.send_fds(line, [json.dumps([sys.argv[1:], os.getcwd(), told]).encode()], [0, 1, 2])
     said = line.recv(1)
 sys.exit(said[0] if said else {broken})
 """
@@ -53,7 +57,7 @@ def served_command(path: Path) -> Iterator[Warm]:
     """
     address = path.with_name("socket")
     path.write_text(
-        _CLIENT.format(python=sys.executable, socket=str(address), broken=BROKEN), encoding="utf-8"
+        _CLIENT.format(python=sys.executable, socket=str(address), own=OWN, broken=BROKEN), encoding="utf-8"
     )
     path.chmod(0o755)
     tests = Path(__file__).parents[1]
@@ -91,11 +95,12 @@ def serve(address: str) -> None:
         while True:
             line, _ = listening.accept()
             request, streams, _, _ = socket.recv_fds(line, REQUEST_BYTES, 3)
-            arguments, folder = json.loads(request)
+            arguments, folder, told = json.loads(request)
             if arguments[:1] == [WARM]:
                 line.send(bytes([run(arguments[1:])]))
             elif os.fork() == 0:
                 listening.close()
+                os.environ.update(told)
                 _answer(line, arguments, folder, streams)
             for stream in (line.detach(), *streams):
                 os.close(stream)
