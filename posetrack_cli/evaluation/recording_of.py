@@ -141,7 +141,12 @@ class Search:
 
 
 def search_recording(
-    result: Result, given: Path | None = None, *, any_recording: bool = False, **opening: Any
+    result: Result,
+    given: Path | None = None,
+    *,
+    any_recording: bool = False,
+    in_colour: bool = False,
+    **opening: Any,
 ) -> Search:
     """Look for the recording that a result was made from.
 
@@ -152,12 +157,15 @@ def search_recording(
         result: its run record says what to look for, and how it was opened.
         given: the file or folder to take.
         any_recording: take ``given`` whatever it is; what it does not tell of rate and cameras is the run's.
+        in_colour: colour stays colour where grey was tracked in: to draw on.
         opening: options of ``open_recording`` that replace those of the run.
 
     Raises:
         RecordingError: ``given`` cannot be read, or is another recording.
         UsageError: an option that does not apply to ``given``, or is not that of the run.
     """
+    if in_colour and pixels_of(result) == "grey":
+        opening = {**opening, "in_colour": True}
     if given is None:
         return _found_beside(result, opening)
     if any_recording:
