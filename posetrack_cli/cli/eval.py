@@ -336,7 +336,7 @@ def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Pict
     from posetrack_cli.results.reader import read_result
 
     result = read_result(evaluation.path)
-    search = search_recording(result, given)
+    search = search_recording(result, given, in_colour=True)
     if search.recording is None:
         return None, search.reason
     return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES), ""

@@ -154,7 +154,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     _check_one_recording(results, options)
     style_of(results)
-    chosen = {"any_recording": options["any_recording"], **reading_options(options)}
+    chosen = {"any_recording": options["any_recording"], "in_colour": True, **reading_options(options)}
     recording = required_recording(results[0], options["recording"], **chosen)
     return ResultView(results, recording, view_options, cache(lambda: _device(options["device"])))
 

@@ -141,7 +141,12 @@ class Search:
 
 
 def search_recording(
-    result: Result, given: Path | None = None, *, any_recording: bool = False, **opening: Any
+    result: Result,
+    given: Path | None = None,
+    *,
+    any_recording: bool = False,
+    in_colour: bool = False,
+    **opening: Any,
 ) -> Search:
     """Look for the recording that a result was made from.
 
@@ -152,12 +157,15 @@ def search_recording(
         result: its run record says what to look for, and how it was opened.
         given: the file or folder to take.
         any_recording: take ``given`` whatever it is; what it does not tell of rate and cameras is the run's.
+        in_colour: colour stays colour where grey was tracked in: to draw on.
         opening: options of ``open_recording`` that replace those of the run.
 
     Raises:
         RecordingError: ``given`` cannot be read, or is another recording.
         UsageError: an option that does not apply to ``given``, or is not that of the run.
     """
+    if in_colour and pixels_of(result) == "grey":
+        opening = {**opening, "in_colour": True}
     if given is None:
         return _found_beside(result, opening)
     if any_recording:
@@ -221,7 +229,8 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     check_kind(path, run)
     check_size(path, run)
     given = {key: value for key, value in opening.items() if value is not None}
-    options = _options_of(run)
+    stated, usable = _options_of(run), options_for(path, pixels_of(result))
+    options = {key: value for key, value in stated.items() if key in usable}  # some are said of all depth
     _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -100,6 +101,8 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
     chosen = _folders_of(every, rig)
     folders, stamped = chosen.by_name, chosen.stamped(fps)
     kinds = {name: _first_grey(rig, name, images) for name, images in folders.items()}
+    if options.get("in_colour"):
+        kinds = {name: replace(kind, keeps_colour=True) for name, kind in kinds.items()}
     windows = {name: rig.window(name, options.get("mirror")) for name in folders}
     stored = rig.stored_cameras({name: (kind.width, kind.height) for name, kind in kinds.items()})
     streams = [

@@ -115,6 +115,8 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
     rig, sources, cameras, calibration, remark = _grey_cameras(topics, options)
+    if options.get("in_colour"):
+        sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
     streams = [
         _TopicImages(path, source, window).stream(camera)

@@ -22,7 +22,7 @@ from posetrack_cli.recording.video import describe_video, open_video
 
 ANY = frozenset({"camera_file", "mirror"})
 """Options that apply to every source."""
-CAMERAS = ANY | {"cameras", "guess"}
+CAMERAS = ANY | {"cameras", "guess", "in_colour"}
 """And to every source of grey images."""
 
 

@@ -30,6 +30,7 @@ class ReadingOptions(TypedDict, total=False):
         depth_unit_mm, missing: of a folder's depth: mm per stored unit, code for no reading.
         mirror: flip images left to right.
         tolerance_ms: largest difference of stamps within a frame; 10 if None.
+        in_colour: colour stays so, uint8 blue green red: to draw on, not to track in.
         guess: what the only camera is taken for where nothing tells its intrinsics; with a guess several
             cameras are refused.
     """
@@ -44,6 +45,7 @@ class ReadingOptions(TypedDict, total=False):
     mirror: bool | None
     tolerance_ms: float | None
     guess: Guess | None
+    in_colour: bool | None
 
 
 def tolerance_ns(options: ReadingOptions) -> int:

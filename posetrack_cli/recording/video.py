@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import partial
 from itertools import repeat
 from pathlib import Path
@@ -50,7 +51,7 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
     file = options.get("camera_file") or _beside(path)
     rig = _one_camera(found_rig(path, file, [""], options.get("guess")), options.get("cameras"))
     (name,) = rig.cameras
-    video = VideoImages(path, fps, opened_video, shown_image, lambda first: grey_like(first, path))
+    video = VideoImages(path, fps, opened_video, shown_image, partial(_pixels, path, options))
     if fps is not None:
         stamps_at_rate(0, fps)  # refuses what is no rate
     window = rig.window(name, options.get("mirror"))
@@ -146,6 +147,10 @@ class VideoImages(Generic[P]):
 
     def _decoded(self, image: ImageArray, index: int, window: Window) -> ImageArray:
         return window.apply(self.pixels.from_stored(image, f"{self._path}, frame {index}"))
+
+
+def _pixels(path: Path, options: ReadingOptions, first: ImageArray) -> Grey:
+    return replace(grey_like(first, path), keeps_colour=bool(options.get("in_colour")))
 
 
 def _told_ns(frame: VideoFrame, begin: int = 0) -> int:

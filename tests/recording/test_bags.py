@@ -166,3 +166,19 @@ def test_of_two_cameras_of_depth_none_is_likelier(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "r.bag", rows=rows)
     with pytest.raises(UsageError, match=r"several topics hold depth, .*; choose one with --topic"):
         open_recording(path)
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "rgb16"])
+def test_colour_to_draw_on_is_kept(tmp_path: Path, encoding: str) -> None:
+    """Blue, green and red, whatever their order is in messages."""
+
+    def rows(messages: Messages) -> Iterator[Row]:
+        yield COLOUR, 0, messages.image(0, "f", encoding, stored)
+
+    shown = colours(3)
+    order = shown if encoding.startswith("rgb") else shown[..., ::-1]
+    opaque = np.dstack([order, np.full(order.shape[:2], 255, np.uint8)]) if "a8" in encoding else order
+    stored = np.ascontiguousarray(opaque.astype("u2") << 8 if encoding.endswith("16") else opaque)
+    path = write_bag(tmp_path / "r.bag", rows=rows)
+    (image,) = next(open_recording(path, "grey", guess=Guess(), in_colour=True).frames()).images
+    np.testing.assert_array_equal(image, shown[..., ::-1])

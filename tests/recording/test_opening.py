@@ -19,7 +19,7 @@ OPENERS = [opener for source in SOURCES for opener in source.openers.values()]
 def test_every_option_is_one_of_reading_and_applies_somewhere() -> None:
     applying = frozenset[str]().union(*(opener.options for opener in OPENERS))
     assert applying == ReadingOptions.__annotations__.keys()
-    assert {*NAMES, "guess"} == applying
+    assert {*NAMES, "guess", "in_colour"} == applying
 
 
 def test_options_that_exclude_each_other_both_apply_alone() -> None:

@@ -340,3 +340,12 @@ def test_a_video_that_grows_within_is_not_decoded_beyond_the_bound(
     assert len(list(recording.frames())) == 5
     (loss,) = recording.losses
     assert (loss.what, loss.count, loss.first) == ("video frame cannot be decoded", 1, "frame 3")
+
+
+def test_colour_to_draw_on_is_kept(video: Path) -> None:
+    for frame, picture in zip(
+        open_recording(video, "grey", in_colour=True).frames(), pictures(), strict=True
+    ):
+        (image,) = frame.images
+        assert image.shape == picture.shape
+        assert np.abs(image.astype(int) - picture).mean() < 2 * CODEC_LEVELS  # colour is halved

@@ -56,16 +56,17 @@ class CameraPanel:
         return self._framing.size
 
     def canvas(self, image: ImageArray | None, points: FloatArray | None) -> Canvas:
-        """Return the picture of a grey image, to paint on.
+        """Return the picture of an image, to paint on.
 
         Args:
-            image: (h, w) uint8 as it was taken, None where the camera gave none.
+            image: (h, w) or (h, w, 3) uint8 as it was taken, None where the camera gave none.
             points: (P, 3) mm, in the axes of the reference camera, that it is cut out around if the part that
                 is shown moves.
         """
         viewport = self._framing.viewport(points)
         straight = self._straight(image)
-        picture = cv2.cvtColor(np.ascontiguousarray(viewport.cut(straight)), cv2.COLOR_GRAY2BGR)
+        cut = viewport.cut(straight)
+        picture = cut.copy() if cut.ndim == 3 else cv2.cvtColor(np.ascontiguousarray(cut), cv2.COLOR_GRAY2BGR)
         return Canvas(picture, viewport.camera(self._camera))
 
     def _straight(self, image: ImageArray | None) -> ImageArray:

@@ -158,17 +158,18 @@ class Instant:
 def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
     """Mean distance (N,) of the points of each frame from the truth's, mm; NaN without truth at its stamp.
 
-    None where either knows no points, or they are others.
+    Of the positions where either knows no points, or they are others; None where there is no such truth.
     """
-    if truth is None or truth.points is None or track.points is None:
+    if truth is None:
         return None
-    if truth.points.shape[1:] != track.points.shape[1:]:
-        return None
-    errors = np.full(len(track), np.nan)
-    pairs = associate(track.stamp_ns, truth.stamp_ns, TOLERANCE_NS)
-    apart = distances(track.points[pairs.estimate], truth.points[pairs.truth])
-    errors[pairs.estimate] = apart.mean(axis=1)
-    return errors
+    for own, true in ((track.points, truth.points), (track.position, truth.position)):
+        if own is not None and true is not None and own.shape[1:] == true.shape[1:]:
+            errors = np.full(len(track), np.nan)
+            pairs = associate(track.stamp_ns, truth.stamp_ns, TOLERANCE_NS)
+            apart = distances(own[pairs.estimate], true[pairs.truth])
+            errors[pairs.estimate] = apart.reshape(len(apart), -1).mean(axis=1)
+            return errors
+    return None
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ SHEET_PX = 3000, 2000
 LEAST_PICTURE_PX = 160
 """Rows that a picture of a sheet keeps."""
 _SHEET_GAP, _CAPTION_ROOM_PX = 6, 36
+_EMPTY_WEIGHT = 1.5  # four square pictures are two by two, not three and one
 _ROUNDED_PX = 3  # a picture of several panels may be larger by so much than the factor says
 _NUMBERED = re.compile(r"frame_\d{6,}\.png", re.ASCII)
 
@@ -272,7 +273,7 @@ def fitting_sheet(count: int, size: tuple[int, int]) -> float:
 def sheet_columns(count: int, size: tuple[int, int]) -> int:
     """Return how many pictures stand in a row: no sheet is too wide or high that need not be.
 
-    Of what remains that is chosen whose shape is nearest to a sheet's, and then the fullest.
+    Of what remains that is chosen whose shape is near to a sheet's and that has few empty places.
 
     Args:
         count: how many there are.
@@ -286,8 +287,9 @@ def sheet_columns(count: int, size: tuple[int, int]) -> int:
         wide = columns * (width + _SHEET_GAP) - _SHEET_GAP
         high = rows * (height + _SHEET_GAP) - _SHEET_GAP
         shape = abs(math.log(wide * most_high / (high * most_wide)))
+        empty = math.log(columns * rows / count)
         over = wide - most_wide - _ROUNDED_PX * columns, high - most_high - _ROUNDED_PX * rows
-        return max(0.0, over[0]), max(0.0, over[1]), shape, columns * rows
+        return max(0.0, over[0]), max(0.0, over[1]), shape + _EMPTY_WEIGHT * empty
 
     return min(range(1, count + 1), key=badness)
 

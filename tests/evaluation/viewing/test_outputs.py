@@ -171,6 +171,10 @@ def test_sheets_are_as_large_as_a_screen_shows_and_their_pictures_can_be_read(
     assert shrunk > 0.99 or columns * width > 0.6 * SHEET_PX[0] or rows * height > 0.6 * SHEET_PX[1]
 
 
+def test_places_of_a_sheet_are_filled() -> None:
+    assert [sheet_columns(count, (430, 470)) for count in (1, 2, 3, 4, 6, 8, 9)] == [1, 2, 3, 2, 3, 4, 3]
+
+
 def test_of_very_many_pictures_a_sheet_is_higher_and_they_keep_their_size() -> None:
     assert fitting_sheet(120, (1536, 424)) == LEAST_PICTURE_PX / 424
     assert sheet_columns(120, (580, 196)) == 5
