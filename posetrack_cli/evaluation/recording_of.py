@@ -229,7 +229,8 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     check_kind(path, run)
     check_size(path, run)
     given = {key: value for key, value in opening.items() if value is not None}
-    options = _options_of(run)
+    stated, usable = _options_of(run), options_for(path, pixels_of(result))
+    options = {key: value for key, value in stated.items() if key in usable}  # some are said of all depth
     _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)

@@ -15,7 +15,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import no_intrinsics
-from posetrack_cli.recording.camera_file import load_depth_camera
+from posetrack_cli.recording.camera_file import camera_record, load_depth_camera
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.identity import file_digest, identity_record
 from posetrack_cli.recording.pixels import Window
@@ -91,6 +91,7 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
             "depth_unit_mm": f"{unit_mm:g}",
             "missing": str(missing),
             "mirror": str(window.mirror).lower(),
+            **camera_record(file),
         }
 
     return Recording(path, [stream], identity=identity, frame_count=video.count)

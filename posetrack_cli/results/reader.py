@@ -49,6 +49,7 @@ from posetrack_cli.results.tracks import FILTERED, SMOOTHED, SMOOTHED_PREFIX, TR
 
 PATTERN = "a shell fills in patterns that are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
+NO_ESTIMATES = "there are none at all: it ends before the first, or was never begun"
 
 
 class ResultWarning(UserWarning):
@@ -145,9 +146,8 @@ class Result:
             return self.estimate_topic
         known = {c.topic for s, c in self.channels if s.name == ESTIMATE_SCHEMA_NAME}
         if topic not in known:
-            raise ResultError(
-                f"no estimates on topic '{topic}'", where=self.path, hint=nearest_name(topic, known)
-            )
+            hint = nearest_name(topic, known) if known else NO_ESTIMATES
+            raise ResultError(f"no estimates on topic '{topic}'", where=self.path, hint=hint)
         return topic
 
     def estimates(self, topic: str | None = None) -> Iterator[Estimate]:

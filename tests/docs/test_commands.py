@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import re
-import tomllib
 from collections.abc import Iterator
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -91,19 +88,6 @@ def test_options_in_the_text_exist(path: Path) -> None:
         if command or code.startswith("-"):
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", code):
                 assert option in known, f"{path.name}: {code}: there is no {option}"
-
-
-@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_other_code_is_what_it_says(path: Path) -> None:
-    """TOML is read as such; what Python imports is there."""
-    for block in blocks(path):
-        if block.language == "toml":
-            tomllib.loads(block.text)
-        if block.language == "python" and all(map(find_spec, block.needs)):
-            tree = ast.parse(block.text)
-            imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-            assert imports
-            exec(compile(ast.Module(imports, []), block.place, "exec"), {})
 
 
 def test_a_command_line_that_is_wrong_is_told() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,10 +23,13 @@ from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.recording.camera_file import LONE_NAME
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.results.reader import Result
 from support import images
+from support.bags import HEIGHT, WIDTH, write_bag, write_folder
+from support.kinect import write_kinect
 from support.viewing import make_folder, make_recording, make_result, truth_of, write_camera
 
 RATE = 20.0
@@ -236,6 +240,37 @@ def test_a_video_tracked_with_a_camera_file_gets_it_from_the_result(tmp_path: Pa
         assert found is not None and found.cameras == opened.cameras
         (first,) = next(found.frames()).images
         assert first is not None and first.shape == (40, 40)
+
+
+SMALL = {"width": WIDTH, "height": HEIGHT, "fx": 70.0, "fy": 71.0, "cx": 31.0, "cy": 23.0}
+OF_KINECT = {"width": 320, "height": 288, "fx": 250.0, "fy": 251.0, "cx": 160.0, "cy": 144.0}
+EVERY_KIND: dict[str, tuple[PixelKind, Callable[[Path], Path], dict[str, float]]] = {
+    "ROS 1, depth": ("depth", lambda folder: write_bag(folder / "r.bag"), SMALL),
+    "ROS 1, colour": ("grey", lambda folder: write_bag(folder / "r.bag"), SMALL),
+    "ROS 2, folder": ("depth", lambda folder: write_folder(folder / "r", "sqlite3"), SMALL),
+    "ROS 2, MCAP": ("grey", lambda folder: write_folder(folder / "r", "mcap"), SMALL),
+    "Azure Kinect": ("depth", lambda folder: write_kinect(folder / "r.mkv"), OF_KINECT),
+}
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+@pytest.mark.parametrize("told", [False, True], ids=["own camera", "camera file"])
+def test_every_kind_is_opened_again_wherever_it_is_now(tmp_path: Path, kind: str, told: bool) -> None:
+    """Folders, MCAP files and videos have tests of their own, above."""
+    pixels, write, camera = EVERY_KIND[kind]
+    path, file = write(tmp_path), tmp_path / "mine.toml"
+    table = "[cameras.color_frame]\n" if pixels == "grey" else ""
+    file.write_text(table + "".join(f"{key} = {value}\n" for key, value in camera.items()))
+    given = {"camera_file": file} if told else {}
+    opened = open_recording(path, pixels, **given)
+    assert (opened.cameras[0].fx == camera["fx"]) or not told
+    stamps = [frame.stamp_ns for frame in opened.frames()]
+    result = result_of(tmp_path / "r.mcap", opened)
+    file.unlink()
+    moved = path.rename(tmp_path / f"other{path.suffix}")
+    found = search_recording(result, moved).recording
+    assert found is not None and found.cameras == opened.cameras
+    assert [frame.stamp_ns for frame in found.frames()] == stamps and stamps
 
 
 @pytest.mark.parametrize("mirror", [False, True])
