@@ -9,6 +9,11 @@ from posetrack_cli.hand.config import StatusSettings
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
 _ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
+import os
+_RISE_MM, _FALL = float(os.environ.get("X_RISE", "0.03")), float(os.environ.get("X_FALL", "0.3"))
+_RAISED_FACTOR, _RAISED_MM = float(os.environ.get("X_FAC", "1.15")), float(os.environ.get("X_MM", "0.5"))
+_WORSE_FACTOR, _WORSE_MM = 1.05, 0.5
+_MOST_NEAR = int(os.environ.get("X_WAIT", "3"))
 _FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
 
 
@@ -36,6 +41,24 @@ class TrackMonitor:
     next_wait: int = 1
     elsewhere: int = 0
     fingers_mm: float = 0.0
+    good_mm: float = 0.0
+    near_wait: int = 0
+    next_near: int = 1
+    looked_mm: float = 0.0
+
+    def waits_to_look(self, cost_mm: float) -> bool:
+        return self.near_wait > 0 and cost_mm <= _WORSE_FACTOR * self.looked_mm + _WORSE_MM
+
+    def is_raised(self, cost_mm: float) -> bool:
+        return self.good_mm > 0.0 and cost_mm > _RAISED_FACTOR * self.good_mm + _RAISED_MM
+
+    def after_near(self, cost_mm: float, helped: bool) -> TrackMonitor:
+        if helped:
+            return replace(self, near_wait=0, next_near=1)
+        return replace(self, looked_mm=cost_mm, near_wait=self.next_near, next_near=min(2 * self.next_near, _MOST_NEAR))
+
+    def after_near_wait(self) -> TrackMonitor:
+        return replace(self, near_wait=max(0, self.near_wait - 1))
 
     @property
     def is_believed(self) -> bool:
@@ -107,7 +130,10 @@ class TrackMonitor:
         if quality < settings.lost_below:
             return self.after_miss(settings)
         usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
-        back = replace(self, misses=0, lost=False)
+        good = cost_mm if self.good_mm == 0.0 else min(self.good_mm + _RISE_MM, self.good_mm + _FALL * (cost_mm - self.good_mm))
+        back = replace(self, misses=0, lost=False, good_mm=good)
+        if not self.is_raised(cost_mm):
+            back = replace(back, near_wait=0, next_near=1)
         if self.is_worse(cost_mm, settings):
             return back
         usual += _MEMORY * (cost_mm - usual)

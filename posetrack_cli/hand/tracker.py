@@ -40,6 +40,17 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
+import os
+MARGIN = float(os.environ.get("X_MARGIN", "0.4"))
+
+
+def faces_alike(pose: FloatArray, other: FloatArray) -> bool:
+    from posetrack_cli.geometry import rotations
+
+    a, b = (rotations.rotate(q[3:7], np.array([0.0, 0.0, 1.0])) for q in (pose, other))
+    return bool(a @ b > 0.5)
+
+
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 
 
@@ -293,10 +304,13 @@ class HandTracker:
     ) -> FrameObservation:
         """Where the fit is bad, search for a hand that looks alike and fits far better, or is elsewhere."""
         state, settings, fits = seen.state, self.config.status, seen.fits
-        if fits is None or seen.observation is None or not state.monitor.is_doubtful(fits.cost, settings):
+        if fits is None or seen.observation is None:
             return seen
+        if not state.monitor.is_doubtful(fits.cost, settings):
+            return self._looked_near(finder, seen, frame, rng)
         if state.monitor.postpones_search(fits.cost, settings):
-            return seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
+            seen = seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
+            return self._looked_near(finder, seen, frame, rng)
         here, monitor = fits.modes.poses[0], state.monitor
         found = finder.reconsider(seen.observation, here)
         if found is None or monitor.is_doubtful(found.cost, settings):
@@ -312,6 +326,25 @@ class HandTracker:
             return self._refined(finder, found, seen, frame, rng)
         refused = monitor.after_failed_search(fits.cost, settings)
         return seen._replace(state=replace(seen.state, monitor=refused))
+
+    def _looked_near(
+        self, finder: Acquisition, seen: FrameObservation, frame: Frame, rng: np.random.Generator
+    ) -> FrameObservation:
+        state, fits = seen.state, seen.fits
+        if fits is None or seen.observation is None or not state.monitor.is_raised(fits.cost):
+            return seen
+        if state.monitor.waits_to_look(fits.cost):
+            return seen._replace(state=replace(state, monitor=state.monitor.after_near_wait()))
+        here = fits.modes.poses[0]
+        found = finder.reconsider(seen.observation, here)
+        helped = found is not None and (
+            state.monitor.prefers(fits.cost, found.cost, self.config.status)
+            or (found.cost < fits.cost - MARGIN and self._is_near(found.pose, here) and faces_alike(found.pose, here))
+        )
+        seen = seen._replace(state=replace(state, monitor=state.monitor.after_near(fits.cost, helped)))
+        if found is None or not helped:
+            return seen
+        return self._refined(finder, found, seen, frame, rng)
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
         """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
@@ -483,6 +516,10 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         next_wait=whole(),
         elsewhere=whole(),
         fingers_mm=real(floats()),
+        good_mm=real(floats(least=0.0)),
+        near_wait=whole(),
+        next_near=whole(),
+        looked_mm=real(floats(least=0.0)),
     )
     return Fields(
         HandState,
