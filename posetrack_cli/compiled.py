@@ -7,7 +7,6 @@ that is named after all the sources that go into it.
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import hashlib
 import os
@@ -113,10 +112,12 @@ def _cache_class() -> type[Any]:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
+    from filelock import lock_descriptor
+
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("wb") as stream:
         with suppress(OSError):  # there are file systems without locks
-            fcntl.flock(stream, fcntl.LOCK_EX)
+            lock_descriptor(stream.fileno())
         yield
 
 

@@ -66,6 +66,14 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def placed_path(path: Path) -> Path:
+    """Return the absolute path of what a user names: a link stays one, as what it leads to has another name.
+
+    Version control of data (DVC, git-annex) keeps recordings in a store, and links to them where they belong.
+    """
+    return Path(os.path.abspath(path))  # noqa: PTH100 Path.resolve would follow the link
+
+
 def open_output(path: Path) -> BufferedWriter:
     """Open a file to write it anew; a symbolic link in its place is refused.
 

@@ -30,6 +30,11 @@ Messages without any content at 1 kHz of a simulated clock, which differ in noth
 bytes each in zstd's level 19; with a real clock's stamps 5 and more.
 """
 
+BAG_HEAD_BYTES = MIB
+"""Of the head of a record of a ROS 1 bag: a few names and numbers."""
+DATABASE_STEPS_PER_BYTE, SPARE_DATABASE_STEPS = 4, 1_000_000
+"""What SQLite may do for one query of a ROS 2 database, for each byte of it and to spare: a row takes ten
+steps and, as it is stored, 30 bytes at least."""
 DEFINITION_BYTES = 64 * MIB
 CHANNEL_BYTES = 4 * MIB
 """Of all different schemas, and of all different channels, within the chunks of an MCAP file.
@@ -107,6 +112,14 @@ DEFINITION_CHARACTERS = 1 * MIB
 TRANSFORMS = 20_000
 """Of all messages of a file, as far as they are looked at; and so many bytes of them:"""
 TRANSFORM_BYTES = 16 * MIB
+
+# Frames that an export makes up
+
+EXPORT_FRAMES = 10_000
+EXPORT_EXPANSION = 16
+"""Of a format with a fixed frame rate, whose frames fill the gaps between estimates: at most so many, or so
+many times the estimates, whichever is more. Five minutes at 30 Hz, or gaps of 15 s for each second between.
+"""
 
 # Numbers and names in results
 

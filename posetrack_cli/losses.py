@@ -20,11 +20,11 @@ class LossLog:
     def __init__(self) -> None:
         self._losses: dict[str, Loss] = {}
 
-    def add(self, what: str, where: str) -> None:
-        """Count one loss of the kind ``what`` that happened at ``where``."""
+    def add(self, what: str, where: str, count: int = 1) -> None:
+        """Count losses of the kind ``what``, the first of which happened at ``where``."""
         known = self._losses.get(what)
         self._losses[what] = (
-            Loss(what, 1, where) if known is None else Loss(what, known.count + 1, known.first)
+            Loss(what, count, where) if known is None else Loss(what, known.count + count, known.first)
         )
 
     def include(self, losses: tuple[Loss, ...]) -> None:

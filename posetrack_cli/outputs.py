@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.files import open_input
+from posetrack_cli.files import open_existing
 
 
 def part_path(path: Path) -> Path:
@@ -109,23 +109,42 @@ def is_taken(path: Path) -> bool:
     return os.path.lexists(path)
 
 
-def lock(stream: IO[bytes]) -> None:
-    """Mark an open file as being written, until it is closed or its process ends, killed or not."""
+def lock(stream: IO[bytes]) -> bool:
+    """Mark an open file as being written, until it is closed or its process ends, killed or not.
+
+    The operating system keeps the lock with the open file, so a crash leaves none behind. It also holds
+    between machines that share a file system, if that passes locks on, as NFS does by default.
+
+    Returns:
+        False if another process has it locked. Where there are no locks the answer is True, and nobody is
+        kept out.
+    """
+    from filelock import lock_descriptor
+
     with suppress(OSError):  # there are file systems without locks
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        for _ in range(_ATTEMPTS):
+            if lock_descriptor(stream.fileno(), blocking=False):
+                return True
+            time.sleep(_PAUSE_S)
+        return False
+    return True
+
+
+_ATTEMPTS, _PAUSE_S = 4, 0.02
+"""Who only asks whether a file is locked holds its lock for an instant, and keeps nobody out."""
 
 
 def check_not_written(path: Path) -> None:
     """Raise UsageError if a file is being written by another process."""
     try:
-        with open_input(path) as stream:
-            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise UsageError(
-            "is being written by another process", where=path, hint="wait for it, or choose another output"
-        ) from error
+        with open_existing(path) as stream:  # to be written to: NFS locks nothing else for one process alone
+            if lock(stream):
+                return
     except OSError:
-        return  # no such file, or none that could be locked
+        return  # no such file, or none that could be written to
+    raise UsageError(
+        "is being written by another process", where=path, hint="wait for it, or choose another output"
+    )
 
 
 @contextmanager

@@ -66,14 +66,14 @@ def recordings() -> Iterator[Step]:
     yield _step("hand-bare", f"{hand} bare.mcap --no-body --no-background --no-drops", "bare.mcap")
     yield _step("hand-long", "hand synth --frames 150 --random-hand --seed 5 -o long.mcap", "long.mcap")
     yield _step("head-two", f"{head} two.mcap", "two.mcap")
-    yield _step("head-one", f"{head} one.mcap --cameras 1 --distortion", "one.mcap")
+    yield _step("head-one", f"{head} one.mcap --camera-count 1 --lens-distortion", "one.mcap")
     yield _step("head-folder", f"{head} faces --image-format png", "faces")
     yield _step(
-        "head-drops", f"{head} drops.mcap --drops --occlusion --light sudden --distortion", "drops.mcap"
+        "head-drops", f"{head} drops.mcap --drops --occlusion --light sudden --lens-distortion", "drops.mcap"
     )
     yield _step("head-motions", f"{head} motions.mcap --script two-motions --motion still", "motions.mcap")
-    yield _step("convert-mcap", "convert {hand-C} converted.mcap", "converted.mcap")
-    yield _step("convert-folder", "convert depth depth.mcap --fps 30", "depth.mcap")
+    yield _step("convert-mcap", "convert {hand-C} -o converted.mcap", "converted.mcap")
+    yield _step("convert-folder", "convert depth -o depth.mcap --fps 30", "depth.mcap")
 
 
 def hand_runs() -> Iterator[Step]:
@@ -134,10 +134,10 @@ def head_runs() -> Iterator[Step]:
 def readings() -> Iterator[Step]:
     """Yield what is said, measured, drawn and exported of results."""
     for name in ("hand-C", "head-two", "head-one", "smooth", "pso", "stereo-two", "mono-two"):
-        yield _step(f"info-{name}", f"info {{{name}}} --json", printed=True)
+        yield _step(f"info-{name}", f"info {{{name}}} --json -", printed=True)
         yield _step(f"info-text-{name}", f"info {{{name}}}", printed=True)
     for name in ("depth", "faces"):
-        yield _step(f"info-{name}", f"info {name} --json", printed=True)
+        yield _step(f"info-{name}", f"info {name} --json -", printed=True)
     measured = {
         "rbpf": "--truth {hand-C} --recording {hand-C}",
         "smooth": "--truth {hand-C} --track both --joint-offsets palm --parts",
@@ -168,17 +168,17 @@ def readings() -> Iterator[Step]:
             yield _step(f"export-{name}-{kind}", f"export {{{name}}} -o {name}.{kind}", f"{name}.{kind}")
     yield _step("export-smoothed", "export {smooth} --track smoothed -o smoothed.csv", "smoothed.csv")
     seen = {
-        "rbpf": "--recording {hand-C} --truth --skeleton",
+        "rbpf": "--recording {hand-C} --show-truth --skeleton",
         "smooth": "--recording {hand-C} --track both --layout over",
-        "stereo-two": "--recording {head-two} --truth",
+        "stereo-two": "--recording {head-two} --show-truth",
         "mono-two": "--recording {head-one} --crop head",
     }
     for names, line in seen.items():
         name = names.split()[0]
         results = " ".join(f"{{{n.strip('{}')}}}" for n in names.split())
-        yield _step(f"view-{name}", f"view {results} {line} --frames 3,10,25 -o {name}-view", f"{name}-view")
+        yield _step(f"view-{name}", f"view {results} {line} --select 3,10,25 -o {name}-view", f"{name}-view")
     yield _step(
-        "view-segments", "view {rbpf} --layout segments --frames spread:4 -o segments.png", "segments.png"
+        "view-segments", "view {rbpf} --layout segments --select spread:4 -o segments.png", "segments.png"
     )
 
 

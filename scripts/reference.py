@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from inspect import cleandoc
@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
+from posetrack_cli.cli.command import Command, commands_of  # noqa: E402
 from posetrack_cli.cli.main import cli  # noqa: E402
 from posetrack_cli.configuration import Settings  # noqa: E402
 from posetrack_cli.hand.config import HandConfig  # noqa: E402
@@ -54,7 +55,7 @@ CONFIGURATIONS = (
 def reference_pages() -> dict[str, str]:
     """All pages by file name."""
     pages = {f"{page.name}.md": configuration_page(page) for page in CONFIGURATIONS}
-    return pages | {"cli.md": cli_page()}
+    return pages | {"cli.md": cli_page(), "options.md": options_page()}
 
 
 def configuration_page(page: Page) -> str:
@@ -78,7 +79,87 @@ def cli_page() -> str:
         "# Command line\n\nWhat `--help` says of every command. Exit codes are the same everywhere: see "
         "[Results](../results.md#exit-codes).\n"
     )
-    return GENERATED + top + "".join(_command(*one) for one in _commands(cli, "posetrack", None))
+    return GENERATED + top + "".join(_command(*one) for one in commands_of(cli, "posetrack"))
+
+
+@dataclass(frozen=True)
+class Use:
+    """An option of one command.
+
+    Attributes:
+        command: its path, without ``posetrack``.
+        names: that it is called, long and short ones, and those that turn it off.
+        kind: of its value.
+        metavar: what stands for its value; empty for a switch.
+        text: its help.
+    """
+
+    command: str
+    names: tuple[str, ...]
+    kind: str
+    metavar: str
+    text: str
+
+    @property
+    def meaning(self) -> str:
+        """What the name means wherever it is used: the first sentence of its help."""
+        return re.split(r"(?<=\.) |  ", self.text)[0].removesuffix(".")
+
+
+def uses_of_options() -> dict[str, list[Use]]:
+    """Every option by its long name, in the order of the alphabet, with all commands that have it."""
+    found: dict[str, list[Use]] = {}
+    for command, context in commands_of(cli, "posetrack"):
+        for one in command.get_params(context):
+            if isinstance(one, click.Option) and not one.hidden:
+                use = _use(one, context)
+                found.setdefault(max(one.opts, key=len), []).append(use)
+    return dict(sorted(found.items()))
+
+
+def _use(option: click.Option, context: click.Context) -> Use:
+    command = context.command_path.removeprefix("posetrack").strip()
+    names = (*option.opts, *option.secondary_opts)
+    metavar = "" if option.is_flag else option.make_metavar(context)
+    return Use(command, names, _kind_of_value(option), metavar, " ".join((option.help or "").split()))
+
+
+def _kind_of_value(option: click.Option) -> str:
+    """The type of a value in words; ranges are of their numbers, and how many there are belongs to it."""
+    if option.is_flag:
+        return "switch"
+    kinds = {"integer range": "integer", "float range": "float", "path": "file", "text": "text"}
+    if isinstance(option.type, click.Tuple):
+        return ", ".join(kinds.get(one.name, one.name) for one in option.type.types)
+    name = kinds.get(option.type.name, option.type.name)
+    return ", ".join([name] * option.nargs)
+
+
+def options_page() -> str:
+    """All options of all commands by name, each with its one meaning."""
+    top = (
+        "# Options\n\nEvery option of every command. A name means the same wherever it is used, and takes "
+        "the "
+        "same kind of value (a test sees to it); what is particular to a command is in the "
+        "[command line reference](cli.md). `batch` stands for options of batches alone: a batch has those of "
+        "the command that it runs, too.\n\n"
+        "| option | value | meaning | commands |\n|---|---|---|---|\n"
+    )
+    return GENERATED + top + "".join(_row(uses) for uses in uses_of_options().values())
+
+
+def _row(uses: Sequence[Use]) -> str:
+    """A line of the table."""
+    names = ", ".join(f"`{name}`" for name in dict.fromkeys(name for use in uses for name in use.names))
+    metavars = [f"`{metavar}`" for metavar in dict.fromkeys(use.metavar for use in uses) if metavar]
+    value = f"{uses[0].kind}: {', '.join(metavars)}" if metavars else uses[0].kind
+    commands = {use.command or "posetrack" for use in uses}
+    own = {one for one in commands if not one.startswith("batch ")}
+    shown = own | {"batch" for one in commands - own if one.removeprefix("batch ") not in own}
+    is_everywhere = {"posetrack", "batch"} < shown
+    told = "all" if is_everywhere else ", ".join(f"`{one}`" for one in sorted(shown))
+    line = f"| {names} | {value} | {_one_line(uses[0].meaning)} | {told} |"
+    return re.sub(r"(?<=[\w\]])\|(?=[\w\[-])", r"\\|", line) + "\n"
 
 
 def main() -> None:
@@ -176,26 +257,18 @@ def _prose(docstring: str) -> str:
     return cleandoc(docstring).replace("``", "`")
 
 
-def _commands(
-    command: click.Command, name: str, parent: click.Context | None
-) -> Iterator[tuple[click.Command, click.Context]]:
-    """Each command that does something, and the groups they are in."""
-    context = click.Context(command, info_name=name, parent=parent, **command.context_settings)
-    yield command, context
-    if isinstance(command, click.Group):
-        for each in command.list_commands(context):
-            within = command.get_command(context, each)
-            if within is not None and not within.hidden:
-                yield from _commands(within, each, context)
-
-
 def _command(command: click.Command, context: click.Context) -> str:
     """Heading, usage, help and options."""
     pieces = " ".join(command.collect_usage_pieces(context))
     lines = [f"\n## `{context.command_path}`\n", f"    {context.command_path} {pieces}\n", _help(command)]
-    records = [parameter.get_help_record(context) for parameter in command.params]
-    lines += [f"- `{names}`: {_one_line(words)}" for names, words in filter(None, records) if words]
-    return "\n".join(lines) + "\n"
+    if isinstance(command, Command):
+        for heading, records in command.groups(context).items():
+            lines.append(f"**{heading}**\n")
+            lines += [f"- `{names}`: {_one_line(words)}" for names, words in records]
+            lines.append("")
+        if command.examples:
+            lines += ["```bash", *command.examples, "```"]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def _help(command: click.Command) -> str:

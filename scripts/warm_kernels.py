@@ -31,7 +31,7 @@ RUNS = (
     (
         "hand synth --frames 3 -o hand.mcap",
         "hand run hand.mcap --particles 8 --hand-side right -o hand-result.mcap",
-        "export hand-result.mcap --topic /truth/hand/estimate -o told.csv",
+        "export hand-result.mcap --estimate-topic /truth/hand/estimate -o told.csv",
         "hand run hand.mcap --particles 8 --hand-side right --keypoints told.csv -o told-result.mcap",
     ),
     (

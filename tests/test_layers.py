@@ -23,12 +23,13 @@ LAYERS = (
     "rendering",
     "results",
     "recording",
+    "bags",
     "mcap",
     "geometry",
 )
 """Packages, each above those that it may import from; single modules lie below all of them."""
 FILES = {"os", "io", "pathlib", "shutil", "tempfile"}
-HEAVY = {"numpy", "scipy", "cv2", "pydantic", "mcap", "moderngl", "google.protobuf"}
+HEAVY = {"numpy", "scipy", "cv2", "av", "pydantic", "mcap", "moderngl", "google.protobuf", "jinja2"}
 MODULES = {
     ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
     for path in PACKAGE.rglob("*.py")

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.outputs import check_output, part_path, state_path, whole_or_nothing
+from posetrack_cli.outputs import (
+    check_not_written,
+    check_output,
+    lock,
+    part_path,
+    state_path,
+    whole_or_nothing,
+)
 
 
 def refused(out: Path, *, overwrite: bool = True, source: Path | None = None) -> PosetrackError:
@@ -80,3 +90,29 @@ def test_a_failure_leaves_nothing_and_success_the_whole(tmp_path: Path) -> None:
     with whole_or_nothing(out) as part:
         part.write_bytes(b"whole")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_lock_ends_with_its_process_also_when_it_is_killed(tmp_path: Path) -> None:
+    path = tmp_path / "held"
+    code = (
+        "import sys, time; from pathlib import Path; from posetrack_cli.outputs import lock; "
+        "stream = Path(sys.argv[1]).open('wb'); print(lock(stream), flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None and holder.stdout.readline() == "True\n"
+        with pytest.raises(UsageError, match="is being written by another process"):
+            check_not_written(path)
+        holder.kill()
+    check_not_written(path)
+    with path.open("wb") as stream:
+        assert lock(stream)
+
+
+def test_who_asks_keeps_nobody_out(tmp_path: Path) -> None:
+    path = tmp_path / "asked"
+    path.touch()
+    with ThreadPoolExecutor(4) as several:
+        asked = [several.submit(check_not_written, path) for _ in range(200)]
+    assert [one.result() for one in asked] == [None] * 200

@@ -14,9 +14,19 @@ import click
 
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS, BatchCommand
 from posetrack_cli.cli.batch_progress import BatchProgress
-from posetrack_cli.cli.options import FiniteRange
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import (
+    FILE,
+    WRITTEN,
+    FiniteRange,
+    gate_options,
+    junit_option,
+    markdown_option,
+    option_group,
+    options_of,
+)
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import (
     EXIT_DATA_LOST,
     EXIT_FAILED,
@@ -31,7 +41,6 @@ if TYPE_CHECKING:
     from posetrack_cli.batch.sources import Source
     from posetrack_cli.batch.summary import Judging, Summary
 
-STANDARD_OUTPUT = Path("-")
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _LEAST_BYTES = 1 << 28
@@ -59,96 +68,80 @@ class Size(click.ParamType[int]):
         return size
 
 
-BATCH_OPTIONS: tuple[click.Option, ...] = (
-    click.Option(
-        ["-o", "--output", "results"],
-        metavar="FOLDER",
-        required=True,
-        type=click.Path(path_type=Path),
-        help="Folder of the results, made if it is not there; what is finished in it is kept.",
-    ),
-    click.Option(
-        ["--jobs"],
-        type=click.IntRange(1, 1024),
-        help="Recordings at a time on this machine.  [default: one for each core]",
-    ),
-    click.Option(
-        ["--scheduler"], metavar="ADDRESS", help="A Dask cluster that exists, such as tcp://host:8786."
-    ),
-    click.Option(
-        ["--scheduler-file"],
-        type=click.Path(path_type=Path),
-        help="The same by the file that its dask scheduler --scheduler-file writes.",
-    ),
-    click.Option(["--redo"], is_flag=True, help="Track everything anew, and replace what is there."),
-    click.Option(["--dry-run"], is_flag=True, help="Say what would be done with each recording, and exit."),
-    click.Option(
-        ["--timeout", "timeout_s"],
-        metavar="S",
-        type=FiniteRange(min=0.0, min_open=True),
-        help="Stop a recording, or a piece of one, after so many seconds; the next batch goes on with it.",
-    ),
-    click.Option(
-        ["--memory-limit"],
-        metavar="SIZE",
-        type=Size(),
-        help="Memory that each recording's process may take, such as 2G; one that needs more fails alone.",
-    ),
-    click.Option(
-        ["--chunk-s"],
-        metavar="S",
-        type=FiniteRange(min=1.0),
-        help="Track long recordings in pieces of so many seconds, side by side, and join their results.",
-    ),
-    click.Option(
-        ["--overlap-s"],
-        metavar="S",
-        type=FiniteRange(min=0.0),
-        default=2.0,
-        show_default=True,
-        help="What a piece is tracked for before its own frames, with --smooth also after them.",
-    ),
-    click.Option(
-        ["--reports/--no-reports"], default=True, show_default=True, help="Write a page about each result."
-    ),
-    click.Option(
-        ["--fail-if", "conditions"],
-        metavar="CONDITION",
-        multiple=True,
-        help="Gate on results, as of posetrack eval: 'joint_error_mm.mean > 10' on each, "
-        "'pooled.joint_error_mm.mean > 8' on all together, 'p95(joint_error_mm.mean) > 12'; repeatable.",
-    ),
-    click.Option(
-        ["--gates", "gate_files"],
-        type=click.Path(path_type=Path),
-        multiple=True,
-        help="File of gates, one a line; repeatable.",
-    ),
-    click.Option(
-        ["--baseline"],
-        type=click.Path(path_type=Path),
-        help="Earlier summary.json, or --json of eval; worse figures fail.",
-    ),
-    click.Option(
-        ["--baseline-tolerance"],
-        type=FiniteRange(min=0.0),
-        default=0.05,
-        show_default=True,
-        help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
-    ),
-    click.Option(
-        ["--junit"],
-        metavar="FILE",
-        type=click.Path(path_type=Path),
-        help="Write JUnit XML: whether each recording was tracked, and each gate.",
-    ),
-    click.Option(
-        ["--markdown"],
-        metavar="FILE|-",
-        type=click.Path(path_type=Path, allow_dash=True),
-        help="Write a summary as Markdown.",
-    ),
+BATCH_OPTIONS = options_of(
+    option_group(
+        option(
+            "-o",
+            "--output",
+            "results",
+            metavar="FOLDER",
+            required=True,
+            type=FILE,
+            help="Where to write. A folder, made if it is not there; what is finished in it is kept.",
+        ),
+        option("--redo", is_flag=True, help="Track everything anew, and replace what is there."),
+        option("--dry-run", is_flag=True, help="Say what would be done with each recording, and exit."),
+        option(
+            "--reports/--no-reports", default=True, show_default=True, help="Write a page about each result."
+        ),
+        junit_option("One test for each and each result; also whether it was tracked."),
+        markdown_option(),
+        option_group(
+            option(
+                "--jobs",
+                metavar="N",
+                type=click.IntRange(1, 1024),
+                help="Recordings at a time on this machine.  [default: one for each core]",
+            ),
+            option(
+                "--scheduler",
+                metavar="ADDRESS",
+                help="A Dask cluster that exists, such as tcp://host:8786.",
+            ),
+            option(
+                "--scheduler-file",
+                metavar="FILE",
+                type=FILE,
+                help="The same by the file that its dask scheduler --scheduler-file writes.",
+            ),
+            option(
+                "--timeout",
+                "timeout_s",
+                metavar="S",
+                type=FiniteRange(min=0.0, min_open=True),
+                help="Stop a recording, or a piece of one, after so many seconds; the next batch goes on "
+                "with it.",
+            ),
+            option(
+                "--memory-limit",
+                metavar="SIZE",
+                type=Size(),
+                help="Memory that each recording's process may take, such as 2G; one that needs more "
+                "fails alone.",
+            ),
+            option(
+                "--chunk-s",
+                metavar="S",
+                type=FiniteRange(min=1.0),
+                help="Track long recordings in pieces of so many seconds, side by side, and join their "
+                "results.",
+            ),
+            option(
+                "--overlap-s",
+                metavar="S",
+                type=FiniteRange(min=0.0),
+                default=2.0,
+                show_default=True,
+                help="What a piece is tracked for before its own frames, with --smooth also after them.",
+            ),
+            title="Batch",
+        ),
+        gate_options,
+        volume_options,
+        title=WRITTEN,
+    )
 )
+"""Those of every batch."""
 
 
 @click.group()
@@ -173,13 +166,14 @@ def _command(command: BatchCommand) -> click.Command:
 
     @click.pass_context
     def callback(context: click.Context, /, recordings: tuple[str, ...], **options: Any) -> None:
-        own = {str(one.name): options[str(one.name)] for one in BATCH_OPTIONS}
+        own = {str(one.name): options[str(one.name)] for one in BATCH_OPTIONS if one.expose_value}
         run_batch_command(command, recordings, command.arguments(context), own)
 
-    return click.Command(
+    return Command(
         command.words[-1],
         params=[argument, *BATCH_OPTIONS, *command.parameters],
         callback=callback,
+        examples=command.examples,
         short_help=command.command.short_help and f"posetrack {line} over many recordings.",
         help=f"""Run posetrack {line} over each RECORDING: files, folders, quoted patterns such as
         'in/**/*.mcap', lists of those (.txt, one a line), or manifests (.toml) with options of each.

@@ -85,6 +85,8 @@ def _do(task: dict[str, Any], told: IO[str]) -> int:
 class _Teller(Listener):
     """Passes on what a command that tracks tells, progress not oftener than anybody looks."""
 
+    is_alone = False
+
     def __init__(self, told: IO[str]) -> None:
         self._told, self._last_s = told, 0.0
 

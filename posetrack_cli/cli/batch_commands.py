@@ -18,7 +18,7 @@ from posetrack_cli.errors import UsageError, nearest_name
 if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
-_OWN = ("recording", "output", "resume", "overwrite", "save_model")
+_OWN = ("recording", "output", "resume", "overwrite", "save_model", "quiet", "verbose")
 """Parameters that a batch sets for each recording, or that name one file to write."""
 _OF_FIRST = "init"
 """How a recording begins: not of the pieces behind the first one."""
@@ -35,12 +35,23 @@ class BatchCommand:
         open: opens a recording as its options say.
         learned: returns further options of a piece that begins with what another one has learned, given the
             recording's options and that one's result.
+        recordings: such as it takes, for examples.
     """
 
     words: tuple[str, ...]
     command: click.Command
     open: Callable[[Path, dict[str, Any]], Recording]
     learned: Callable[[Sequence[str], Path], tuple[str, ...]]
+    recordings: str
+
+    @property
+    def examples(self) -> tuple[str, ...]:
+        """Of its batch."""
+        start = f"posetrack batch {' '.join(self.words)}"
+        return (
+            f"{start} {self.recordings} -o results/",
+            f"{start} list.txt -o results/ --fail-if 'coverage < 0.9'",
+        )
 
     @property
     def parameters(self) -> list[click.Parameter]:
@@ -140,9 +151,9 @@ def _head_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
 
 
 _EVERY = (
-    BatchCommand(("hand", "run"), hand_run, open_hand_recording, _hand_learned),
-    BatchCommand(("head", "stereo"), head_stereo, open_stereo_recording, _head_learned),
-    BatchCommand(("head", "mono"), head_mono, open_mono_recording, _head_learned),
+    BatchCommand(("hand", "run"), hand_run, open_hand_recording, _hand_learned, "'in/**/*.mcap'"),
+    BatchCommand(("head", "stereo"), head_stereo, open_stereo_recording, _head_learned, "'in/**/*.mcap'"),
+    BatchCommand(("head", "mono"), head_mono, open_mono_recording, _head_learned, "'in/*.mp4'"),
 )
 BATCH_COMMANDS = {one.words: one for one in _EVERY}
 """By how they are called."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import time
+from contextlib import ExitStack
 from threading import Lock
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from posetrack_cli.text import one_line
+from posetrack_cli.cli.progress import bar, print_above
+from posetrack_cli.cli.standard_output import is_quiet
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.engine import Told
@@ -23,15 +24,12 @@ class BatchProgress:
     """
 
     def __init__(self, total: int) -> None:
-        from tqdm import tqdm
-
         self._total, self._over, self._failed = total, 0, 0
         self._frames: dict[str, int] = {}  # that are being tracked, by job
         self._done, self._began_s = 0, time.monotonic()
         self._lock = Lock()
-        self._bar: Any = tqdm(
-            total=total, unit="recording", desc="batch", file=sys.stderr, disable=None, dynamic_ncols=True
-        )
+        self._stack = ExitStack()
+        self._bar = self._stack.enter_context(bar("batch", "recording", total))
 
     def __enter__(self) -> BatchProgress:
         return self
@@ -39,7 +37,7 @@ class BatchProgress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bar.close()
+        self._stack.close()
 
     def on_progress(self, told: Told) -> None:
         """A job is so far."""
@@ -58,24 +56,20 @@ class BatchProgress:
             self._done += outcome.frames
             is_failed = outcome.state == "failed"
             self._failed += is_failed
-            if self._bar.disable or is_failed:
-                self._write(f"[{self._over}/{self._total}] {line_of(outcome)}")
-            self._bar.update(1)
-            self._show()
+            if is_failed or not (self._bar.is_drawn or is_quiet()):
+                print_above(f"[{self._over}/{self._total}] {line_of(outcome)}")
+            self._show(1)
 
     def note(self, line: str) -> None:
         """Say what a user should know meanwhile."""
         with self._lock:
-            self._write(line)
+            print_above(line)
 
-    def _show(self) -> None:
+    def _show(self, over: int = 0) -> None:
         frames = self._done + sum(self._frames.values())
         rate = frames / max(1e-9, time.monotonic() - self._began_s)
         failed = f", {self._failed} failed" if self._failed else ""
-        self._bar.set_postfix_str(f"{frames} frames, {rate:.1f}/s{failed}")
-
-    def _write(self, line: str) -> None:
-        self._bar.write(one_line(line), file=sys.stderr)
+        self._bar.advance(over, f"{frames} frames, {rate:.1f}/s{failed}")
 
 
 def line_of(outcome: Outcome) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,16 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import (
+    FILE,
+    camera_names,
+    cameras_option,
+    option_group,
+    output_option,
+    overwrite_option,
+)
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -22,38 +31,57 @@ def calibrate() -> None:
     """Measure cameras."""
 
 
-@calibrate.command("stereo", short_help="Measure two or more cameras from images of a board.")
-@click.argument("images", metavar="FOLDER", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    metavar="camera.toml",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Camera file to write.",
+@calibrate.command(
+    "stereo",
+    cls=Command,
+    examples=(
+        "posetrack calibrate stereo boards/ --squares 10x7 --square-mm 25 -o rig.toml",
+        "posetrack calibrate stereo boards/ --squares 10x7 --square-mm 25 \\",
+        "    --marker-mm 18 --cameras left,right -o rig.toml",
+    ),
+    short_help="Measure two or more cameras from images of a board.",
 )
-@click.option(
-    "--squares",
-    metavar="COLUMNSxROWS",
-    required=True,
-    help="Squares of the board across and down: 10x7 has 9x6 inner corners.",
+@click.argument("images", metavar="FOLDER", type=FILE)
+@output_option("The camera file.", "camera.toml")
+@option_group(
+    option(
+        "--squares",
+        metavar="COLUMNSxROWS",
+        required=True,
+        help="Squares of the board across and down: 10x7 has 9x6 inner corners.",
+    ),
+    option(
+        "--square-mm",
+        metavar="MM",
+        type=float,
+        required=True,
+        help="Side of a square, mm; measure it on the print.",
+    ),
+    option(
+        "--marker-mm",
+        metavar="MM",
+        type=float,
+        help="Side of a marker, mm: a ChArUco board instead of a chessboard.",
+    ),
+    option(
+        "--dictionary",
+        metavar="NAME",
+        default="4X4_50",
+        show_default=True,
+        help="Markers of the ChArUco board, OpenCV's name.",
+    ),
+    title="Board",
 )
-@click.option("--square-mm", type=float, required=True, help="Side of a square, mm; measure it on the print.")
-@click.option(
-    "--marker-mm", type=float, help="Side of a marker, mm: a ChArUco board instead of a chessboard."
-)
-@click.option(
-    "--dictionary", default="4X4_50", show_default=True, help="Markers of the ChArUco board, OpenCV's name."
-)
-@click.option("--cameras", metavar="NAME,NAME", help="Folders to use, the reference first.  [default: all]")
-@click.option(
+@cameras_option("Names of folders, the reference first.  [default: all]")
+@option(
     "--distortion",
     type=click.Choice(["none", "four", "five", "eight"]),
     default="four",
     show_default=True,
     help="Coefficients of the lens: k1 k2 p1 p2, and k3, and k4 k5 k6.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing camera file.")
+@overwrite_option("The camera file")
+@volume_options
 def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     """Measure intrinsics, distortion and places of the cameras whose images of a board lie in FOLDER.
 
@@ -72,7 +100,7 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     board = Board(
         *_squares(options["squares"]), options["square_mm"], options["marker_mm"], options["dictionary"]
     )
-    names = options["cameras"].split(",") if options["cameras"] else None
+    names = camera_names(options["cameras"]) if options["cameras"] else None
     losses = LossLog()
     with _progress() as report:
         views = find_views(images, board, names, report, losses)
@@ -99,12 +127,5 @@ def _squares(text: str) -> tuple[int, int]:
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Yield a function that moves a progress bar; a bar only where a person looks."""
-    from tqdm import tqdm
-
-    with tqdm(unit="image", desc="board", file=sys.stderr, disable=None, dynamic_ncols=True) as bar:
-
-        def report(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield report
+    with bar("board", "image") as shown:
+        yield lambda done, total: shown.advance(done - shown.done, total=total)

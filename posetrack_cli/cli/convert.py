@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.options import reading_options, recording_options
+from posetrack_cli.cli.command import Command, volume_options
+from posetrack_cli.cli.options import (
+    FILE,
+    output_option,
+    overwrite_option,
+    recording_options,
+    truth_option,
+)
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -16,17 +24,21 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
 
-@click.command(short_help="Write a recording as one MCAP file, without loss.")
-@click.argument("recording", metavar="IN", type=click.Path(path_type=Path))
-@click.argument("out", metavar="OUT.mcap", type=click.Path(path_type=Path))
-@recording_options
-@click.option(
-    "--truth",
-    type=click.Path(path_type=Path),
-    help="True joints of a hand as CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes.",
+@click.command(
+    cls=Command,
+    examples=(
+        "posetrack convert depth/ --fps 30 -o recording.mcap",
+        "posetrack convert depth/ --truth joints.csv -o recording.mcap",
+    ),
+    short_help="Write a recording as one MCAP file, without loss.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace OUT.mcap if it exists.")
-def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
+@click.argument("recording", metavar="IN", type=FILE)
+@output_option("The recording, an MCAP file.", "OUT.mcap")
+@overwrite_option("The recording")
+@truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes.")
+@recording_options
+@volume_options
+def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
     """Write IN, a folder of depth images or an MCAP file, as Foxglove MCAP without loss.
 
     Depth in whole millimetres is stored as 16-bit PNG, copied unchanged where IN has just that; other
@@ -35,12 +47,11 @@ def convert(recording: Path, out: Path, truth: Path | None, overwrite: bool, **o
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
-    from posetrack_cli.recording.opening import open_recording
 
-    source = open_recording(recording, **reading_options(options))
+    source = open_for_reading(recording, options)
     joints = [] if truth is None else _joints(truth, source)
-    conversion = convert_recording(source, out, overwrite=overwrite, truth=joints)
-    print_line(f"{out}: {conversion.frames} frames, {out.stat().st_size} bytes")
+    conversion = convert_recording(source, output, overwrite=overwrite, truth=joints)
+    print_line(f"{output}: {conversion.frames} frames, {output.stat().st_size} bytes")
     if conversion.losses:
         print_note(f"{recording}: {loss_line(conversion.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

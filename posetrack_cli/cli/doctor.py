@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.options import device_option, particles_option
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError
 
@@ -17,10 +19,13 @@ PARTICLES = 512
 REPEATS = 11
 MOST_DEVICES = 16
 LIBRARIES = (
+    "av",
     "numpy",
     "scipy",
     "numba",
     "fast-simplification",
+    "jinja2",
+    "filelock",
     "opencv-python-headless",
     "moderngl",
     "lz4",
@@ -31,22 +36,30 @@ LIBRARIES = (
     "pydantic",
     "click",
     "rich",
-    "tqdm",
     "zstandard",
 )
 
 
-@click.command(short_help="Report what draws, and how fast it is.")
-@click.option("--device", type=click.IntRange(min=0), help="Only this EGL device.")
-@click.option("--particles", type=click.IntRange(min=1), default=PARTICLES, show_default=True)
-def doctor(device: int | None, particles: int) -> None:
+@click.command(
+    cls=Command,
+    examples=("posetrack doctor", "posetrack doctor --device cpu"),
+    short_help="Report what draws, and how fast it is.",
+)
+@device_option("Only this one is tried.  [default: all]")
+@particles_option(PARTICLES)
+def doctor(device: int | str | None, particles: int | None) -> None:
     """Report what draws and how fast it scores particles, or what is missing.
 
     Hands are scored on a GPU if there is one, else by the processor; all else is drawn with OpenGL.
     """
+    from posetrack_cli.rendering.devices import CPU
+
     _print_versions()
-    if device is None:
+    particles = particles or PARTICLES
+    if device is None or device == CPU:
         _check_processor(particles)
+    if not (device is None or isinstance(device, int)):
+        return
     works = _check("default" if device is None else f"device {device}", device, particles)
     numbers = _working_devices() if device is None else []
     if len(numbers) > 1 or not works:  # a single device is the default one, which was reported

@@ -10,22 +10,43 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.options import BOTH, TRACKS, FiniteRange, chosen_tracks, only_once
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note, reader_may_leave
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import (
+    BOTH,
+    FILE,
+    FILE_OR_STANDARD_OUTPUT,
+    TRACKS,
+    chosen_tracks,
+    gate_options,
+    json_option,
+    junit_option,
+    markdown_option,
+    option_group,
+    overwrite_option,
+    recording_option,
+    track_option,
+    truth_option,
+)
+from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.standard_output import (
+    STANDARD_OUTPUT,
+    is_quiet,
+    print_data,
+    print_line,
+    print_note,
+    reader_may_leave,
+)
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.evaluation.assessment import Assessment, Request
+    from posetrack_cli.evaluation.assessment import Assessment, Layout, Request
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.pictures import Picture
     from posetrack_cli.evaluation.reports.table import Table
 
-STANDARD_OUTPUT = Path("-")
 TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
 """Reports that are text, by the names of their options."""
 WORST_FRAMES = 6
-FILE = click.Path(path_type=Path)
-OUTPUT = click.Path(path_type=Path, allow_dash=True)
 
 
 def _list_metrics(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
@@ -38,135 +59,131 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         context.exit()
 
 
-@click.command("eval", short_help="Measure results against truth; compare them; gate on figures.")
+@click.command(
+    "eval",
+    cls=Command,
+    examples=(
+        "posetrack eval result.mcap --html report.html",
+        "posetrack eval result.mcap --truth joints.csv --joint-offsets palm",
+        "posetrack eval result.mcap --fail-if 'coverage < 0.9'",
+        "posetrack eval results/*.mcap --baseline baseline.json --junit junit.xml",
+    ),
+    former={"--layout": "--rows or --columns", "--tolerance-ms": "--truth-tolerance-ms"},
+    short_help="Measure results against truth; compare them; gate on figures.",
+)
 @click.argument("results", metavar="RESULT...", nargs=-1, type=FILE)
-@click.option(
-    "--truth", type=FILE, help="Truth: a recording, a result, or CSV.  [default: what the result carries]"
+@option_group(
+    truth_option("A recording, a result, or CSV.  [default: what the result carries]"),
+    option(
+        "--truth-tolerance-ms",
+        metavar="MS",
+        type=float,
+        default=5.0,
+        show_default=True,
+        help="How far apart the stamps of an estimate and its truth may be.",
+    ),
+    option(
+        "--time-offset-s",
+        metavar="S",
+        type=float,
+        default=0.0,
+        help="Seconds to add to the stamps of the truth.  [default: 0]",
+    ),
+    option(
+        "--align",
+        type=click.Choice(["none", "rigid", "rigid+points", "similarity"]),
+        default="none",
+        show_default=True,
+        help="Remove one constant rigid offset first; or also each point's own; or also one scale, which one "
+        "camera does not see.",
+    ),
+    option(
+        "--joint-offsets",
+        type=click.Choice(["bone", "palm", "camera"]),
+        help="Of a hand, also remove each joint's constant offset, a median, for a truth whose joints are "
+        "marked "
+        "by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
+    ),
+    title="Truth",
 )
-@click.option(
-    "--tolerance-ms",
-    type=float,
-    default=5.0,
-    show_default=True,
-    help="How far apart the stamps of an estimate and its truth may be.",
+@option_group(
+    track_option(
+        *TRACKS,
+        BOTH,
+        default=None,
+        details="Both stand beside each other and are compared.  [default: filtered; a page shows both]",
+    ),
+    option(
+        "--group",
+        "groups",
+        metavar="NAME=PATTERN",
+        multiple=True,
+        help="Compare groups of results, such as pf='out/pf-*.mcap', paired by recording; repeatable.",
+    ),
+    recording_option("Measures residuals against its images."),
+    option(
+        "--list-metrics",
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_list_metrics,
+        help="Show every metric, its unit and meaning, and exit.",
+    ),
+    title="What is measured",
 )
-@click.option("--time-offset-s", type=float, default=0.0, help="Seconds to add to the stamps of the truth.")
-@click.option(
-    "--align",
-    type=click.Choice(["none", "rigid", "rigid+points", "similarity"]),
-    default="none",
-    show_default=True,
-    help="Remove one constant rigid offset first; or also each point's own; or also one scale, which one "
-    "camera does not see.",
+@option_group(
+    option(
+        "--rows/--columns",
+        default=None,
+        help="A row for each result, the worst first, and one of all together; or results beside each other, "
+        "compared where they are of one recording.  [default: rows from five recordings on]",
+    ),
+    option(
+        "--worst",
+        metavar="N",
+        type=click.IntRange(min=0),
+        default=50,
+        show_default=True,
+        help="How many rows are shown here and in Markdown, the worst; 0 for all.",
+    ),
+    option(
+        "--parts", is_flag=True, help="Show every joint, finger, angle or point; of rows in JSON and CSV."
+    ),
+    option(
+        "--honesty",
+        is_flag=True,
+        help="Also show how many frames of each confidence are right, and of several results the figures "
+        "pooled.",
+    ),
+    title="Tables",
 )
-@click.option(
-    "--joint-offsets",
-    type=click.Choice(["bone", "palm", "camera"]),
-    help="Of a hand, also remove each joint's constant offset, a median, for a truth whose joints are marked "
-    "by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
+@option_group(
+    option(
+        "--html",
+        type=FILE,
+        metavar="FILE",
+        help="Write a page with tables and plots; in rows one table to be sorted and filtered.",
+    ),
+    json_option("Serves as --baseline."),
+    option(
+        "--csv",
+        type=FILE_OR_STANDARD_OUTPUT,
+        metavar="FILE|-",
+        help="Write CSV: one figure a line, in rows one result a line.",
+    ),
+    option(
+        "--curve",
+        type=FILE_OR_STANDARD_OUTPUT,
+        metavar="FILE|-",
+        help="Write the share of frames with joint errors below D = 0..100 mm as CSV.",
+    ),
+    junit_option("One test for each and each result."),
+    markdown_option(),
+    overwrite_option("Reports"),
+    title="Reports",
 )
-@click.option(
-    "--track",
-    type=click.Choice([*TRACKS, BOTH]),
-    help="Which track of each result: both stand beside each other and are compared.  [default: filtered; a "
-    "page shows both]",
-)
-@click.option("--recording", type=FILE, help="The recording; measures residuals against its images.")
-@click.option("--json", type=OUTPUT, metavar="FILE|-", help="Write everything as JSON.")
-@click.option(
-    "--csv",
-    type=OUTPUT,
-    metavar="FILE|-",
-    help="Write CSV: one figure a line, in rows one result a line.",
-)
-@click.option(
-    "--curve",
-    type=OUTPUT,
-    metavar="FILE|-",
-    help="Write the share of frames with joint errors below D = 0..100 mm as CSV.",
-)
-@click.option(
-    "--html",
-    type=FILE,
-    metavar="FILE",
-    help="Write a page with tables and plots; in rows one table to be sorted and filtered.",
-)
-@click.option(
-    "--junit",
-    type=FILE,
-    metavar="FILE",
-    help="Write the gates as JUnit XML: one test for each and each result.",
-)
-@click.option(
-    "--markdown",
-    type=OUTPUT,
-    metavar="FILE|-",
-    help="Write a summary as Markdown: failed gates first, totals, results, changes against the baseline.",
-)
-@click.option(
-    "--fail-if",
-    "conditions",
-    metavar="CONDITION",
-    multiple=True,
-    help="Gate on each result, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; on the frames of all "
-    "together, 'pooled.joint_error_mm.mean > 8'; or on the figures over results, 'p95(joint_error_mm.mean) > "
-    "12', 'count(coverage) < 100'; repeatable.",
-)
-@click.option(
-    "--gates", "gate_files", type=FILE, multiple=True, help="File of gates, one a line; repeatable."
-)
-@click.option(
-    "--baseline",
-    type=FILE,
-    multiple=True,
-    callback=only_once,
-    help="Earlier --json; worse figures fail, of each result of the same name and of all together. Results "
-    "that only the baseline has fail, new ones are told.",
-)
-@click.option(
-    "--baseline-tolerance",
-    type=FiniteRange(min=0.0),
-    default=0.05,
-    show_default=True,
-    help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
-)
-@click.option(
-    "--group",
-    "groups",
-    metavar="NAME=PATTERN",
-    multiple=True,
-    help="Compare groups of results, such as pf='out/pf-*.mcap', paired by recording; repeatable.",
-)
-@click.option(
-    "--list-metrics",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_list_metrics,
-    help="Show every metric, its unit and meaning, and exit.",
-)
-@click.option(
-    "--layout",
-    type=click.Choice(["columns", "rows"]),
-    help="Results beside each other, compared where they are of one recording; or a row each, the worst "
-    "first, and one of all together.  [default: rows from five recordings on]",
-)
-@click.option(
-    "--worst",
-    type=click.IntRange(min=0),
-    default=50,
-    show_default=True,
-    help="How many rows are shown here and in Markdown, the worst; 0 for all.",
-)
-@click.option(
-    "--parts", is_flag=True, help="Show every joint, finger, angle or point; of rows in JSON and CSV."
-)
-@click.option(
-    "--honesty",
-    is_flag=True,
-    help="Also show how many frames of each confidence are right, and of several results the figures pooled.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace existing reports.")
+@gate_options
+@volume_options
 def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     """Measure RESULTs against truth, by themselves without it; also of unfinished or running runs.
 
@@ -201,15 +218,17 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     groups = expand_groups(options["groups"])
     if not (results or groups):
         raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
-    names = ("truth", "tolerance_ms", "time_offset_s", "align", "recording", "joint_offsets")
+    names = ("truth", "time_offset_s", "align", "recording", "joint_offsets")
     track = options["track"]
     request = Request(
         results=results,
         groups=groups,
-        options=EvalOptions(**{name: options[name] for name in names}),
+        options=EvalOptions(
+            **{name: options[name] for name in names}, tolerance_ms=options["truth_tolerance_ms"]
+        ),
         tracks=chosen_tracks(track),
         page=options["html"] is not None and track is None,
-        layout=options["layout"],
+        layout=_layout(options["rows"]),
         parts=options["parts"],
         gates=all_gates(options["conditions"], options["gate_files"]),
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
@@ -218,6 +237,10 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     )
     _check_reports(request, options)
     return request
+
+
+def _layout(rows: bool | None) -> Layout | None:
+    return None if rows is None else "rows" if rows else "columns"
 
 
 def _check_reports(request: Request, options: dict[str, Any]) -> None:
@@ -246,11 +269,11 @@ def _check_reports(request: Request, options: dict[str, Any]) -> None:
 @contextmanager
 def _progress(total: int) -> Iterator[Callable[[], Any]]:
     """Yield a function that counts results; a bar only for several, and where a person looks."""
-    from tqdm import tqdm
-
-    quiet = True if total < 2 else None
-    with tqdm(total=total, unit="result", desc="eval", file=sys.stderr, disable=quiet, leave=False) as bar:
-        yield bar.update
+    if total < 2:
+        yield lambda: None
+        return
+    with bar("eval", "result", total, stays=False) as shown:
+        yield shown.advance
 
 
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
@@ -313,7 +336,7 @@ def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Pict
     from posetrack_cli.results.reader import read_result
 
     result = read_result(evaluation.path)
-    search = search_recording(result, given)
+    search = search_recording(result, given, in_colour=True)
     if search.recording is None:
         return None, search.reason
     return worst_frame_pictures(evaluation, search.recording, WORST_FRAMES), ""
@@ -334,7 +357,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     )
     from posetrack_cli.evaluation.reports.terminal import print_tables
 
-    if sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
+    if is_quiet() or sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
     made, lines = _rows(found, options) if found.rows else _columns(found, given, options)
     if options["honesty"]:

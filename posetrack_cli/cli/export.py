@@ -3,47 +3,64 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from posetrack_cli.cli.options import FILTERED, TRACKS
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import FILE, FILTERED, TRACKS, output_option, overwrite_option, track_option
+from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
-FORMATS = ("csv", "tum", "npz", "json")
-_STANDARD_OUTPUT = Path("-")
+if TYPE_CHECKING:
+    from posetrack_cli.results.export.source import ExportSource
+
+FORMATS = ("csv", "tum", "npz", "json", "bvh", "c3d", "mcap")
+SCHEMAS = ("ros2",)
 _BY_SUFFIX = {f".{name}": name for name in FORMATS}
 
 
-@click.command(short_help="Write a result as CSV, TUM, numpy or JSON.")
-@click.argument("path", metavar="RESULT", type=click.Path(path_type=Path))
-@click.option(
+@click.command(
+    cls=Command,
+    examples=(
+        "posetrack export result.mcap -o result.csv",
+        "posetrack export result.mcap --format tum --no-lost -o head.tum",
+        "posetrack export result.mcap -o hand.bvh",
+        "posetrack export result.mcap --schemas ros2 -o result-ros2.mcap",
+        "posetrack export result.mcap --estimate-topic /truth/hand/estimate",
+    ),
+    former={"--topic": "--estimate-topic"},
+    short_help="Write a result for other tools: CSV, TUM, numpy, JSON, BVH, C3D, ROS 2.",
+)
+@click.argument("path", metavar="RESULT", type=FILE)
+@option(
     "--format",
     "format_name",
     type=click.Choice(FORMATS),
     help="What to write.  [default: as FILE is named, else csv]",
 )
-@click.option(
-    "-o",
-    "--output",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Where to write; nothing or - is standard output.",
+@option(
+    "--schemas",
+    type=click.Choice(SCHEMAS),
+    help="Whose messages an MCAP file holds; RESULT itself has Foxglove's.  [default: ros2]",
 )
-@click.option(
-    "--track",
-    type=click.Choice(TRACKS),
-    default=FILTERED,
-    show_default=True,
-    help="Which track of the result.",
+@output_option("Nothing or - is standard output.", "FILE|-", required=False)
+@overwrite_option("The file of -o")
+@track_option(*TRACKS, default=FILTERED)
+@option(
+    "--estimate-topic",
+    "topic",
+    metavar="TOPIC",
+    help="MCAP topic of the estimates, such as /truth/hand/estimate.  [default: the result's own]",
 )
-@click.option("--topic", help="Of the estimates, such as /truth/hand/estimate.  [default: the result's own]")
-@click.option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
-@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
+@volume_options
 def export(
     path: Path,
     format_name: str | None,
+    schemas: str | None,
     output: Path | None,
     track: str,
     topic: str | None,
@@ -57,31 +74,64 @@ def export(
     tum   timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
     json  the columns of csv as lists, below a header with units and the run record
     npz   one array per field of an estimate, for numpy; needs -o
+    bvh   a hand as an animated skeleton, for Blender and motion editors: m, y up, a fixed frame rate
+    c3d   joints or feature points as markers, for motion laboratories: mm, a fixed frame rate; needs -o
+    mcap  ROS 2 messages (tf2, nav_msgs, sensor_msgs), for RViz and ros2 bag; needs -o; also --schemas ros2
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are in, with their last pose;
-    their status says so in all formats but tum: there leave them out with --no-lost. Exit code 3 means that
-    RESULT is truncated or damaged; what can be read is written all the same.
+    their status says so in all formats but tum and bvh: there leave them out with --no-lost. In c3d they are
+    markers that are not seen. Exit code 3 means that RESULT is truncated or damaged; what can be read is
+    written all the same.
     """
     from posetrack_cli.losses import loss_line
-    from posetrack_cli.results.export.export import export_file, text_pieces
+    from posetrack_cli.results.export.export import export_file, save_text, text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
 
-    result = read_result(path)
+    output = None if output == STANDARD_OUTPUT else output
+    chosen = _chosen_format(format_name, schemas, output)
     if topic is not None and track != FILTERED:
-        raise UsageError("--topic and --track exclude each other", found=f"{topic} and {track}")
+        raise UsageError("--estimate-topic and --track exclude each other", found=f"{topic} and {track}")
+    result = read_result(path)
     source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
-    if output == _STANDARD_OUTPUT:
-        output = None
-    chosen = format_name or _BY_SUFFIX.get(output.suffix.lower() if output else "", "csv")
+    notes: tuple[str, ...] = ()
+    pieces: Iterable[str] | None = None
+    if chosen == "bvh":
+        pieces, notes = _bvh(source)
     if output is None:
         if sys.stdout is None:
             raise UsageError("standard output is closed", hint="name a file with -o")
-        for piece in text_pieces(source, chosen):
+        for piece in text_pieces(source, chosen) if pieces is None else pieces:
             print_data(piece)
     else:
-        export_file(source, chosen, output, overwrite=overwrite)
+        if pieces is None:
+            notes = export_file(source, chosen, output, overwrite=overwrite)
+        else:
+            save_text(pieces, source, output, overwrite=overwrite)
         print_line(f"{output}: {chosen}, {output.stat().st_size} bytes")
+    for note in notes:
+        print_note(f"{path}: {note}")
     if result.losses:
         print_note(f"{path}: {loss_line(result.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _chosen_format(format_name: str | None, schemas: str | None, output: Path | None) -> str:
+    """What is asked for, else what the output is named as; schemas are of MCAP files only."""
+    named = _BY_SUFFIX.get(output.suffix.lower() if output else "")
+    chosen = format_name or named or ("mcap" if schemas else "csv")
+    if schemas and chosen != "mcap":
+        raise UsageError(
+            "--schemas is of MCAP files", found=chosen, expected="--format mcap, or -o NAME.mcap"
+        )
+    return chosen
+
+
+def _bvh(source: ExportSource) -> tuple[Iterable[str], tuple[str, ...]]:
+    """The text of a hand's animation, and what there is to say of its frames."""
+    from posetrack_cli.evaluation.recorded_hand import anatomy_of
+    from posetrack_cli.hand.bvh import bvh_text, check_hand
+
+    check_hand(source)
+    rate, pieces = bvh_text(source, anatomy_of(source.result))
+    return pieces, tuple(rate.notes("they lie between their neighbours"))

@@ -7,22 +7,37 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.options import (
+    FILE,
     RUN_OPTIONS,
-    DrawingDevice,
+    NameOrFile,
     configuration_of,
-    finishing_options,
+    configuration_options,
+    device_option,
     frame_options,
-    reading_options,
+    hand_mesh_option,
+    hand_side_option,
+    init_option,
+    option_group,
+    particles_option,
     recording_options,
     result_options,
-    smooth_option,
+    scale_option,
 )
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.running import close, compiling_said, kept, print_remark, progress
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.running import (
+    close,
+    compiling_said,
+    kept,
+    open_for_reading,
+    print_remark,
+    progress,
+    tell_settings,
+)
+from posetrack_cli.cli.standard_output import print_aside, print_detail
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,80 +71,91 @@ hand.add_command(hand_calibrate)
 hand.add_command(hand_synth)
 
 
-@hand.command("run", short_help="Track the hand in recorded depth.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@result_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
-@click.option(
-    "--filter",
-    "filter_kind",
-    type=click.Choice(["rbpf", "pf", "pso"]),
-    help="Filter, or pso, the optimiser of Oikonomidis et al. 2011.  [default: rbpf]",
+@hand.command(
+    "run",
+    cls=Command,
+    examples=(
+        "posetrack hand run depth.mcap -o hand.mcap",
+        "posetrack hand run depth/ --fps 30 --hand-side left -o hand.mcap",
+        "posetrack hand run depth.mcap --shape hand.toml --smooth -o hand.mcap",
+    ),
+    short_help="Track the hand in recorded depth.",
 )
-@click.option("--particles", type=click.IntRange(min=1), help="Number of particles.  [default: 64]")
-@click.option(
-    "--proposal",
-    type=click.Choice(["guided", "annealed", "marginal", "paper"]),
-    help="Proposal distribution; annealed is slow, to check guided with.  [default: guided]",
+@click.argument("recording", type=FILE)
+@result_options("The result")
+@option_group(
+    hand_side_option("auto", "right", "left", details="auto tells from the first seconds.  [default: auto]"),
+    option(
+        "--shape",
+        metavar="auto|average|FILE",
+        type=NameOrFile("auto", "average"),
+        help="Size and shape of the hand: auto estimates them from the recording unless they are told, "
+        "average "
+        "is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of hand "
+        "calibrate, or a result of hand run: its side and shape.  [default: auto]",
+    ),
+    scale_option,
+    hand_mesh_option,
+    init_option(
+        "auto|center|FILE",
+        "auto finds the hand, center takes an open one in the middle, palm to the sensor, FILE has a pose.  "
+        "[default: auto]",
+    ),
+    title="Hand",
 )
-@click.option(
-    "--resampling",
-    type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
-    help="Resampling scheme.  [default: systematic]",
+@option_group(
+    option(
+        "--keypoints",
+        "keypoint_file",
+        metavar="FILE",
+        type=FILE,
+        help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md): further "
+        "starts "
+        "and evidence for side and place.",
+    ),
+    option(
+        "--keypoints-unit",
+        type=click.Choice(["px", "normalised", "mm", "m"]),
+        help="Of their coordinates; px and normalised in the depth images.  [default: as FILE says or looks]",
+    ),
+    option(
+        "--keypoints-swap-sides",
+        is_flag=True,
+        help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of "
+        "mirrored images, or wrong sides.",
+    ),
+    title="Points of other programs",
 )
-@click.option(
-    "--cost",
-    type=click.Choice(["mixture", "union", "paper"]),
-    help="Cost function over the image.  [default: mixture]",
+@option_group(
+    option(
+        "--filter",
+        "filter_kind",
+        type=click.Choice(["rbpf", "pf", "pso"]),
+        help="Filter, or pso, the optimiser of Oikonomidis and others, 2011.  [default: rbpf]",
+    ),
+    particles_option(64),
+    option(
+        "--proposal",
+        type=click.Choice(["guided", "annealed", "marginal", "paper"]),
+        help="Proposal distribution; annealed is slow, to check guided with.  [default: guided]",
+    ),
+    option(
+        "--resampling",
+        type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
+        help="Resampling scheme.  [default: systematic]",
+    ),
+    option(
+        "--cost",
+        type=click.Choice(["mixture", "union", "paper"]),
+        help="Cost function over the image.  [default: mixture]",
+    ),
+    device_option("[default: a GPU if there is one, else cpu]"),
+    title="Filter",
 )
-@click.option(
-    "--hand-side",
-    "side",
-    type=click.Choice(["auto", "right", "left"]),
-    help="Which hand; auto tells from the first seconds.  [default: auto]",
-)
-@click.option("--scale", type=float, help="Size of the hand; 1 is the average adult's, 181 mm long.")
-@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Skinned hand, glTF with WebXR joint names.")
-@click.option(
-    "--init",
-    metavar="auto|center|FILE",
-    help="Start: auto (find the hand), center (open hand in the middle, palm to the sensor), or a file with "
-    "a pose.  [default: auto]",
-)
-@click.option(
-    "--shape",
-    metavar="auto|average|FILE",
-    help="Size and shape of the hand: auto estimates them from the recording unless they are told, average "
-    "is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of hand "
-    "calibrate, or a result of hand run: its side and shape.  [default: auto]",
-)
-@click.option(
-    "--keypoints",
-    "keypoint_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md): further starts "
-    "and evidence for side and place.",
-)
-@click.option(
-    "--keypoints-unit",
-    type=click.Choice(["px", "normalised", "mm", "m"]),
-    help="Of their coordinates; px and normalised in the depth images.  [default: as FILE says or looks]",
-)
-@click.option(
-    "--keypoints-swap-sides",
-    is_flag=True,
-    help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of mirrored "
-    "images, or wrong sides.",
-)
-@smooth_option
+@configuration_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
 @frame_options
 @recording_options
-@click.option(
-    "--device",
-    type=DrawingDevice(),
-    help="What hands are drawn on: the index of an EGL device, or cpu.  [default: a GPU if there is one]",
-)
-@finishing_options("an existing result")
+@volume_options
 def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
 
@@ -149,7 +175,7 @@ def hand_run(recording: Path, **options: Any) -> None:
         if found.is_doubtful:
             print_remark(recording, found.line)
         else:
-            print_note(f"{recording}: {found.line}")
+            print_aside(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 
@@ -166,17 +192,17 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
+    print_detail(f"draws with {device.info}")
     check_run(source, config, run_options)
     found = find_hand(source, config, options["start"], _say, keypoints)
+    tell_settings(found.config)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found
 
 
 def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording of depth."""
-    from posetrack_cli.recording.opening import open_recording
-
-    return open_recording(recording, **reading_options(options))
+    return open_for_reading(recording, options)
 
 
 def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
@@ -190,12 +216,12 @@ def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
     from posetrack_cli.hand.keypoints.file import read_keypoints
 
     keypoints = read_keypoints(path, camera, unit, swap)
-    print_note(f"{path}: {keypoints.line}")
+    print_aside(f"{path}: {keypoints.line}")
     return keypoints
 
 
 def _say(line: str) -> None:
-    print_note(f"{line} ...")
+    print_aside(f"{line} ...")
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:

@@ -7,9 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.options import reading_options, recording_options
-from posetrack_cli.cli.running import compiling_said
-from posetrack_cli.cli.standard_output import print_line, print_note
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import (
+    FILE,
+    config_option,
+    hand_mesh_option,
+    hand_side_option,
+    option_group,
+    output_option,
+    overwrite_option,
+    recording_options,
+)
+from posetrack_cli.cli.running import compiling_said, open_for_reading, tell_next
+from posetrack_cli.cli.standard_output import print_aside, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:
@@ -17,30 +27,35 @@ if TYPE_CHECKING:
     from posetrack_cli.hand.config import HandConfig
 
 
-@click.command("calibrate", short_help="Find the size and proportions of the hand in a recording.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    metavar="HAND.toml",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="File to write.",
+@click.command(
+    "calibrate",
+    cls=Command,
+    examples=(
+        "posetrack hand calibrate depth.mcap -o hand.toml",
+        "posetrack hand run other.mcap --shape hand.toml -o hand.mcap",
+    ),
+    former={"--frames": "--fit-frames"},
+    short_help="Find the size and proportions of the hand in a recording.",
 )
-@click.option(
-    "--frames",
-    type=click.IntRange(min=4, max=200),
-    default=16,
-    show_default=True,
-    help="Frames that the shape is fitted to: those that show the most of fingers.",
+@click.argument("recording", type=FILE)
+@output_option("The hand, a configuration file.", "HAND.toml")
+@overwrite_option("HAND.toml")
+@option_group(
+    option(
+        "--fit-frames",
+        metavar="N",
+        type=click.IntRange(min=4, max=200),
+        default=16,
+        show_default=True,
+        help="How many frames the shape is fitted to: those that show the most of fingers.",
+    ),
+    hand_side_option("auto", "right", "left", details="auto tells from the images.  [default: auto]"),
+    hand_mesh_option,
+    title="Hand",
 )
-@click.option(
-    "--hand-side", "side", type=click.Choice(["right", "left"]), help="Which hand.  [default: detected]"
-)
-@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Shape this hand instead of the average one.")
-@click.option("--config", "configs", multiple=True, help="TOML file or a shipped name, as of hand run.")
+@config_option("As of hand run")
 @recording_options
-@click.option("--overwrite", is_flag=True, help="Replace an existing HAND.toml.")
+@volume_options
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """Estimate side, size and shape of the hand in RECORDING, which may be some separate depth images.
 
@@ -52,14 +67,14 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     from posetrack_cli.hand.calibration.doubts import doubts_of
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
-    from posetrack_cli.recording.opening import open_recording
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)
-    source = open_recording(recording, **reading_options(options))
-    chosen = CalibrationOptions(options["side"], options["frames"])
+    side = None if options["side"] == "auto" else options["side"]
+    source = open_for_reading(recording, options)
+    chosen = CalibrationOptions(side, options["fit_frames"])
     with compiling_said():
-        found = calibrate(source, config, chosen, lambda line: print_note(f"{line} ..."))
+        found = calibrate(source, config, chosen, lambda line: print_aside(f"{line} ..."))
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
     print_line(
@@ -67,6 +82,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     )
     if doubts := doubts_of(found):
         print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{doubts}")
+    result = Path(f"{recording.resolve().stem}-tracked.mcap")
+    tell_next(("hand", "run", recording, "--shape", output, "-o", result))
     if source.losses:
         print_note(f"{recording}: {loss_line(source.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import (
+    fps_option,
+    frames_option,
+    hand_mesh_option,
+    hand_side_option,
+    motion_option,
+    option_group,
+    output_option,
+    overwrite_option,
+    scale_option,
+    seed_option,
+    speed_option,
+)
+from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.running import tell_next
 from posetrack_cli.cli.standard_output import print_line
 from posetrack_cli.errors import UsageError
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 SWITCHES = (
     ("noise", "Depth noise, and no readings outside 0.5 to 4.5 m."),
@@ -40,58 +53,69 @@ SHAPE = (
 )
 
 
-def switch_options(command: Command) -> Command:
-    """Add the switches; None, their default, means the motion's own default."""
-    for name, text in reversed(SWITCHES):
-        command = click.option(f"--{name}/--no-{name}", default=None, help=text)(command)
-    return command
-
-
-def shape_options(command: Command) -> Command:
-    """Add the hand's proportions."""
-    padding = "By how much the skin stands out, as in a glove, 0 to 12.  [default: 0]"
-    command = click.option("--padding-mm", type=float, help=padding)(command)
-    place = "Factor on how far along the palm the thumb begins."
-    command = click.option("--thumb-place", type=float, help=place)(command)
-    command = click.option("--wrist-width", type=float, help="Factor on the wrist's width.")(command)
-    for name, text in reversed(PALM):
-        command = click.option(f"--palm-{name}", type=float, help=f"Factor on the palm's {name}, {text}.")(
-            command
-        )
-    for name, text in reversed(FINGERS):
-        option = f"--finger-{name}"
-        command = click.option(option, type=float, nargs=5, help=f"Factors on {text}.")(command)
-    return command
-
-
-@click.command("synth")
-@click.option("-o", "--output", metavar="OUT.mcap", type=click.Path(path_type=Path), required=True)
-@click.option(
-    "--motion",
-    type=click.Choice(["A", "B", "C"], case_sensitive=False),
-    metavar="[A|B|C]",  # click would show the choices in lower case
-    default="C",
-    show_default=True,
-    help="A pose random walk, B pose and velocity random walk, C smooth natural motion.",
+switch_options = option_group(
+    *(option(f"--{name}/--no-{name}", default=None, help=text) for name, text in SWITCHES),
+    title="Switches",
 )
-@click.option(
-    "--frames", default=300, show_default=True, help="Frames at the nominal rate, dropped ones included."
+"""None, their default, means the motion's own default."""
+shape_options = option_group(
+    option("--random-hand", is_flag=True, help="Draw the hand's size and shape from the seed."),
+    hand_mesh_option,
+    scale_option,
+    *(
+        option(f"--finger-{name}", metavar="FACTOR...", type=float, nargs=5, help=f"Factors on {text}.")
+        for name, text in FINGERS
+    ),
+    *(
+        option(f"--palm-{name}", metavar="FACTOR", type=float, help=f"Factor on the palm's {name}, {text}.")
+        for name, text in PALM
+    ),
+    option("--wrist-width", metavar="FACTOR", type=float, help="Factor on the wrist's width."),
+    option(
+        "--thumb-place",
+        metavar="FACTOR",
+        type=float,
+        help="Factor on how far along the palm the thumb begins.",
+    ),
+    option(
+        "--padding-mm",
+        metavar="MM",
+        type=float,
+        help="By how much the skin stands out, as in a glove, 0 to 12.  [default: 0]",
+    ),
+    title="Hand",
 )
-@click.option("--seed", default=0, show_default=True, help="Random seed.")
-@click.option(
-    "--speed",
-    default=1.0,
-    show_default=True,
-    help="A, B: factor on the noise; C: factor on the rate of time.",
+
+
+@click.command(
+    "synth",
+    cls=Command,
+    examples=(
+        "posetrack hand synth -o depth.mcap",
+        "posetrack hand synth --frames 90 --seed 3 --random-hand -o depth.mcap",
+    ),
+    short_help="Make a recording of a moving hand whose truth is known.",
 )
-@click.option("--hand-side", "side", type=click.Choice(["right", "left"]), default="right", show_default=True)
-@click.option("--scale", type=float, help="Factor on the hand's lengths.  [default: 1]")
+@output_option("The recording, an MCAP file.", "OUT.mcap")
+@overwrite_option("The recording")
+@option_group(
+    motion_option(
+        "A",
+        "B",
+        "C",
+        default="C",
+        details="A pose random walk, B pose and velocity random walk, C smooth natural motion.",
+    ),
+    speed_option("A, B: on the noise; C: on the rate of time."),
+    frames_option(300, "At the nominal rate, dropped ones included."),
+    fps_option("The nominal one.", 30.0),
+    seed_option(),
+    title="Motion",
+)
+@hand_side_option("right", "left", details="", default="right")
 @shape_options
-@click.option("--random-hand", is_flag=True, help="Draw the hand's size and shape from the seed.")
-@click.option("--hand-mesh", "mesh", metavar="FILE.glb", help="Hand (glTF) instead of the average one.")
-@click.option("--fps", default=30.0, show_default=True, help="Nominal frame rate, Hz.")
 @switch_options
-@click.option("--overwrite", is_flag=True, help="Replace OUT.mcap if it exists.")
+@volume_options
 def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
     """Make OUT.mcap, a recording of a moving hand as a Kinect v2 would see it, with truth on /truth/hand.
 
@@ -110,6 +134,7 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
         f"{output}: {made.frames} frames, {made.missing} dropped, {made.seconds:.3f} s long, "
         f"made in {time.perf_counter() - began:.1f} s"
     )
+    tell_next(("hand", "run", output, "-o", output.with_stem(f"{output.stem}-tracked")))
 
 
 def synth_options(values: dict[str, Any]) -> Any:
@@ -144,12 +169,6 @@ def _given_shape(values: dict[str, Any]) -> dict[str, Any]:
 @contextmanager
 def _progress(frames: int) -> Iterator[Callable[[Any], None]]:
     """A bar on stderr if that is a terminal; it counts the instants that the frames have reached."""
-    from tqdm import tqdm
-
-    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
-        yield lambda frame: _advance(bar, frame.instant + 1)
-        _advance(bar, frames)
-
-
-def _advance(bar: Any, done: int) -> None:
-    bar.update(done - bar.n)
+    with bar("synth", "frame", frames) as shown:
+        yield lambda frame: shown.advance(frame.instant + 1 - shown.done)
+        shown.advance(frames - shown.done)

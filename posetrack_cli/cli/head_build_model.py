@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import FILE, WRITTEN, output_option, overwrite_option
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
@@ -17,42 +19,48 @@ if TYPE_CHECKING:
     from posetrack_cli.head.multilinear.learning import LearnedModel, ObservedFace
 
 
-@click.command("build-model", short_help="Learn a face model for head mono from stereo results.")
-@click.argument("results", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    metavar="FACE.npz",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="File to write.",
+@click.command(
+    "build-model",
+    cls=Command,
+    examples=(
+        "posetrack head build-model anna.mcap ben.mcap -o face.npz --picture face.png",
+        "posetrack head mono video.mp4 --face-model face.npz -o head.mcap",
+    ),
+    former={"--identity": "--identity-size", "--deformation": "--deformation-size"},
+    short_help="Learn a face model for head mono from stereo results.",
 )
-@click.option(
-    "--identity",
+@click.argument("results", metavar="RESULT...", nargs=-1, required=True, type=FILE)
+@output_option("The model.", "FACE.npz")
+@overwrite_option("FACE.npz and FILE.png")
+@option(
+    "--identity-size",
+    metavar="N",
     type=click.IntRange(min=1, max=100),
     default=10,
     show_default=True,
-    help="Parameters of who a face is (S').",
+    help="How many parameters say who a face is (S').",
 )
-@click.option(
-    "--deformation",
+@option(
+    "--deformation-size",
+    metavar="N",
     type=click.IntRange(min=1, max=10),
     default=5,
     show_default=True,
-    help="Parameters of what it does (A').",
+    help="How many parameters say what it does (A').",
 )
-@click.option(
+@option(
     "--picture",
     metavar="FILE.png",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Draw what the model knows: identities downwards, deformations across.",
+    group=WRITTEN,
 )
-@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+@volume_options
 def head_build_model(
     results: tuple[Path, ...],
     output: Path,
-    identity: int,
-    deformation: int,
+    identity_size: int,
+    deformation_size: int,
     picture: Path | None,
     overwrite: bool,
 ) -> None:
@@ -67,8 +75,8 @@ def head_build_model(
 
     _check_outputs(results, output, picture, overwrite=overwrite)
     faces = [read_face(path) for path in results]
-    learned = learn_model(faces, identity, deformation)
-    _say_limits(learned, identity, deformation)
+    learned = learn_model(faces, identity_size, deformation_size)
+    _say_limits(learned, identity_size, deformation_size)
     _show(learned)
     model = learned.built.model
     save_face_model(output, model, f"{len(faces)} results of posetrack head stereo")

@@ -7,22 +7,27 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.head_options import (
+    START,
     head_configuration,
     head_run_options,
     learning_options,
-    particle_option,
     start_options,
     track_head,
 )
 from posetrack_cli.cli.options import (
-    finishing_options,
+    FILE,
+    READ,
+    NameOrFile,
+    configuration_options,
     frame_options,
     one_camera_options,
-    reading_options,
+    option_group,
+    particles_option,
     result_options,
-    smooth_option,
 )
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.cli.standard_output import print_note
 from posetrack_cli.errors import UsageError
 
@@ -42,55 +47,74 @@ OWN_CONFIGURED = {
 }
 
 
-@click.command("mono", short_help="Track a head in the images of one camera.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@result_options("head-mono (the defaults), head-mono-paper", "adjustment.views=10")
-@particle_option(750)
-@click.option(
-    "--adjust",
-    type=click.Choice(["always", "start", "never"]),
-    help="When the person's face is adjusted to the images: after every frame that allows it, only at the "
-    "start, or never (an average face).  [default: always]",
+@click.command(
+    "mono",
+    cls=Command,
+    examples=(
+        "posetrack head mono face.mp4 -o face.mcap",
+        "posetrack head mono recording.mcap --cameras left --smooth -o face.mcap",
+        "posetrack head mono face.mp4 --fov 70 --interpupillary-mm 62 -o face.mcap",
+    ),
+    short_help="Track a head in the images of one camera.",
 )
-@click.option(
-    "--face-model",
-    metavar="FILE.npz",
-    help="Faces that there are, as head build-model writes it.  [default: shipped]",
-)
-@click.option(
-    "--interpupillary-mm",
-    metavar="MM",
-    type=float,
-    help="Distance of the person's pupils when looking far away: it tells how large and how far the head is.",
-)
-@click.option(
-    "--person",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Who it is: another result of posetrack head of the same person, with one camera or several, whose "
-    "shape and size are held.",
+@click.argument("recording", type=FILE)
+@result_options("The result, and the model of --save-model")
+@option_group(
+    option(
+        "--interpupillary-mm",
+        metavar="MM",
+        type=float,
+        help="Distance of the person's pupils when looking far away: it tells how large and how far the "
+        "head is.",
+    ),
+    option(
+        "--person",
+        metavar="RESULT",
+        type=FILE,
+        help="Who it is: another result of posetrack head of the same person, with one camera or several, "
+        "whose shape and size are held.",
+    ),
+    option(
+        "--face-model",
+        metavar="FILE.npz",
+        type=NameOrFile(),
+        help="Faces that there are, as head build-model writes it.  [default: shipped]",
+    ),
+    option(
+        "--adjust",
+        type=click.Choice(["always", "start", "never"]),
+        help="When the person's face is adjusted to the images: after every frame that allows it, only at "
+        "the "
+        "start, or never (an average face).  [default: always]",
+    ),
+    title="Person",
 )
 @learning_options(passes=2)
-@click.option(
-    "--face",
-    metavar="N",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Which of several faces in the first frames; 1 is the largest.",
+@option_group(
+    start_options,
+    option(
+        "--face",
+        metavar="N",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        help="Which of several faces in the first frames; 1 is the largest.",
+    ),
+    title=START,
 )
-@start_options
-@smooth_option
+@particles_option(750)
+@configuration_options("head-mono (the defaults), head-mono-paper", "adjustment.views=10")
 @frame_options
 @one_camera_options
-@click.option(
+@option(
     "--fov",
     metavar="DEG",
     type=float,
     help="Field of view along the image's longer side, where no calibration tells the focal length.  "
     "[default: 53, a guess]",
+    group=READ,
 )
-@finishing_options("an existing result, and an existing model")
+@volume_options
 def head_mono(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a video, a folder of images or an MCAP file.
 
@@ -118,11 +142,10 @@ def head_mono(recording: Path, **options: Any) -> None:
 def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording of one camera, which may be guessed."""
     from posetrack_cli.recording.guess import Guess, guess_of_field
-    from posetrack_cli.recording.opening import open_recording
 
     fov = options["fov"]
     guess = Guess() if fov is None else guess_of_field(fov)
-    source = open_recording(recording, "grey", **reading_options(options), guess=guess)
+    source = open_for_reading(recording, options, "grey", guess=guess)
     if fov is not None and not source.is_guessed:
         raise UsageError(
             "--fov does not apply to a calibrated camera",

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from posetrack_cli.cli.options import RUN_OPTIONS, Command, configuration_of, option_group
+from posetrack_cli.cli.command import Adding, option
+from posetrack_cli.cli.options import (
+    FILE,
+    RUN_OPTIONS,
+    NameOrFile,
+    configuration_of,
+    init_option,
+    option_group,
+)
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.running import close, compiling_said, kept, progress
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.running import close, compiling_said, kept, progress, tell_settings
+from posetrack_cli.cli.standard_output import print_aside
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,66 +40,59 @@ CONFIGURED = {
 HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "passes", "load_model", "save_model", "smooth")
 
 
-def particle_option(default: int) -> Callable[[Command], Command]:
-    """Return what adds --particles to a command."""
-    return option_group(
-        click.option(
-            "--particles",
-            type=click.IntRange(min=1),
-            help=f"Number of particles.  [default: {default}]",
-        )
-    )
+LEARNED, START = "Learning", "Start and evidence"
 
 
-def learning_options(passes: int) -> Callable[[Command], Command]:
+def learning_options(passes: int) -> Adding:
     """Return what adds --passes, by default so many, --save-model and --load-model to a command."""
     return option_group(
-        click.option(
+        option(
             "--passes",
+            metavar="1|2",
             type=click.IntRange(1, 2),
             default=passes,
-            show_default=True,
-            help="Track twice: the second pass, which is the result, begins with what the first has learned.",
+            help="How often the recording is gone through: the last pass, which is the result, begins with "
+            "what the first has learned.  [default: 2 with one camera, 1 with several]",
         ),
-        click.option(
+        option(
             "--save-model",
             metavar="FILE.npz",
-            type=click.Path(path_type=Path),
+            type=FILE,
             help="Write what was learned.",
         ),
-        click.option(
+        option(
             "--load-model",
             metavar="FILE",
-            type=click.Path(path_type=Path),
+            type=FILE,
             help="Begin with what an earlier run of the same person learned: its --save-model or result.",
         ),
+        title=LEARNED,
     )
 
 
 start_options = option_group(
-    click.option("--detector", type=click.Choice(["haar", "yunet"]), help="Face detector.  [default: haar]"),
-    click.option(
+    option("--detector", type=click.Choice(["haar", "yunet"]), help="Face detector.  [default: haar]"),
+    option(
         "--detector-model",
         metavar="FILE.onnx",
+        type=NameOrFile(),
         help="The model of --detector yunet, such as face_detection_yunet_2023mar.onnx of OpenCV's model "
         "zoo.",
     ),
-    click.option(
-        "--init",
-        metavar="auto|FILE.csv",
+    init_option(
+        "auto|FILE.csv",
+        "auto finds the face, FILE is a table camera,point,x,y of points clicked in the first frame.",
         default="auto",
-        show_default=True,
-        help="Start: find the face, or a table camera,point,x,y of points clicked in the first frame.",
     ),
-    click.option(
+    option(
         "--landmarks",
         "landmark_file",
         metavar="FILE",
-        type=click.Path(path_type=Path),
+        type=FILE,
         help="Points per frame that another program found in the images (of the reference camera), CSV or "
         "JSON: OpenFace's 68, MediaPipe's 478, or our ten by name (docs/landmarks.md).",
     ),
-    click.option(
+    option(
         "--landmarks-unit",
         type=click.Choice(["px", "normalised"]),
         help="Of their coordinates.  [default: as FILE says or looks]",
@@ -114,6 +114,7 @@ def head_configuration(
         UsageError: what cannot be meant, such as a model for a detector that uses none.
     """
     config = configuration_of(kind, options, {**CONFIGURED, **own})
+    tell_settings(config)
     detector = config.start.detection.detector
     if options["detector_model"] is not None and detector != "yunet":
         raise UsageError(
@@ -147,7 +148,7 @@ def _landmarks(options: Mapping[str, Any], camera: Camera) -> LandmarkFile | Non
     from posetrack_cli.head.landmarks.file import read_landmarks
 
     landmarks = read_landmarks(path, camera, unit)
-    print_note(f"{path}: {landmarks.line}")
+    print_aside(f"{path}: {landmarks.line}")
     return landmarks
 
 

@@ -7,22 +7,26 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.head_options import (
+    LEARNED,
+    START,
     head_configuration,
     head_run_options,
     learning_options,
-    particle_option,
     start_options,
     track_head,
 )
 from posetrack_cli.cli.options import (
-    finishing_options,
+    FILE,
+    configuration_options,
     frame_options,
     image_options,
-    reading_options,
+    option_group,
+    particles_option,
     result_options,
-    smooth_option,
 )
+from posetrack_cli.cli.running import open_for_reading
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,21 +37,30 @@ if TYPE_CHECKING:
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
-@click.command("stereo", short_help="Track a head in the images of calibrated cameras.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@result_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
-@particle_option(1000)
-@click.option(
+@click.command(
+    "stereo",
+    cls=Command,
+    examples=(
+        "posetrack head stereo recording.mcap -o head.mcap",
+        "posetrack head stereo images/ --fps 30 --camera rig.toml -o head.mcap",
+    ),
+    short_help="Track a head in the images of calibrated cameras.",
+)
+@click.argument("recording", type=FILE)
+@result_options("The result, and the model of --save-model")
+@option(
     "--model",
     type=click.Choice(["deformable", "rigid"]),
     help="Whether the face's deformations are learnt and tracked.  [default: deformable]",
+    group=LEARNED,
 )
 @learning_options(passes=1)
-@start_options
-@smooth_option
+@option_group(start_options, title=START)
+@particles_option(1000)
+@configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
 @frame_options
 @image_options
-@finishing_options("an existing result, and an existing model")
+@volume_options
 def head_stereo(recording: Path, **options: Any) -> None:
     """Track the head in RECORDING: a folder with one folder of images per camera, or an MCAP file.
 
@@ -65,9 +78,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
 def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording, of two cameras at least."""
-    from posetrack_cli.recording.opening import open_recording
-
-    source = open_recording(recording, "grey", **reading_options(options))
+    source = open_for_reading(recording, options, "grey")
     if len(source.cameras) < 2:
         raise UsageError(
             "too few cameras",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,75 +9,124 @@ from typing import Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
+from posetrack_cli.cli.options import (
+    WRITTEN,
+    fps_option,
+    frames_option,
+    motion_option,
+    option_group,
+    output_option,
+    overwrite_option,
+    seed_option,
+    speed_option,
+)
+from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.running import tell_next
 from posetrack_cli.cli.standard_output import print_line
 from posetrack_cli.errors import UsageError
 
 
-@click.command("synth", short_help="Make a recording of a head whose truth is known.")
-@click.option(
-    "-o",
-    "--output",
-    metavar="OUT.mcap|FOLDER",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="MCAP file, or a folder of images with camera.toml.",
+@click.command(
+    "synth",
+    cls=Command,
+    examples=(
+        "posetrack head synth -o recording.mcap",
+        "posetrack head synth --camera-count 1 --identity 3 --frames 300 -o images/",
+    ),
+    former={
+        "--cameras": "--camera-count",
+        "--noise": "--noise-factor",
+        "--distortion": "--lens-distortion",
+        "--distance": "--distance-mm",
+        "--baseline": "--baseline-mm",
+    },
+    short_help="Make a recording of a head whose truth is known.",
 )
-@click.option("--cameras", default=2, show_default=True, help="1, or 2 that are toed in.")
-@click.option(
-    "--identity", default=1, show_default=True, metavar="SEED", help="Who is seen: seed of a person."
-)
-@click.option("--frames", default=600, show_default=True, help="Number of frames.")
-@click.option("--fps", default=30.0, show_default=True, help="Frame rate, Hz.")
-@click.option("--seed", default=0, show_default=True, help="Of everything random but the person.")
-@click.option(
-    "--expressions/--no-expressions",
-    default=True,
-    help="The face deforms and blinks.  [default: expressions]",
-)
-@click.option(
-    "--script",
-    type=click.Choice(["free", "two-motions"]),
-    default="free",
-    show_default=True,
-    help="free: all expressions in the first two thirds, then only the head moves; two-motions: the mouth "
-    "grows wide and narrow, then the face long and short, for build-model.",
-)
-@click.option(
-    "--motion",
-    type=click.Choice(["natural", "slight", "turn", "still"]),
-    default="natural",
-    show_default=True,
-    help="slight: a fifth of the natural one; turn: also two sudden turns of 200 deg/s after three quarters.",
-)
-@click.option("--speed", default=1.0, show_default=True, help="Factor on the natural motion's rate of time.")
-@click.option(
-    "--light",
-    type=click.Choice(["slow", "sudden", "steady"]),
-    default="slow",
-    show_default=True,
-    help="Light that drifts, also changes at once in the middle, or stays.",
-)
-@click.option("--occlusion", is_flag=True, help="An object covers half the face for one second.")
-@click.option("--noise", default=1.0, show_default=True, help="Factor on the sensor's noise.")
-@click.option("--distortion", is_flag=True, help="The lenses distort.")
-@click.option("--drops", is_flag=True, help="Cameras now and then miss images.")
-@click.option(
-    "--image-size",
-    metavar="WIDTHxHEIGHT",
-    default="640x480",
-    show_default=True,
-    help="Of the images, pixels.",
-)
-@click.option("--distance", "distance_mm", default=700.0, show_default=True, help="Of the head, mm.")
-@click.option("--baseline", "baseline_mm", default=120.0, show_default=True, help="Between two cameras, mm.")
-@click.option(
+@output_option("The recording, an MCAP file or a folder of images with camera.toml.", "OUT.mcap|FOLDER")
+@overwrite_option("The recording")
+@option(
     "--image-format",
     type=click.Choice(["jpeg", "png", "raw"]),
     default="jpeg",
     show_default=True,
     help="How images are stored; raw only in an MCAP file.",
+    group=WRITTEN,
 )
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@option_group(
+    motion_option(
+        "natural",
+        "slight",
+        "turn",
+        "still",
+        default="natural",
+        details="slight: a fifth of the natural one; turn: also two sudden turns of 200 deg/s after three "
+        "quarters.",
+    ),
+    speed_option("On the natural motion's rate of time."),
+    frames_option(600, ""),
+    fps_option("", 30.0),
+    seed_option("Of everything random but the person."),
+    option(
+        "--expressions/--no-expressions",
+        default=True,
+        help="The face deforms and blinks.  [default: expressions]",
+    ),
+    option(
+        "--script",
+        type=click.Choice(["free", "two-motions"]),
+        default="free",
+        show_default=True,
+        help="free: all expressions in the first two thirds, then only the head moves; two-motions: the "
+        "mouth grows wide and narrow, then the face long and short, for build-model.",
+    ),
+    title="Motion",
+)
+@option_group(
+    option("--identity", default=1, show_default=True, metavar="SEED", help="Who is seen: seed of a person."),
+    option("--distance-mm", metavar="MM", default=700.0, show_default=True, help="How far the head is."),
+    option(
+        "--light",
+        type=click.Choice(["slow", "sudden", "steady"]),
+        default="slow",
+        show_default=True,
+        help="Light that drifts, also changes at once in the middle, or stays.",
+    ),
+    option("--occlusion", is_flag=True, help="An object covers half the face for one second."),
+    title="Scene",
+)
+@option_group(
+    option(
+        "--camera-count",
+        "cameras",
+        metavar="1|2",
+        default=2,
+        show_default=True,
+        help="How many cameras; two are toed in.",
+    ),
+    option("--baseline-mm", metavar="MM", default=120.0, show_default=True, help="Between two cameras."),
+    option(
+        "--image-size",
+        metavar="WIDTHxHEIGHT",
+        default="640x480",
+        show_default=True,
+        help="Of the images, pixels.",
+    ),
+    option(
+        "--noise-factor",
+        "noise",
+        metavar="FACTOR",
+        default=1.0,
+        show_default=True,
+        help="Factor on the sensor's noise; 0 for none.",
+    ),
+    option("--lens-distortion", "distortion", is_flag=True, help="The lenses distort."),
+    option(
+        "--drops/--no-drops", default=False, help="Missing frames. Each camera's own.  [default: no-drops]"
+    ),
+    title="Cameras",
+)
+@volume_options
 def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) -> None:
     """Make a recording of a head as one or two grey cameras see it, with truth on /truth/head.
 
@@ -97,6 +145,8 @@ def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) 
         f"{output}: {made.frames} frames of {options.cameras} camera{'s'[: options.cameras - 1]}, "
         f"{made.missing} images missing, {made.seconds:.3f} s long, made in {seconds:.1f} s"
     )
+    tracked = output.with_name(f"{output.stem}-tracked.mcap")
+    tell_next(("head", "stereo" if options.cameras == 2 else "mono", output, "-o", tracked))
 
 
 def head_synth_options(values: dict[str, Any]) -> Any:
@@ -122,7 +172,5 @@ def _size(text: str) -> tuple[int, int]:
 @contextmanager
 def _progress(frames: int) -> Iterator[Callable[[Any], None]]:
     """A bar on stderr if that is a terminal."""
-    from tqdm import tqdm
-
-    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
-        yield lambda frame: bar.update(1)
+    with bar("synth", "frame", frames) as shown:
+        yield lambda frame: shown.advance()

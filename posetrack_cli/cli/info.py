@@ -2,46 +2,64 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
+from json import dumps
 from pathlib import Path
 from typing import Any
 
 import click
 
-from posetrack_cli.cli.standard_output import print_data, print_line, print_note
+from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.options import FILE, json_option, overwrite_option
+from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.text import printable_json
 
 Values = Mapping[str, Any]
 
 
-@click.command(short_help="Tell what a recording or a result holds.")
-@click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print the same as JSON.")
-def info(path: Path, as_json: bool) -> None:
+@click.command(
+    cls=Command,
+    examples=("posetrack info recording.mcap", "posetrack info recording.mcap --json -"),
+    short_help="Tell what a recording or a result holds.",
+)
+@click.argument("path", metavar="FILE", type=FILE)
+@json_option()
+@overwrite_option("The file of --json")
+def info(path: Path, json: Path | None, overwrite: bool) -> None:
     """Tell what FILE holds: folders of images, a video, a recording or a result, also an unfinished one.
 
     Exit code 3 means that the file is truncated or damaged; what can be read is listed all the same.
     """
+    from posetrack_cli.files import write_output
+    from posetrack_cli.outputs import check_target, whole_or_nothing
     from posetrack_cli.recording.opening import describe
 
+    if json is not None and json != STANDARD_OUTPUT:
+        check_target(json, overwrite=overwrite, source=path)
     report = describe(path)
-    if as_json:
-        print_data(printable_json(json.dumps(report, indent=2, ensure_ascii=False)) + "\n")
+    if json == STANDARD_OUTPUT:
+        print_data(_json_text(report))
     else:
         for line in report_lines(report):
             print_line(line)
+    if json is not None and json != STANDARD_OUTPUT:
+        with whole_or_nothing(json) as part:
+            write_output(part, _json_text(report).encode())
     for loss in report["losses"]:
         print_note(f"{path}: {loss['what']}: {loss['count']}, first {loss['first']}")
     if report["losses"]:
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
+def _json_text(report: Values) -> str:
+    return printable_json(dumps(report, indent=2, ensure_ascii=False)) + "\n"
+
+
 def report_lines(report: Values) -> Iterator[str]:
     """Yield the lines that tell a report of ``describe`` to people."""
-    lines = {"folder": _folder_lines, "images": _image_lines, "video": _video_lines, "mcap": _mcap_lines}
-    yield from lines[report["kind"]](report)
+    lines = {"folder": _folder_lines, "images": _image_lines, "video": _video_lines}
+    yield from lines.get(report["kind"], _message_lines)(report)
 
 
 def _folder_lines(report: Values) -> Iterator[str]:
@@ -96,9 +114,9 @@ def _camera_lines(report: Values) -> Iterator[str]:
         yield f"camera: {report['no_camera']}"
 
 
-def _mcap_lines(report: Values) -> Iterator[str]:
+def _message_lines(report: Values) -> Iterator[str]:
     state = "complete" if report["complete"] else "INCOMPLETE"
-    yield f"{report['name']}: MCAP, {_size(report['bytes'])}, {state}"
+    yield f"{report['name']}: {report['container']}, {_size(report['bytes'])}, {state}"
     for loss in report["losses"]:
         yield f"lost: {loss['what']}: {loss['count']}, first {loss['first']}"
     for topic in report["topics"]:
@@ -116,7 +134,7 @@ def _mcap_lines(report: Values) -> Iterator[str]:
 
 
 def _rig_lines(report: Values) -> Iterator[str]:
-    """Tell how the cameras of an MCAP file stand to each other."""
+    """Tell how the cameras of a file of messages stand to each other."""
     if report["no_rig"]:
         yield f"cameras together: {report['no_rig']}"
     if report["rig"]:

@@ -3,29 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from posetrack_cli.cli.command import Adding, Function, Option, option
+
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from posetrack_cli.configuration import Settings
 
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-Option = Callable[[Any], Any]
+FILE = click.Path(path_type=Path)
+"""A path, of a file or folder; the shell completes it."""
+FILE_OR_STANDARD_OUTPUT = click.Path(path_type=Path, allow_dash=True)
 
 
-def option_group(*options: Option) -> Callable[[Command], Command]:
-    """Return what adds options to a command, in this order; its function gets them as keyword arguments."""
+def option_group(*options: Adding, title: str = "") -> Adding:
+    """Return what adds options to a command, in this order; its function gets them as keyword arguments.
 
-    def add(command: Command) -> Command:
-        for option in reversed(options):
-            command = option(command)
-        return command
+    Args:
+        options: of the group.
+        title: their heading in the help, of those that have none yet.
+    """
+
+    def add(function: Function) -> Function:
+        before = len(getattr(function, "__click_params__", ()))
+        for one in reversed(options):
+            function = one(function)
+        for parameter in getattr(function, "__click_params__", ())[before:]:
+            parameter.group = parameter.group or title
+        return function
 
     return add
+
+
+def options_of(group: Adding) -> tuple[Option, ...]:
+    """Return the options of a group, for a command that is made without a function of its own."""
+
+    def nothing() -> None:
+        pass
+
+    added: list[Option] = getattr(group(nothing), "__click_params__")  # noqa: B009 as click keeps them
+    return tuple(reversed(added))
 
 
 class FiniteRange(click.FloatRange):
@@ -46,7 +69,7 @@ class FiniteRange(click.FloatRange):
 class DrawingDevice(click.IntRange):
     """The index of an EGL device, or ``cpu``."""
 
-    name = "index|cpu"
+    name = "integer or cpu"
 
     def __init__(self) -> None:
         super().__init__(min=0)
@@ -62,9 +85,26 @@ class DrawingDevice(click.IntRange):
         return "cpu" if value == "cpu" else int(super().convert(value, parameter, context))
 
 
-smooth_option = option_group(
-    click.option("--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.")
-)
+class NameOrFile(click.ParamType[str]):
+    """One of some names, or a file; the shell completes both.
+
+    Args:
+        names: that are no files.
+    """
+
+    name = "text"
+
+    def __init__(self, *names: str) -> None:
+        self._names = names
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the names that begin so, and that files are to be completed."""
+        from click.shell_completion import CompletionItem
+
+        names = [CompletionItem(name) for name in self._names if incomplete and name.startswith(incomplete)]
+        return names or [CompletionItem(incomplete, type="file")]
 
 
 def only_once(context: click.Context, parameter: click.Parameter, values: tuple[Any, ...]) -> Any:
@@ -89,44 +129,245 @@ def chosen_tracks(track: str | None) -> tuple[str, ...]:
     return TRACKS if track == BOTH else (track or FILTERED,)
 
 
-_CAMERA = click.option(
+# What several commands have is declared here, once: the first sentence of its help is what it means
+# everywhere (a test compares), the rest what is particular to a command.
+
+
+def _told(meaning: str, details: str) -> str:
+    """What an option means, and what is particular to a command; a default stands a little apart."""
+    return f"{meaning}{'  ' if details.startswith('[') else ' '}{details}".strip()
+
+
+def output_option(what: str, metavar: str = "FILE", *, required: bool = True) -> Adding:
+    """Return -o of a command, told in words what it writes."""
+    return option(
+        "-o",
+        "--output",
+        metavar=metavar,
+        required=required,
+        type=FILE,
+        help=f"Where to write. {what}",
+        group=WRITTEN,
+    )
+
+
+def overwrite_option(what: str) -> Adding:
+    """Return --overwrite of a command, told in words what it replaces."""
+    return option("--overwrite", is_flag=True, help=f"Replace existing files. {what}.", group=WRITTEN)
+
+
+WRITTEN = "Output"
+READ = "Recording"
+CONFIGURATION = "Configuration"
+
+smooth_option = option(
+    "--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.", group=WRITTEN
+)
+
+
+def seed_option(details: str = "") -> Adding:
+    """Return --seed."""
+    return option(
+        "--seed",
+        type=click.IntRange(min=0),
+        metavar="N",
+        default=0,
+        show_default=True,
+        help=_told("Random seed.", details),
+    )
+
+
+def fps_option(details: str, default: float | None = None) -> Adding:
+    """Return --fps, of a recording that is read or made."""
+    return option(
+        "--fps",
+        metavar="HZ",
+        type=float,
+        default=default,
+        show_default=default is not None,
+        help=_told("Frame rate of the recording.", details),
+    )
+
+
+def particles_option(default: int) -> Adding:
+    """Return --particles, whose default is in the configuration, or the command's own."""
+    return option(
+        "--particles",
+        metavar="N",
+        type=click.IntRange(min=1),
+        help=f"Number of particles.  [default: {default}]",
+    )
+
+
+def track_option(*choices: str, default: str | None, details: str = "") -> Adding:
+    """Return --track of a command that reads results."""
+    return option(
+        "--track",
+        type=click.Choice(choices),
+        default=default,
+        show_default=default is not None,
+        help=_told("Which track of the result.", details),
+    )
+
+
+def truth_option(details: str) -> Adding:
+    """Return --truth, a file."""
+    return option("--truth", metavar="FILE", type=FILE, help=_told("File with the truth.", details))
+
+
+def recording_option(details: str) -> Adding:
+    """Return --recording of a command that reads results."""
+    return option(
+        "--recording",
+        metavar="PATH",
+        type=FILE,
+        help=_told("The recording of the result.", details),
+        group=READ,
+    )
+
+
+def device_option(details: str) -> Adding:
+    """Return --device, what draws."""
+    return option(
+        "--device",
+        metavar="N|cpu",
+        type=DrawingDevice(),
+        help=_told("What draws. The number of an EGL device, or cpu.", details),
+    )
+
+
+def hand_side_option(*choices: str, details: str, default: str | None = None) -> Adding:
+    """Return --hand-side."""
+    return option(
+        "--hand-side",
+        "side",
+        type=click.Choice(choices),
+        default=default,
+        show_default=default is not None,
+        help=_told("Which hand.", details),
+    )
+
+
+scale_option = option(
+    "--scale", metavar="FACTOR", type=float, help="Size of the hand. 1 is the average adult's, 181 mm long."
+)
+hand_mesh_option = option(
+    "--hand-mesh",
+    "mesh",
+    metavar="FILE.glb",
+    type=NameOrFile(),
+    help="Hand in place of the average one. Skinned, glTF with WebXR joint names.",
+)
+
+
+def init_option(metavar: str, details: str, default: str | None = None) -> Adding:
+    """Return --init."""
+    names = [name for name in metavar.split("|") if name.islower()]
+    return option(
+        "--init",
+        metavar=metavar,
+        type=NameOrFile(*names),
+        default=default,
+        show_default=default is not None,
+        help=_told("How the track begins.", details),
+    )
+
+
+def frames_option(default: int, details: str) -> Adding:
+    """Return --frames of a command that makes recordings."""
+    return option(
+        "--frames", metavar="N", default=default, show_default=True, help=_told("Number of frames.", details)
+    )
+
+
+def motion_option(*choices: str, default: str, details: str) -> Adding:
+    """Return --motion of a command that makes recordings."""
+    return option(
+        "--motion",
+        type=click.Choice(choices, case_sensitive=False),
+        metavar=f"[{'|'.join(choices)}]",  # click would show the choices in lower case
+        default=default,
+        show_default=True,
+        help=_told("How it moves.", details),
+    )
+
+
+def speed_option(details: str) -> Adding:
+    """Return --speed of a command that makes recordings."""
+    return option(
+        "--speed",
+        metavar="FACTOR",
+        default=1.0,
+        show_default=True,
+        help=_told("How fast it moves, a factor.", details),
+    )
+
+
+def json_option(details: str = "") -> Adding:
+    """Return --json of a command that reports."""
+    return option(
+        "--json",
+        type=FILE_OR_STANDARD_OUTPUT,
+        metavar="FILE|-",
+        help=_told("Write everything as JSON.", details),
+    )
+
+
+def cameras_option(details: str) -> Adding:
+    """Return --cameras, which of a recording's cameras."""
+    return option(
+        "--cameras", metavar="NAME,...", help=_told("Which of the recording's cameras.", details), group=READ
+    )
+
+
+_CAMERA = option(
     "--camera",
     "camera_file",
-    type=click.Path(path_type=Path),
-    help="camera.toml to use in place of the recording's own calibration.",
+    metavar="FILE.toml",
+    type=FILE,
+    help="Camera file to use in place of the recording's own calibration.",
 )
-_MIRROR = click.option("--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.")
-_IMAGE_RATE = click.option("--fps", type=float, help="Frame rate of a folder of images or a video, Hz.")
+_MIRROR = option("--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.")
 
 recording_options = option_group(
-    click.option("--topic", help="MCAP topic of the depth images; found by itself if only one fits."),
-    click.option("--camera-topic", help="MCAP topic of the calibration; found by frame id or namespace."),
+    option(
+        "--topic", metavar="TOPIC", help="MCAP topic of the depth images; found by itself if only one fits."
+    ),
+    option(
+        "--camera-topic",
+        metavar="TOPIC",
+        help="MCAP topic of the calibration; found by frame id or namespace.",
+    ),
     _CAMERA,
-    click.option("--fps", type=float, help="Frame rate of a folder of images, Hz."),
-    click.option("--depth-unit-mm", type=float, help="Millimetres per stored unit of a folder's images."),
-    click.option("--missing", type=int, help="Stored value of a folder's images that means no reading."),
+    fps_option("Of a folder of images, which may not tell it."),
+    option(
+        "--depth-unit-mm", metavar="MM", type=float, help="Millimetres per stored unit of a folder's images."
+    ),
+    option(
+        "--missing", metavar="N", type=int, help="Stored value of a folder's images that means no reading."
+    ),
     _MIRROR,
+    title=READ,
 )
 image_options = option_group(
-    click.option(
-        "--cameras",
-        metavar="NAME,NAME",
-        help="Which of the recording's cameras; of an MCAP file also topics.  [default: all]",
-    ),
+    cameras_option("The reference first; of an MCAP file also topics.  [default: all]"),
     _CAMERA,
-    _IMAGE_RATE,
+    fps_option("Of a folder of images or a video, which may not tell it."),
     _MIRROR,
-    click.option(
-        "--tolerance-ms", type=float, help="Largest difference of stamps within a frame.  [default: 10]"
+    option(
+        "--tolerance-ms",
+        metavar="MS",
+        type=float,
+        help="Largest difference of stamps within a frame.  [default: 10]",
     ),
+    title=READ,
 )
 one_camera_options = option_group(
-    click.option(
-        "--cameras", metavar="NAME", help="Which camera of several; of an MCAP file also its topic."
-    ),
+    cameras_option("One of several; of an MCAP file also its topic."),
     _CAMERA,
-    _IMAGE_RATE,
+    fps_option("Of a folder of images or a video, which may not tell it."),
     _MIRROR,
+    title=READ,
 )
 NAMES = (
     *("topic", "camera_topic", "cameras", "camera_file", "fps"),
@@ -138,8 +379,68 @@ def reading_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a command's options say of how ``open_recording`` is to read."""
     given = {name: options[name] for name in NAMES if options.get(name) is not None}
     if "cameras" in given:
-        given["cameras"] = [name.strip() for name in given["cameras"].split(",")]
+        given["cameras"] = camera_names(given["cameras"])
     return given
+
+
+def camera_names(text: str) -> list[str]:
+    """Return the names that --cameras gives."""
+    return [name.strip() for name in text.split(",")]
+
+
+gate_options = option_group(
+    option(
+        "--fail-if",
+        "conditions",
+        metavar="CONDITION",
+        multiple=True,
+        help="Gate on each result, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; on the frames of "
+        "all together, 'pooled.joint_error_mm.mean > 8'; or on the figures over results, "
+        "'p95(joint_error_mm.mean) > 12', 'count(coverage) < 100'; repeatable.",
+    ),
+    option(
+        "--gates",
+        "gate_files",
+        metavar="FILE",
+        type=FILE,
+        multiple=True,
+        help="File of gates, one a line; repeatable.",
+    ),
+    option(
+        "--baseline",
+        metavar="FILE.json",
+        type=FILE,
+        multiple=True,
+        callback=only_once,
+        help="Earlier --json of eval, or summary.json of a batch; worse figures fail, of each result of the "
+        "same name and of all together. Results that only the baseline has fail, new ones are told.",
+    ),
+    option(
+        "--baseline-tolerance",
+        metavar="SHARE",
+        type=FiniteRange(min=0.0),
+        default=0.05,
+        show_default=True,
+        help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
+    ),
+    title="Gates",
+)
+
+
+def junit_option(details: str) -> Adding:
+    """Return --junit."""
+    return option("--junit", type=FILE, metavar="FILE", help=_told("Write the gates as JUnit XML.", details))
+
+
+def markdown_option() -> Adding:
+    """Return --markdown."""
+    return option(
+        "--markdown",
+        type=FILE_OR_STANDARD_OUTPUT,
+        metavar="FILE|-",
+        help="Write a summary as Markdown: failed gates first, totals, results, changes against the "
+        "baseline.",
+    )
 
 
 Config = TypeVar("Config", bound="Settings")
@@ -148,55 +449,75 @@ RUN_OPTIONS = ("output", "seed", "start", "end", "stride", "resume", "overwrite"
 """Names of those that ``tracking.options.RunOptions`` has, too."""
 
 
-def result_options(shipped: str, example: str) -> Callable[[Command], Command]:
-    """Return what adds --output, --config and --set to a command.
+def config_option(shipped: str) -> Adding:
+    """Return --config, told in words which configurations are shipped for a command."""
+    return option(
+        "--config",
+        "configs",
+        metavar="FILE|NAME",
+        type=NameOrFile(),
+        multiple=True,
+        help=f"Configuration, a TOML file or a shipped one. {shipped}; repeatable, later ones override.",
+    )
+
+
+def configuration_options(shipped: str, example: str) -> Adding:
+    """Return what adds --config, --set and --seed to a command.
 
     Args:
         shipped: the configurations that are shipped for it, in words.
         example: of an assignment.
     """
     return option_group(
-        click.option(
-            "-o", "--output", required=True, type=click.Path(path_type=Path), help="Result to write, MCAP."
-        ),
-        click.option(
-            "--config",
-            "configs",
-            multiple=True,
-            help=f"TOML file, or a shipped name: {shipped}; repeatable, later ones override.",
-        ),
-        click.option(
+        config_option(f"Shipped: {shipped}"),
+        option(
             "--set",
             "settings",
             metavar="KEY=VALUE",
             multiple=True,
-            help=f"Set any key of the configuration, such as {example}; repeatable.",
+            help=f"Set any key of the configuration. Such as {example}; repeatable.",
         ),
+        seed_option(),
+        title=CONFIGURATION,
     )
 
 
 frame_options = option_group(
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."),
-    click.option("--start", type=click.IntRange(min=0), default=0, help="First frame."),
-    click.option("--end", type=click.IntRange(min=1), help="Frame to stop before."),
-    click.option("--stride", type=click.IntRange(min=1), default=1, help="Track every so many frames."),
+    option("--start", metavar="N", type=click.IntRange(min=0), default=0, help="First frame.  [default: 0]"),
+    option(
+        "--end",
+        metavar="N",
+        type=click.IntRange(min=1),
+        help="Frame to stop before.  [default: behind the last]",
+    ),
+    option(
+        "--stride",
+        metavar="N",
+        type=click.IntRange(min=1),
+        default=1,
+        help="Track every so many frames.  [default: 1]",
+    ),
+    title="Frames",
 )
 
 
-def finishing_options(replaced: str) -> Callable[[Command], Command]:
-    """Return what adds --resume, --overwrite and --timings to a command.
+def result_options(replaced: str) -> Adding:
+    """Return what adds -o, --smooth, --timings, --resume and --overwrite to a command.
 
     Args:
         replaced: what --overwrite replaces, in words.
     """
     return option_group(
-        click.option("--resume", is_flag=True, help="Go on with an interrupted run."),
-        click.option("--overwrite", is_flag=True, help=f"Replace {replaced}."),
-        click.option(
+        output_option("The result, an MCAP file.", "RESULT.mcap"),
+        smooth_option,
+        option(
             "--timings",
             is_flag=True,
             help="Write each frame's milliseconds (bytes then differ from run to run).",
         ),
+        option("--resume", is_flag=True, help="Go on with an interrupted run."),
+        overwrite_option(replaced),
+        title=WRITTEN,
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -11,13 +11,31 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.options import reading_options
 from posetrack_cli.cli.process import leave_process, signals_watched
-from posetrack_cli.cli.standard_output import print_line, print_note
+from posetrack_cli.cli.progress import bar, close_bars, print_above
+from posetrack_cli.cli.standard_output import is_quiet, print_detail, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
+from posetrack_cli.text import printable
 
 if TYPE_CHECKING:
+    from posetrack_cli.configuration import Settings
+    from posetrack_cli.recording.pixels import PixelKind
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.results.estimate import Estimate
     from posetrack_cli.tracking.options import RunOutcome
+
+
+def open_for_reading(
+    path: Path, options: Mapping[str, Any], pixels: PixelKind = "depth", **further: Any
+) -> Recording:
+    """Open a recording as a command's options say; tell what was taken of several things that would do."""
+    from posetrack_cli.recording.opening import open_recording
+
+    recording = open_recording(path, pixels, **reading_options(options), **further)
+    if recording.remark:
+        print_note(f"{path}: {recording.remark}")
+    return recording
 
 
 @contextmanager
@@ -29,11 +47,10 @@ def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]
     Args:
         resumable: output that a stopped run can be resumed to.
     """
-    from tqdm import tqdm
-
     from posetrack_cli.compiled import announced, watched
 
     def give_up() -> None:
+        close_bars()
         print_note(_interrupted(resumable))
         leave_process(EXIT_INTERRUPTED)
 
@@ -42,7 +59,7 @@ def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]
             raise KeyboardInterrupt
 
     with (
-        announced(lambda line: tqdm.write(f"{line} ...", file=sys.stderr)),
+        announced(lambda line: None if is_quiet() else print_above(f"{line} ...")),
         watched(lambda: check()) as is_compiling,
         signals_watched(is_compiling, give_up) as asked,
     ):
@@ -58,7 +75,13 @@ def _interrupted(resumable: Path | None) -> str:
 
 
 class Listener:
-    """What is told of commands that track, besides what they print; a subclass keeps what it is after."""
+    """What is told of commands that track, besides what they print; a subclass keeps what it is after.
+
+    Attributes:
+        is_alone: whether somebody has typed the command, and may type the next one.
+    """
+
+    is_alone = True
 
     def on_frame(self, pass_name: str, done: int, total: int | None) -> None:
         """A frame is tracked: so many of so many, where that is known."""
@@ -96,22 +119,36 @@ def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[
     The bar stands at the estimate's frame, so a resumed run begins where the interrupted one ended, and a
     second pass begins anew.
     """
-    from tqdm import tqdm
-
-    listener = _listener.get()
-    with tqdm(total=total, unit="frame", desc=name, file=sys.stderr, disable=None, dynamic_ncols=True) as bar:
+    listener, statuses = _listener.get(), [""]
+    with bar(name, "frame", total) as shown:
 
         def report(estimate: Estimate) -> None:
             done = len(range(start, estimate.frame_index + 1, stride))
-            if bar.n == 0:
-                bar.n = bar.initial = bar.last_print_n = done - 1  # frames before this run took it no time
+            if shown.done == 0:
+                shown.begin_at(done - 1)  # frames before this run took it no time
             size = estimate.effective_sample_size
             weights = "" if size is None else f"ESS {size:.0f} "
-            bar.set_postfix_str(f"{weights}{estimate.status}", refresh=False)
-            bar.update(done - bar.n)
+            shown.advance(done - shown.done, f"{weights}{estimate.status}")
+            if estimate.status != statuses[0]:
+                statuses[0] = estimate.status
+                print_detail(f"{name}: frame {estimate.frame_index}: {estimate.status}")
             listener.on_frame(name, done, total)
 
         yield report
+
+
+def tell_settings(config: Settings) -> None:
+    """Say which settings differ from the defaults, if --verbose asks for it."""
+    for key, value in _differences(config.model_dump(), type(config)().model_dump()):
+        print_detail(f"{key} = {value}")
+
+
+def _differences(given: Mapping[str, Any], usual: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, value in given.items():
+        if isinstance(value, dict):
+            yield from ((f"{key}.{within}", one) for within, one in _differences(value, usual.get(key) or {}))
+        elif value != usual.get(key):
+            yield key, value
 
 
 @contextmanager
@@ -126,6 +163,36 @@ def kept(output: Path) -> Iterator[None]:
         if part.is_file() and not isinstance(error, UsageError):
             error.args = (f"{error}; kept: {part} holds what was tracked before",)
         raise
+
+
+def tell_next(*commands: Sequence[str | Path]) -> None:
+    """Say what can be typed next, as a shell takes it.
+
+    Nothing is said of names that no terminal shows as they are, nor where a batch runs the command.
+    """
+    if _listener.get().is_alone:
+        for words in commands:
+            line = shlex.join(map(_typed, words))
+            if printable(line) == line:
+                print_line(f"next: posetrack {line}")
+
+
+def _typed(word: str | Path) -> str:
+    """A word of a command line; a path that begins with a dash is no option."""
+    return f"./{word}" if isinstance(word, Path) and str(word).startswith("-") else str(word)
+
+
+def next_of_result(recording: Path, result: Path) -> Iterator[Sequence[str | Path]]:
+    """Yield what makes a report, and a video; the recording is named where ``view`` would not find it."""
+    page, video = result.with_suffix(".html"), result.with_suffix(".mp4")
+    yield ("eval", result, "--html", page, *(["--overwrite"] if page.exists() else []))
+    folders = (result.parent, result.parent.resolve().parent, Path())
+    found = any((folder / recording.name).exists() for folder in folders)
+    given = () if found else ("--recording", recording)
+    is_recording = video.exists() and recording.exists() and video.samefile(recording)
+    if is_recording:
+        video = video.with_stem(f"{video.stem}-tracked")
+    yield ("view", result, *given, "-o", video, *(["--overwrite"] if video.exists() else []))
 
 
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
@@ -147,6 +214,7 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
     print_line(f"{what}: {output}")
     for remark in outcome.remarks:
         print_remark(recording, remark)
+    tell_next(*next_of_result(recording, output))
     if outcome.losses:
         print_remark(recording, loss_line(outcome.losses))
         click.get_current_context().exit(EXIT_DATA_LOST)

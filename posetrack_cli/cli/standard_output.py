@@ -10,18 +10,59 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from posetrack_cli.text import one_line, printable
 
+STANDARD_OUTPUT = Path("-")
+"""What stands for it as the name of a file."""
+
+
+QUIET, USUAL, VERBOSE = -1, 0, 1
+_volume = [USUAL]
+"""What is said of the command that runs."""
+
+
+@contextmanager
+def volume(asked: int) -> Iterator[None]:
+    """Say less or more than usual of what is done inside."""
+    _volume.append(asked)
+    try:
+        yield
+    finally:
+        _volume.pop()
+
+
+def is_quiet() -> bool:
+    """Whether only what went wrong is to be said."""
+    return _volume[-1] <= QUIET
+
 
 def print_line(text: str = "") -> None:
-    """Print one line of a command's answer on standard output, without control characters."""
+    """Print one line of a command's answer on standard output, without control characters.
+
+    --quiet leaves it out.
+    """
+    if is_quiet():
+        return
     print(one_line(text), flush=True)
 
 
 def print_note(text: str) -> None:
-    """Print one line on standard error, without control characters: what else the user should know."""
+    """Print one line on standard error, without control characters: what the user should know."""
     print(one_line(text), file=sys.stderr, flush=True)
+
+
+def print_aside(text: str) -> None:
+    """Print what is good to know, and nothing has gone wrong; not for --quiet."""
+    if not is_quiet():
+        print_note(text)
+
+
+def print_detail(text: str) -> None:
+    """Print what only --verbose asks for."""
+    if _volume[-1] >= VERBOSE:
+        print_note(text)
 
 
 def print_data(text: str) -> None:

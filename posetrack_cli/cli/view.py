@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -11,85 +10,114 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     BOTH,
+    FILE,
     FILTERED,
+    READ,
     TRACKS,
     FiniteRange,
     chosen_tracks,
+    device_option,
+    option_group,
+    output_option,
+    overwrite_option,
     reading_options,
+    recording_option,
     recording_options,
+    track_option,
 )
 from posetrack_cli.cli.process import stop_signals
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.viewing.outputs import Output
     from posetrack_cli.evaluation.viewing.view import ResultView
+    from posetrack_cli.rendering.port import RenderingDevice
     from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
-DRAWN = ("frames", "layout", "crop", "scale", "range_mm", "truth", "skeleton")
+DRAWN = {
+    "frames": "select",
+    "layout": "layout",
+    "crop": "crop",
+    "scale": "zoom",
+    "range_mm": "range_mm",
+    "truth": "show_truth",
+    "skeleton": "skeleton",
+}
+"""What ``ViewOptions`` calls them, and what the options are called."""
 
 
-@click.command(short_help="Draw a result on its recording: a video, pictures, or one sheet.")
-@click.argument("paths", metavar="RESULT [RESULT2]", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="FILE.mp4, a folder (frame_000123.png, ...), or FILE.png: the chosen frames on one sheet.",
+@click.command(
+    cls=Command,
+    examples=(
+        "posetrack view result.mcap -o result.mp4",
+        "posetrack view result.mcap -o worst.png --select worst:8 --show-truth",
+        "posetrack view result.mcap -o pictures/ --recording /data/recording.mcap",
+    ),
+    former={"--frames": "--select", "--scale": "--zoom", "--truth": "--show-truth"},
+    short_help="Draw a result on its recording: a video, pictures, or one sheet.",
 )
-@click.option(
-    "--recording",
-    type=click.Path(path_type=Path),
-    help="The recording; found by itself beside the result, one folder up or in the working folder.",
+@click.argument("paths", metavar="RESULT [RESULT2]", nargs=-1, required=True, type=FILE)
+@output_option(
+    "FILE.mp4, a folder (frame_000123.png, ...), or FILE.png: the chosen frames on one sheet.",
+    "FILE.mp4|FILE.png|FOLDER",
 )
-@click.option("--any-recording", is_flag=True, help="Draw on --recording even if it is not that of the run.")
-@click.option(
-    "--frames",
-    metavar="CHOICE",
-    help="Which: all, 0:300:5, 7,12,100:120, spread:6, or worst:8, a second or more apart.  "
-    "[default: all; of a sheet spread:6]",
+@overwrite_option("A video, a sheet or earlier pictures")
+@option_group(
+    option(
+        "--select",
+        metavar="CHOICE",
+        help="Which frames: all, 0:300:5, 7,12,100:120, spread:6, or worst:8, a second or more apart.  "
+        "[default: all; of a sheet spread:6]",
+    ),
+    track_option(*TRACKS, BOTH, default=FILTERED, details="Both are drawn beside each other."),
+    option(
+        "--layout",
+        type=click.Choice(LAYOUTS),
+        help="beside: observed, rendered and both beside each other; over: only both; paper: observed above "
+        "and rendered below, as in the paper; segments: observed and, around the estimate, hand (green), "
+        "forearm (orange), other surfaces (blue) and missing readings (purple); side-by-side: two results.  "
+        "[default: beside; of two results side-by-side]",
+    ),
+    option(
+        "--crop",
+        type=click.Choice(["full", "hand", "head"]),
+        help="All of the image, or where hand or head go.  [default: full; of layout paper hand]",
+    ),
+    option(
+        "--zoom",
+        metavar="FACTOR",
+        type=FiniteRange(0.05, 16.0),
+        help="Picture pixels per image pixel.  [default: 1, more for small images; of a sheet what fits]",
+    ),
+    option(
+        "--rate",
+        metavar="HZ",
+        type=FiniteRange(0.1, 240.0),
+        help="Pictures per second of a video.  [default: as fast as recorded]",
+    ),
+    option(
+        "--range-mm",
+        type=(float, float),
+        metavar="NEAR FAR",
+        help="Depths drawn red and blue.  [default: the hand's]",
+    ),
+    option("--show-truth", is_flag=True, help="Draw the truth's contour, green."),
+    option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose."),
+    title="What is drawn",
 )
-@click.option(
-    "--layout",
-    type=click.Choice(LAYOUTS),
-    help="Observed, rendered and both beside each other; only both; observed above and rendered below, as "
-    "in the paper; observed and, around the estimate, hand (green), forearm (orange), other surfaces "
-    "(blue) and missing readings (purple); two results.  [default: beside; of two results side-by-side]",
+@recording_option("Found by itself beside the result, one folder up or in the working folder.")
+@option(
+    "--any-recording", is_flag=True, help="Draw on --recording even if it is not that of the run.", group=READ
 )
-@click.option(
-    "--crop",
-    type=click.Choice(["full", "hand", "head"]),
-    help="All of the image, or where hand or head go.  [default: full; of layout paper hand]",
-)
-@click.option("--scale", type=FiniteRange(0.05, 16.0), help="Picture pixels per image pixel.")
-@click.option(
-    "--rate",
-    type=FiniteRange(0.1, 240.0),
-    help="Pictures per second of a video.  [default: as fast as recorded]",
-)
-@click.option(
-    "--range-mm",
-    type=(float, float),
-    metavar="NEAR FAR",
-    help="Depths drawn red and blue.  [default: the hand's]",
-)
-@click.option(
-    "--track",
-    type=click.Choice([*TRACKS, BOTH]),
-    default=FILTERED,
-    show_default=True,
-    help="Which track of the result; both are drawn beside each other.",
-)
-@click.option("--truth", is_flag=True, help="Draw the truth's contour, green.")
-@click.option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose.")
 @recording_options
-@click.option("--device", type=click.IntRange(min=0), help="GPU to render on: EGL device index.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing video, sheet or earlier pictures.")
+@device_option("[default: the driver's]")
+@volume_options
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
 
@@ -100,9 +128,8 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     an orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
     error of its points. Images of a camera with lens distortion are drawn without it.
 
-    Videos are MPEG-4 Part 2: VLC, mpv, ffplay and QuickTime play them; for browsers, convert with ffmpeg -i
-    FILE.mp4 -c:v libx264 -pix_fmt yuv420p OUT.mp4. Ctrl-C leaves what was drawn, readable. Exit code 3 means
-    that the result is truncated, or frames of it are not in the recording.
+    Videos are H.264, which browsers, players and chats play. Ctrl-C leaves what was drawn, readable. Exit
+    code 3 means that the result is truncated, or frames of it are not in the recording.
     """
     from posetrack_cli.evaluation.viewing.outputs import check_view_output, open_output
     from posetrack_cli.results.reader import read_result
@@ -121,16 +148,21 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import ResultView, style_of
-    from posetrack_cli.rendering.devices import open_device
 
     tracks = chosen_tracks(options["track"])
-    drawn = {name: options[name] for name in DRAWN}
+    drawn = {name: options[called] for name, called in DRAWN.items()}
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     _check_one_recording(results, options)
     style_of(results)
-    chosen = {"any_recording": options["any_recording"], **reading_options(options)}
+    chosen = {"any_recording": options["any_recording"], "in_colour": True, **reading_options(options)}
     recording = required_recording(results[0], options["recording"], **chosen)
-    return ResultView(results, recording, view_options, cache(lambda: open_device(options["device"])))
+    return ResultView(results, recording, view_options, cache(lambda: _device(options["device"])))
+
+
+def _device(choice: int | str | None) -> RenderingDevice:
+    from posetrack_cli.rendering.devices import open_device, open_fastest_device
+
+    return open_device() if choice is None else open_fastest_device(choice)
 
 
 def _check_one_recording(results: Sequence[Result], options: dict[str, Any]) -> None:
@@ -161,17 +193,12 @@ def _draw(drawn: ResultView, out: Output, stopped: Any) -> int:
     """Draw the frames until it is stopped; return how many there are."""
     from contextlib import closing
 
-    from tqdm import tqdm
-
     count = 0
-    bar = tqdm(
-        total=len(drawn.rows), unit="frame", desc="view", file=sys.stderr, disable=None, dynamic_ncols=True
-    )
-    with bar, closing(drawn.pictures()) as pictures:
+    with bar("view", "frame", len(drawn.rows)) as shown, closing(drawn.pictures()) as pictures:
         for frame_index, picture in pictures:
             out.add(frame_index, picture)
             count += 1
-            bar.update()
+            shown.advance()
             if stopped():
                 break
     return count

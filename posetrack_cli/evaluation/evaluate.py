@@ -186,7 +186,7 @@ def _nothing(track: Track, truth: Track | None, options: EvalOptions) -> str:
     away = _readable(int(np.abs(track.stamp_ns - nearest).min()))
     return (
         f"no estimate has a truth within {options.tolerance_ms:g} ms: the nearest is {away} away; "
-        "see --tolerance-ms and --time-offset-s"
+        "see --truth-tolerance-ms and --time-offset-s"
     )
 
 

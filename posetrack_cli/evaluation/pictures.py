@@ -127,6 +127,8 @@ def caption_of(evaluation: Evaluation, row: int, errors: FloatArray | None, name
         words.append(track.status(row).value)
     if errors is not None:
         words.append(f"{name} {errors[row]:.1f} mm")
-    elif track.cost is not None and np.isfinite(track.cost[row]):
+    if track.confidence is not None and np.isfinite(track.confidence[row]):
+        words.append(f"confidence {track.confidence[row]:.2f}")
+    if errors is None and track.cost is not None and np.isfinite(track.cost[row]):
         words.append(f"cost {track.cost[row]:.1f} mm")
     return ", ".join(words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +11,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
+from posetrack_cli.files import placed_path
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import CAMERA_FILE_KEY, CAMERA_FILE_NAME, RECORDING_KEY
+from posetrack_cli.recording.base import (
+    CAMERA_FILE_KEY,
+    CAMERA_FILE_NAME,
+    RECORDING_KEY,
+    NotCalibratedError,
+)
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.guess import guess_of_camera
 from posetrack_cli.recording.identity import file_digest
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import open_recording, options_for
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import Result
@@ -24,6 +30,7 @@ from posetrack_cli.results.records import camera_from_json
 from posetrack_cli.results.subject_kind import kind_of
 
 SHOWN_DIGITS = 12
+FOLDER_KINDS = ("folder", "ros2")
 ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
 
 
@@ -34,7 +41,7 @@ def check_kind(path: Path, run: Mapping[str, str]) -> None:
         RecordingError: the run's input was of the other kind.
     """
     kinds = {True: "a folder", False: "a file"}
-    is_folder, was_folder = path.is_dir(), run.get("input.kind") == "folder"
+    is_folder, was_folder = path.is_dir(), run.get("input.kind") in FOLDER_KINDS
     if path.exists() and run.get("input.kind") and is_folder != was_folder:
         raise another(path, run, kinds[is_folder], kinds[was_folder])
 
@@ -99,6 +106,8 @@ def another(path: Path, run: Mapping[str, str], found: str, expected: str) -> Re
 
 MEANT = ("fps", "mirror")
 """Options that frames and estimates depend on: those of the run must not be replaced by others."""
+WITHOUT_CAMERA = (*MEANT, "depth_unit_mm", "missing")
+"""And those that a camera file would tell."""
 
 
 def _truth(text: str) -> bool:
@@ -132,7 +141,12 @@ class Search:
 
 
 def search_recording(
-    result: Result, given: Path | None = None, *, any_recording: bool = False, **opening: Any
+    result: Result,
+    given: Path | None = None,
+    *,
+    any_recording: bool = False,
+    in_colour: bool = False,
+    **opening: Any,
 ) -> Search:
     """Look for the recording that a result was made from.
 
@@ -142,17 +156,20 @@ def search_recording(
     Args:
         result: its run record says what to look for, and how it was opened.
         given: the file or folder to take.
-        any_recording: take ``given`` whatever it is, opened with ``opening`` alone.
+        any_recording: take ``given`` whatever it is; what it does not tell of rate and cameras is the run's.
+        in_colour: colour stays colour where grey was tracked in: to draw on.
         opening: options of ``open_recording`` that replace those of the run.
 
     Raises:
         RecordingError: ``given`` cannot be read, or is another recording.
         UsageError: an option that does not apply to ``given``, or is not that of the run.
     """
+    if in_colour and pixels_of(result) == "grey":
+        opening = {**opening, "in_colour": True}
     if given is None:
         return _found_beside(result, opening)
     if any_recording:
-        return Search(open_recording(given, pixels_of(result), **opening))
+        return Search(_another(given, result, opening))
     return Search(_same(given, result, opening))
 
 
@@ -196,7 +213,8 @@ def pixels_of(result: Result) -> PixelKind:
 def folders_of(result: Result) -> Iterator[Path]:
     """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
-    yield from (beside, beside.resolve().parent, Path())
+    above = placed_path(beside).parent, beside.resolve().parent  # two of them where the folder is a link
+    yield from (beside, *dict.fromkeys(above), Path())
 
 
 def _places(result: Result, name: str) -> Iterator[Path]:
@@ -211,13 +229,14 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     check_kind(path, run)
     check_size(path, run)
     given = {key: value for key, value in opening.items() if value is not None}
-    options = _options_of(run)
+    stated, usable = _options_of(run), options_for(path, pixels_of(result))
+    options = {key: value for key, value in stated.items() if key in usable}  # some are said of all depth
     _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)
         if run.get("input.kind") == "video":
             options.pop("cameras", None)  # its one camera is called what the file calls it
-    with _camera_file(path, result, given) as camera:
+    with _camera_file(result, given) as camera:
         try:
             recording = open_recording(path, pixels_of(result), **(options | camera | given))
         except RecordingError:
@@ -227,6 +246,25 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     return recording
 
 
+def _another(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
+    """Open a recording that need not be the run's; where it tells no camera, those of the run will do."""
+    pixels, run = pixels_of(result), _options_of(result.run)
+    usable = options_for(path, pixels) & run.keys()
+    given = {key: value for key, value in opening.items() if value is not None}
+    try:
+        return open_recording(path, pixels, **({key: run[key] for key in usable.intersection(MEANT)} | given))
+    except NotCalibratedError:
+        if "camera_file" in given:
+            raise
+    options = {key: run[key] for key in usable.intersection(WITHOUT_CAMERA)}
+    with _written(_camera_text(result)) as file:
+        try:
+            return open_recording(path, pixels, **({"camera_file": file} | options | given))
+        except RecordingError as error:  # about a file that no user knows
+            words = str(error).replace(str(file), CAMERA_FILE_NAME).removeprefix(f"{CAMERA_FILE_NAME}: ")
+            raise RecordingError(words, where=f"{path}, with the run's camera") from error
+
+
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
     """How the run opened its input, as far as it says."""
     stated = {key: run.get(f"input.{key}", "") for key in _STATED}
@@ -234,6 +272,8 @@ def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
         options = {key: _STATED[key](text) for key, text in stated.items() if text}
     except ValueError as error:
         raise ResultError("run record cannot be read", found=error) from error
+    if run.get("input.topics") and run.get("input.calibration") != "camera file":
+        options["cameras"] = run["input.topics"].split(",")  # frames' names need not be of one topic only
     if run.get("intrinsics") == "guessed":
         options["guess"] = guess_of_camera(camera_of(run))
     return options
@@ -254,22 +294,12 @@ def _readable(value: float | bool) -> str:
 
 
 @contextmanager
-def _camera_file(path: Path, result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The run's camera file, or cameras, for what was tracked with a camera file where none is given now."""
-    run = result.run
-    if path.is_dir() and f"input.{CAMERA_FILE_KEY}" in run and "camera_file" not in given:
-        with _written(run[f"input.{CAMERA_FILE_KEY}"]) as file:
-            yield {"camera_file": file}
-        return
-    with_file = run.get("input.camera_topic") == "" or run.get("input.calibration") == "camera file"
-    if not with_file or path.is_dir() or {"camera_file", "camera_topic"} & given.keys():
+def _camera_file(result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The run's camera file where none is given now."""
+    if f"input.{CAMERA_FILE_KEY}" not in result.run or {"camera_file", "camera_topic"} & given.keys():
         yield {}
         return
-    mirrored = run.get("input.mirror") == "true"
-    cameras = result.several_cameras or (camera_of(run),)
-    stored = [camera.mirrored() if mirrored else camera for camera in cameras]
-    write = _depth_camera_text if pixels_of(result) == "depth" else camera_file_text
-    with _written(write(stored)) as file:
+    with _written(_camera_text(result)) as file:
         yield {"camera_file": file}
 
 
@@ -282,9 +312,20 @@ def _written(text: str) -> Iterator[Path]:
         yield file
 
 
-def _depth_camera_text(cameras: Sequence[Camera]) -> str:
-    """The camera file of the one camera of a depth recording, which has no name there."""
-    values = {key: value for key, value in cameras[0].values().items() if key != "name"}
+def _camera_text(result: Result) -> str:
+    """The camera file of a run; of one that used none, its cameras as a camera file has them."""
+    run = result.run
+    if f"input.{CAMERA_FILE_KEY}" in run:
+        return run[f"input.{CAMERA_FILE_KEY}"]
+    mirrored = run.get("input.mirror") == "true"
+    known = result.several_cameras or (camera_of(run),)
+    cameras = [camera.mirrored() if mirrored else camera for camera in known]
+    return camera_file_text(cameras) if len(cameras) > 1 else _lone_camera_text(cameras[0])
+
+
+def _lone_camera_text(camera: Camera) -> str:
+    """The camera file of one camera, which has no name there."""
+    values = {key: value for key, value in camera.values().items() if key != "name"}
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import zlib
 
 import lz4.frame
@@ -52,16 +53,28 @@ def decompressed(chunk: Chunk) -> bytes:
         ValueError: its data is of another size than it says, or of another checksum.
         Exception: whatever the decompressors raise of damaged bytes.
     """
-    check_size(chunk.uncompressed_size)
-    data = _expanded(chunk.compression, chunk.data, chunk.uncompressed_size)
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"chunk of {len(data)} bytes that says {chunk.uncompressed_size}")
+    data = bounded_content(chunk.compression, chunk.data, chunk.uncompressed_size)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("crc of a chunk differs")
     return data
 
 
-def decompressed_begin(compression: str, data: bytes) -> bytes:
+def bounded_content(compression: str, data: bytes, size: int) -> bytes:
+    """Return what compressed data hold, which is ``size`` bytes; no more are ever made of them.
+
+    Raises:
+        ChunkLimitError: the size is larger than ``limits.CHUNK_BYTES``.
+        ValueError: it is another, or the compression is not known.
+        Exception: whatever the decompressors raise of damaged bytes.
+    """
+    check_size(size)
+    content = _expanded(compression, data, size)
+    if len(content) != size:
+        raise ValueError(f"chunk of {len(content)} bytes that says {size}")
+    return content
+
+
+def bounded_begin(compression: str, data: bytes) -> bytes:
     """Return the records of a chunk that is cut, as far as its blocks are whole: ``CHUNK_BYTES`` at most."""
     try:
         if compression == "zstd":
@@ -70,7 +83,9 @@ def decompressed_begin(compression: str, data: bytes) -> bytes:
                 return stream.read(limits.CHUNK_BYTES)
         if compression == "lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limits.CHUNK_BYTES))
-    except (zstandard.ZstdError, RuntimeError, EOFError):  # RuntimeError: lz4 has no error of its own
+        if compression == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, limits.CHUNK_BYTES)
+    except (zstandard.ZstdError, RuntimeError, EOFError, OSError):  # RuntimeError and OSError: of lz4 and bz2
         return b""
     return data[: limits.CHUNK_BYTES] if not compression else b""
 
@@ -96,4 +111,6 @@ def _expanded(compression: str, data: bytes, size: int) -> bytes:
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
     if compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+    if compression == "bz2":
+        return bz2.BZ2Decompressor().decompress(data, size + 1)
     raise ValueError(f"chunk compressed by '{compression}'")

@@ -1,4 +1,4 @@
-"""Decode MCAP messages: protobuf, ROS 1 and ROS 2, by layouts of our own; a file's schema only names them."""
+"""Decode messages: protobuf, ROS 1 and ROS 2, by layouts of our own; a file's schema only names them."""
 
 from __future__ import annotations
 
@@ -38,11 +38,15 @@ TRANSFORM_TYPES = (
     "tf/tfMessage",
 )
 TRUTH_TYPES = ("foxglove.Odometry", "foxglove.JointStates")
-READ = (*KINDS, *TRANSFORM_TYPES, *TRUTH_TYPES)
+VALUE_TYPES = ("std_msgs/Float32", "std_msgs/msg/Float32", "std_msgs/String", "std_msgs/msg/String")
+"""In which sensors tell their settings."""
+READ = (*KINDS, *TRANSFORM_TYPES, *TRUTH_TYPES, *VALUE_TYPES)
 """Names of the schemas of all messages that are decoded."""
 _FOXGLOVE = "foxglove."
 _DEFINITIONS: dict[Dialect, str] = {"ros1": "ros1msg", "cdr": "ros2msg"}
 """What MCAP calls the language of ROS's definitions, by the encoding of messages."""
+NO_DEFINITION = "none"
+"""The language where a file names the types of its messages and defines none, as databases of ROS 2 do."""
 
 
 class UndecodableMessageError(Exception):
@@ -113,7 +117,7 @@ def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] 
         if channel.message_encoding == "protobuf" and schema.name.startswith(_FOXGLOVE):
             return _foxglove_decoder(schema.name.removeprefix(_FOXGLOVE))
         for dialect, language in _DEFINITIONS.items():
-            if channel.message_encoding == dialect and schema.encoding == language:
+            if channel.message_encoding == dialect and schema.encoding in (language, NO_DEFINITION):
                 return _ros_decoder(dialect, schema)
     except OtherLayoutError as error:
         return str(error)
@@ -128,5 +132,6 @@ def _foxglove_decoder(name: str) -> Callable[[bytes], Any]:
 
 def _ros_decoder(dialect: Dialect, schema: Schema) -> Callable[[bytes], Any]:
     name = schema.name.rpartition("/")[2]
-    check_definition(dialect, name, schema.data.decode(errors="replace"))
+    if schema.encoding != NO_DEFINITION:
+        check_definition(dialect, name, schema.data.decode(errors="replace"))
     return ros_decoder(dialect, name)

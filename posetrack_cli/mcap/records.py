@@ -15,9 +15,9 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata,
 from posetrack_cli import limits
 from posetrack_cli.mcap.chunks import (
     ChunkLimitError,
+    bounded_begin,
     check_size,
     decompressed,
-    decompressed_begin,
     most_records,
 )
 
@@ -212,4 +212,4 @@ def _cut_content(content: bytes) -> tuple[bytes, int]:
         return b"", 0
     name_end = CHUNK_HEAD.size + CHUNK_HEAD.unpack_from(content)[-1]
     name, data = content[CHUNK_HEAD.size : name_end], content[name_end + LENGTH.size :]
-    return decompressed_begin(name.decode("ascii", "replace"), data), most_records(len(data))
+    return bounded_begin(name.decode("ascii", "replace"), data), most_records(len(data))

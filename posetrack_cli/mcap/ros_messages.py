@@ -36,6 +36,7 @@ _IMAGES = {
     "uint8 is_bigendian\nuint32 step\nuint8[] data",
     "CompressedImage": "Header header\nstring format\nuint8[] data",
 }
+_VALUES = {"Float32": "float32 data", "String": "string data"}
 _CAMERA_INFO = "Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
 DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
     "ros1": {
@@ -43,6 +44,7 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
         "CameraInfo": _CAMERA_INFO + "float64[] D\nfloat64[9] K\nfloat64[9] R\nfloat64[12] P",
         **_IMAGES,
         **_GEOMETRY,
+        **_VALUES,
     },
     "cdr": {
         "Header": "Time stamp\nstring frame_id",
@@ -50,13 +52,14 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
         "CameraInfo": _CAMERA_INFO + "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
         **_IMAGES,
         **_GEOMETRY,
+        **_VALUES,
     },
 }
 """In ROS's own notation, without the packages of types: no two that are read have the same name."""
 
 _OPEN = ("Image", "CompressedImage", "CameraInfo")
 """Layouts that more fields may follow; others are parts of messages and must end where they end here."""
-_NUMBERS = {"uint8": "B", "uint32": "I", "int32": "i", "float64": "d"}
+_NUMBERS = {"uint8": "B", "uint32": "I", "int32": "i", "float32": "f", "float64": "d"}
 _FIELD = re.compile(r"([A-Za-z][\w/]*)(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\s*(=?)")
 _RULE = re.compile(r"^=+$", re.MULTILINE)
 _PART = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")

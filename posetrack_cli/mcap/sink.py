@@ -53,6 +53,7 @@ class McapSink:
         path: the file, overwritten if it exists; no symbolic link.
         compression: of the chunks; "none" for payloads that are compressed already.
         chunk_bytes: uncompressed size at which a chunk ends by itself.
+        profile: of MCAP that the file follows, such as ``ros2``; empty for none.
 
     Raises:
         ResultError: here and in every method, when the file cannot be written.
@@ -64,6 +65,7 @@ class McapSink:
         *,
         compression: Literal["zstd", "none"] = "zstd",
         chunk_bytes: int = CHUNK_BYTES,
+        profile: str = "",
     ) -> None:
         self.path = path
         self._schemas: dict[SchemaText, int] = {}
@@ -74,7 +76,7 @@ class McapSink:
             self._stream = open_output(path)
             lock(self._stream)
             self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
-            self._writer.start(library=LIBRARY)
+            self._writer.start(profile, LIBRARY)
 
     def channel(self, topic: str, message_class: Any, *, metadata: Mapping[str, str] | None = None) -> int:
         """Register a topic of protobuf messages of one generated class and return its channel id."""

@@ -59,6 +59,12 @@ def is_mcap(path: Path) -> bool:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
 
 
+def wanted_names(topics: Topics) -> Callable[[str], bool]:
+    """Return what tells of the name of a topic whether it is wanted."""
+    names = topics if topics is None or callable(topics) else frozenset(topics)
+    return names if callable(names) else (lambda topic: names is None or topic in names)
+
+
 class McapFile:
     """A file to be read, as far as it can be.
 
@@ -93,6 +99,15 @@ class McapFile:
             wanted.learn_all(summary)
             in_order = self._in_file_order if in_file_order else self._in_log_time_order
             yield from in_order(summary.chunk_indexes, wanted)
+
+    def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
+        """Return every channel with the number of its messages, as the index tells; None if it does not."""
+        summary = read_summary(self.path)
+        if summary is None or summary.statistics is None:
+            return None
+        told = summary.statistics.channel_message_counts
+        channels = summary.channels.values()
+        return [(summary.schemas.get(c.schema_id), c, told.get(c.id, 0)) for c in channels]
 
     def channels(self) -> list[tuple[Schema | None, Channel]]:
         """Return every channel with its schema: from the index, or by reading all of a file that has none."""
@@ -224,8 +239,7 @@ class _Wanted:
     """Puts messages together with their channels and schemas, and picks those on some topics."""
 
     def __init__(self, file: McapFile, topics: Topics) -> None:
-        names = topics if topics is None or callable(topics) else frozenset(topics)
-        self._wants = names if callable(names) else (lambda topic: names is None or topic in names)
+        self._wants = wanted_names(topics)
         self._losses = file.losses
         self._budget = ExpansionBudget(file.path, file.path.stat().st_size)
         self._definitions = Definitions()

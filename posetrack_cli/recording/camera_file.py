@@ -18,7 +18,12 @@ from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import inverse, placed, relative_to, rotation_from_rows
-from posetrack_cli.recording.base import CAMERA_EXAMPLE, CAMERA_FILE_NAME, not_calibrated
+from posetrack_cli.recording.base import (
+    CAMERA_EXAMPLE,
+    CAMERA_FILE_KEY,
+    CAMERA_FILE_NAME,
+    not_calibrated,
+)
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.text import one_line, parse_toml, printable_json
@@ -273,6 +278,14 @@ def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) ->
     cameras = list(cameras)
     parts.append(f"reference = {_quoted(cameras[0].name)}\n")
     return "\n".join([*parts, *(_table(camera) for camera in cameras)])
+
+
+def camera_record(file: Path | None) -> dict[str, str]:
+    """Return what a run record says of a camera file that is no part of its input: the text.
+
+    Whoever opens the input again has it then, wherever the file is. Nothing for no file.
+    """
+    return {} if file is None else {CAMERA_FILE_KEY: read_text(file, limits.TEXT_BYTES)}
 
 
 def check_apart(cameras: Sequence[Camera], where: object) -> None:

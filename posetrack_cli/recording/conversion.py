@@ -20,7 +20,7 @@ from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
 from posetrack_cli.recording.image_files import encode_png
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.recording.readahead import read_ahead
 from posetrack_cli.recording.recording import Recording
 

@@ -33,7 +33,7 @@ class Depth:
     Attributes:
         width, height: of the stored images, pixels.
         encoding: ``16UC1`` if every depth is a whole number of millimetres, else ``32FC1``.
-        unit_mm: millimetres per code of image files; messages tell theirs.
+        unit_mm: millimetres per code.
         missing: code in image files that means no reading; 0 always means it, too.
         stored: as people name how messages store it: ``16UC1``, ``png 16-bit grey``...
     """
@@ -49,14 +49,17 @@ class Depth:
 
     def from_file(self, data: bytes, where: object) -> Float32Array:
         """Return (height, width) depth, mm, of an image file."""
-        codes = decode_codes(data, str(where))
+        return self.from_stored(decode_codes(data, str(where)), where)
+
+    def from_stored(self, codes: ImageArray, where: object) -> Float32Array:
+        """Return (height, width) depth, mm, of codes as they are stored."""
         check_size(codes, self, where)
         return depth_from_codes(codes, self.unit_mm, self.missing)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> Float32Array:
         """Return (height, width) depth, mm, of an image message."""
         here = describe_image(decoded, kind)
-        first = ImageDescription(self.stored, self.width, self.height, self.encoding)
+        first = ImageDescription(self.stored, self.width, self.height, here.depth)
         if here.width and here != first:
             raise RecordingError(
                 "images differ in size or encoding",
@@ -64,11 +67,11 @@ class Depth:
                 found=f"{here.width}x{here.height} {here.encoding}",
                 expected=f"{first.width}x{first.height} {first.encoding} as at the beginning",
             )
-        return decode_depth(decoded, kind, where)
+        return decode_depth(decoded, kind, where, self.unit_mm)
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
         """Return the 16-bit PNG of depth in mm that a message carries, None if it does not carry one."""
-        if kind != COMPRESSED_IMAGE:
+        if kind != COMPRESSED_IMAGE or self.unit_mm != 1.0:
             return None
         data = bytes(decoded.data)
         if _describe_compressed(str(decoded.format), data).depth != "16UC1":
@@ -100,18 +103,23 @@ def describe_image(decoded: Any, kind: str) -> ImageDescription:
     return _describe_compressed(str(decoded.format), bytes(decoded.data))
 
 
-def decode_depth(decoded: Any, kind: str, where: str) -> Float32Array:
+def decode_depth(decoded: Any, kind: str, where: str, unit_mm: float = 1.0) -> Float32Array:
     """Return the (height, width) depth of an image message, mm, 0 = no reading.
+
+    Args:
+        decoded, kind: the message.
+        where: for errors.
+        unit_mm: millimetres per integer code.
 
     Raises:
         UnreadableImageError: if the data are too short or damaged, or are no depth.
     """
     if kind == COMPRESSED_IMAGE:
-        return _decode_compressed(decoded, where)
+        return _decode_compressed(decoded, where, unit_mm)
     if decoded.encoding not in RAW_DEPTH:
         raise UnreadableImageError(f"encoding {decoded.encoding} is no depth")
     values = raw_values(decoded, DTYPES[RAW_DEPTH[decoded.encoding]])
-    return depth_from_metres(values) if values.dtype.kind == "f" else depth_from_codes(values)
+    return depth_from_metres(values) if values.dtype.kind == "f" else depth_from_codes(values, unit_mm)
 
 
 def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) -> Float32Array:
@@ -172,7 +180,7 @@ def _png_offset(data: bytes) -> int | None:
     return None
 
 
-def _decode_compressed(decoded: Any, where: str) -> Float32Array:
+def _decode_compressed(decoded: Any, where: str, unit_mm: float) -> Float32Array:
     data = bytes(decoded.data)
     description = _describe_compressed(str(decoded.format), data)
     if description.depth is None:
@@ -180,5 +188,5 @@ def _decode_compressed(decoded: Any, where: str) -> Float32Array:
     offset = _png_offset(data) or 0
     codes = decode_codes(data[offset:], where)
     if description.depth == "16UC1":
-        return depth_from_codes(codes)
+        return depth_from_codes(codes, unit_mm)
     return depth_from_inverse(codes, *COMPRESSED_DEPTH_HEADER.unpack(data[:offset])[1:])

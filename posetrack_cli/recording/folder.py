@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import read_text
+from posetrack_cli.files import placed_path
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import (
-    CAMERA_FILE_KEY,
     CAMERA_FILE_NAME,
     StoredImage,
     no_intrinsics,
     no_png,
 )
-from posetrack_cli.recording.camera_file import DepthCamera, Rig, found_rig, load_depth_camera, load_rig
+from posetrack_cli.recording.camera_file import (
+    DepthCamera,
+    Rig,
+    camera_record,
+    found_rig,
+    load_depth_camera,
+    load_rig,
+)
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.guess import check_one_camera
@@ -75,7 +81,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
             "missing": str(settings.missing),
             "mirror": str(settings.mirror).lower(),
             **_rate(fps),
-            **_given_camera(options),
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(path, [stream], identity=identity, frame_count=len(images))
@@ -95,6 +101,8 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
     chosen = _folders_of(every, rig)
     folders, stamped = chosen.by_name, chosen.stamped(fps)
     kinds = {name: _first_grey(rig, name, images) for name, images in folders.items()}
+    if options.get("in_colour"):
+        kinds = {name: replace(kind, keeps_colour=True) for name, kind in kinds.items()}
     windows = {name: rig.window(name, options.get("mirror")) for name in folders}
     stored = rig.stored_cameras({name: (kind.width, kind.height) for name, kind in kinds.items()})
     streams = [
@@ -115,7 +123,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
             "mirror": str(next(iter(windows.values())).mirror).lower(),
             "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
             **_rate(fps),
-            **_given_camera(options),
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(
@@ -126,12 +134,6 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
     )
-
-
-def _given_camera(options: ReadingOptions) -> dict[str, str]:
-    """The text of a camera file that is not the folder's own: whoever opens the folder again has it then."""
-    file = options.get("camera_file")
-    return {} if file is None else {CAMERA_FILE_KEY: read_text(file, limits.TEXT_BYTES)}
 
 
 def depth_camera_path(folder: Path, camera_file: Path | None) -> Path:
@@ -216,9 +218,9 @@ def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
         )
     if "" not in folders.by_name or len(rig.cameras) == 1:
         return rig
-    name = folders.path.resolve().name
+    name = placed_path(folders.path).name
     if name not in rig.cameras:
-        raise RecordingError(
+        raise UsageError(
             "one folder of images and several cameras",
             where=folders.path,
             found=", ".join(rig.cameras),
@@ -229,11 +231,11 @@ def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
 
 def _camera_file(path: Path, given: Path | None) -> Path | None:
     """The camera file given, the folder's own, or that of the recording the folder is a camera of, if any."""
-    above = path.resolve().parent / CAMERA_FILE_NAME
+    above = placed_path(path).parent / CAMERA_FILE_NAME
     own = path / CAMERA_FILE_NAME
     if given is not None or own.exists():
         return given or own
-    if above.exists() and path.resolve().name in load_rig(above).cameras:
+    if above.exists() and placed_path(path).name in load_rig(above).cameras:
         return above
     return None
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.camera_file import load_depth_camera
 from posetrack_cli.recording.description import described_cameras, described_stamps, opened
@@ -51,7 +52,7 @@ def _describe_depth(path: Path) -> dict[str, Any]:
     stamps, no_stamps = _or_reason(lambda: _stamps(path, images))
     camera, no_camera = _or_reason(lambda: _camera(path, width, height))
     return {
-        "name": shown_name(path.resolve()),
+        "name": shown_name(placed_path(path)),
         "kind": "folder",
         "bytes": sum(entry.stat().st_size for entry in images),
         "images": len(images),
@@ -74,7 +75,7 @@ def _describe_grey(folders: CameraFolders) -> dict[str, Any]:
     matched = () if recording is None else recording.matched(LossLog())
     frames = [frame for frame in matched if frame is not None]
     return {
-        "name": shown_name(path.resolve()),
+        "name": shown_name(placed_path(path)),
         "kind": "images",
         "bytes": sum(image.stat().st_size for images in by_name.values() for image in images),
         "folders": [_folder(name, images) for name, images in by_name.items()],

@@ -29,11 +29,13 @@ class RawEncoding:
         dtype: of a value, without byte order.
         channels: values per pixel.
         conversion: OpenCV's code to grey; None where it is grey.
+        to_colour: OpenCV's code to blue green red; None where it is that, or grey.
     """
 
     dtype: str
     channels: int
     conversion: int | None = None
+    to_colour: int | None = None
 
 
 RAW_GREY = {
@@ -41,23 +43,23 @@ RAW_GREY = {
     "8UC1": RawEncoding("u1", 1),
     "mono16": RawEncoding("u2", 1),
     "16UC1": RawEncoding("u2", 1),
-    "rgb8": RawEncoding("u1", 3, cv2.COLOR_RGB2GRAY),
+    "rgb8": RawEncoding("u1", 3, cv2.COLOR_RGB2GRAY, cv2.COLOR_RGB2BGR),
     "bgr8": RawEncoding("u1", 3, cv2.COLOR_BGR2GRAY),
     "8UC3": RawEncoding("u1", 3, cv2.COLOR_BGR2GRAY),
-    "rgba8": RawEncoding("u1", 4, cv2.COLOR_RGBA2GRAY),
-    "bgra8": RawEncoding("u1", 4, cv2.COLOR_BGRA2GRAY),
-    "8UC4": RawEncoding("u1", 4, cv2.COLOR_BGRA2GRAY),
-    "rgb16": RawEncoding("u2", 3, cv2.COLOR_RGB2GRAY),
+    "rgba8": RawEncoding("u1", 4, cv2.COLOR_RGBA2GRAY, cv2.COLOR_RGBA2BGR),
+    "bgra8": RawEncoding("u1", 4, cv2.COLOR_BGRA2GRAY, cv2.COLOR_BGRA2BGR),
+    "8UC4": RawEncoding("u1", 4, cv2.COLOR_BGRA2GRAY, cv2.COLOR_BGRA2BGR),
+    "rgb16": RawEncoding("u2", 3, cv2.COLOR_RGB2GRAY, cv2.COLOR_RGB2BGR),
     "bgr16": RawEncoding("u2", 3, cv2.COLOR_BGR2GRAY),
-    "uyvy": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY),
-    "yuv422": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY),
-    "yuyv": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2),
-    "yuv422_yuy2": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2),
+    "uyvy": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY, cv2.COLOR_YUV2BGR_UYVY),
+    "yuyv": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
+    "yuv422_yuy2": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
     # OpenCV names a Bayer pattern by its second row's second and third pixel
-    "bayer_rggb8": RawEncoding("u1", 1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr8": RawEncoding("u1", 1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg8": RawEncoding("u1", 1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg8": RawEncoding("u1", 1, cv2.COLOR_BayerGB2GRAY),
+    "bayer_rggb8": RawEncoding("u1", 1, cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr8": RawEncoding("u1", 1, cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg8": RawEncoding("u1", 1, cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg8": RawEncoding("u1", 1, cv2.COLOR_BayerGB2GRAY, cv2.COLOR_BayerGB2BGR),
 }
 
 
@@ -68,13 +70,15 @@ class Grey:
     Attributes:
         width, height: of the stored images, pixels.
         bits: significant bits of a value: 8, or what is cut to the upper 8.
-        colour: whether they are converted.
+        colour: whether they are colour.
+        keeps_colour: whether that stays, as (height, width, 3) blue green red, else it becomes grey.
     """
 
     width: int
     height: int
     bits: int = 8
     colour: bool = False
+    keeps_colour: bool = False
 
     is_numbered_as_stored: ClassVar[bool] = False
 
@@ -84,16 +88,16 @@ class Grey:
         return f"{self.bits}-bit {'colour' if self.colour else 'grey'}"
 
     def from_file(self, data: bytes, where: object) -> ImageArray:
-        """Return the (height, width) uint8 grey of an image file."""
-        image = decode_any(data, GREY_FLAGS)
+        """Return the (height, width) uint8 grey of an image file, or its colour."""
+        image = decode_any(data, AS_STORED_FLAGS if self.keeps_colour else GREY_FLAGS)
         if image.dtype not in (np.uint8, np.uint16):
             raise _unusable(image, where)
         return self.from_stored(image, where)
 
     def from_stored(self, image: ImageArray, where: object) -> ImageArray:
-        """Return the (height, width) uint8 grey of an image with channels B G R as it is stored."""
+        """Return the (height, width) uint8 grey, or the colour, of an image with channels B G R as stored."""
         check_size(image, self, where)
-        return grey_of(image, self.bits)
+        return self._shown(image)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
         """Return the (height, width) uint8 grey of an image message."""
@@ -102,12 +106,18 @@ class Grey:
         encoding = str(decoded.encoding)
         if encoding not in RAW_GREY:
             raise UnreadableImageError(f"encoding {encoding} is not known")
-        values, conversion = _raw_values(decoded), RAW_GREY[encoding].conversion
+        values, stored = _raw_values(decoded), RAW_GREY[encoding]
+        conversion = stored.to_colour if self.keeps_colour else stored.conversion
         check_size(values, self, where)
         try:
-            return grey_of(values if conversion is None else cv2.cvtColor(values, conversion), self.bits)
+            return self._shown(values if conversion is None else cv2.cvtColor(values, conversion))
         except cv2.error as error:  # a width or height that the encoding cannot have
             raise UnreadableImageError(f"{encoding} cannot be {self.width}x{self.height}") from error
+
+    def _shown(self, image: ImageArray) -> ImageArray:
+        if not self.keeps_colour or image.ndim == 2:
+            return grey_of(image, self.bits)
+        return eight_bits(image[..., :3], self.bits) if image.shape[2] > 2 else grey_of(image, self.bits)
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
         """Return None: a message of grey carries no depth."""
@@ -160,6 +170,11 @@ def grey_of(image: ImageArray, bits: int) -> ImageArray:
     if image.ndim == 3:
         code = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}.get(image.shape[2])
         image = image[..., 0] if code is None else cv2.cvtColor(image, code)
+    return eight_bits(image, bits)
+
+
+def eight_bits(image: ImageArray, bits: int) -> ImageArray:
+    """Return the upper 8 of an image's significant bits."""
     if image.dtype == np.uint16:
         image = np.minimum(image >> max(bits - 8, 0), 255).astype(np.uint8)
     return image

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.files import open_input
+from posetrack_cli.files import open_input, placed_path
 
 READ_BYTES = 1024 * 1024
 Digests = dict[str, tuple[int, str]]
@@ -76,11 +76,11 @@ def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[st
 
     Args:
         path: the file or folder.
-        kind: ``mcap``, ``video`` or ``folder``.
+        kind: ``video``, ``folder``, or that of a container of messages.
         digested: size and SHA-256, of ``file_digest`` or ``files_digest``.
     """
     size, digest = digested
-    return {"name": shown_name(path.resolve()), "kind": kind, "bytes": str(size), "sha256": digest}
+    return {"name": shown_name(placed_path(path)), "kind": kind, "bytes": str(size), "sha256": digest}
 
 
 def shown_name(path: Path) -> str:

@@ -5,22 +5,24 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
+from posetrack_cli.bags.message_file import container_of
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
 from posetrack_cli.recording.folder_description import describe_folder
-from posetrack_cli.recording.mcap_description import describe_mcap
-from posetrack_cli.recording.mcap_source import open_depth_mcap, open_grey_mcap
+from posetrack_cli.recording.kinect import open_kinect
+from posetrack_cli.recording.message_description import describe_messages
+from posetrack_cli.recording.message_source import open_depth_messages, open_grey_messages
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import ReadingOptions, Recording
 from posetrack_cli.recording.video import describe_video, open_video
 
 ANY = frozenset({"camera_file", "mirror"})
 """Options that apply to every source."""
-CAMERAS = ANY | {"cameras", "guess"}
+CAMERAS = ANY | {"cameras", "guess", "in_colour"}
 """And to every source of grey images."""
 
 
@@ -56,7 +58,20 @@ class Source:
     describe: Callable[[Path], dict[str, Any]]
 
 
+def _holds_messages(path: Path, *, mcap: bool) -> bool:
+    container = container_of(path)
+    return container is not None and (container.kind == "mcap") == mcap
+
+
+MESSAGES: Mapping[PixelKind, Opener] = {
+    "depth": Opener(open_depth_messages, ANY | {"topic", "camera_topic"}, {"camera_file": "camera_topic"}),
+    "grey": Opener(open_grey_messages, CAMERAS | {"tolerance_ms"}),
+}
+"""How messages are opened, whatever their container is."""
+
 SOURCES = (
+    Source("an MCAP file", partial(_holds_messages, mcap=True), MESSAGES, describe_messages),
+    Source("a recording of ROS", partial(_holds_messages, mcap=False), MESSAGES, describe_messages),
     Source(
         "a folder of images",
         Path.is_dir,
@@ -67,20 +82,9 @@ SOURCES = (
         describe_folder,
     ),
     Source(
-        "an MCAP file",
-        is_mcap,
-        {
-            "depth": Opener(
-                open_depth_mcap, ANY | {"topic", "camera_topic"}, {"camera_file": "camera_topic"}
-            ),
-            "grey": Opener(open_grey_mcap, CAMERAS | {"tolerance_ms"}),
-        },
-        describe_mcap,
-    ),
-    Source(
         "a video",
         lambda path: True,  # any other file; what is none is told when it is opened
-        {"grey": Opener(open_video, CAMERAS | {"fps"})},
+        {"grey": Opener(open_video, CAMERAS | {"fps"}), "depth": Opener(open_kinect, ANY)},
         describe_video,
     ),
 )
@@ -88,7 +92,7 @@ SOURCES = (
 
 
 def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[ReadingOptions]) -> Recording:
-    """Open a folder of images, an MCAP file or a video.
+    """Open a folder of images, a file or folder of messages, or a video.
 
     Depth is of one camera. Grey images may be of several: ``cameras`` has the reference first, the others
     placed relative to it, and frames have None at the place of a camera without an image at that instant.
@@ -103,23 +107,22 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
         UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
     """
     source = _source_of(path)
-    if pixels not in source.openers:
-        raise RecordingError(
-            "is not a recording",
-            where=path,
-            found="an empty file" if path.stat().st_size == 0 else "a file of another kind",
-            expected="a folder of 16-bit images or an MCAP file",
-        )
     opener = source.openers[pixels]
     _refuse_others(source.words, opener, options)
     return opener.open(path, options)
 
 
-def describe(path: Path) -> dict[str, Any]:
-    """Describe folders of images, a video or an MCAP file, recording or result, in plain values.
+def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:
+    """Return the names of the options that apply to what a path is."""
+    return _source_of(path).openers[pixels].options
 
-    Reads every message of an MCAP file, of a folder of depth only the first image. Keys: ``name``, ``kind``
-    (``folder`` of depth, ``images`` of one or more cameras, ``video`` or ``mcap``), ``bytes``, ``losses``
+
+def describe(path: Path) -> dict[str, Any]:
+    """Describe folders of images, a video or a file of messages, recording or result, in plain values.
+
+    Reads every message of a file, of a folder of depth only the first image. Keys: ``name``, ``kind``
+    (``folder`` of depth, ``images`` of one or more cameras, ``video``, or that of a container of messages:
+    ``mcap``, ``bag``, ``db3``, ``ros2``), ``bytes``, ``losses``
     (what could not be read) and what the kind has.
 
     Raises:

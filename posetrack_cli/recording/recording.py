@@ -30,6 +30,7 @@ class ReadingOptions(TypedDict, total=False):
         depth_unit_mm, missing: of a folder's depth: mm per stored unit, code for no reading.
         mirror: flip images left to right.
         tolerance_ms: largest difference of stamps within a frame; 10 if None.
+        in_colour: colour stays so, uint8 blue green red: to draw on, not to track in.
         guess: what the only camera is taken for where nothing tells its intrinsics; with a guess several
             cameras are refused.
     """
@@ -44,6 +45,7 @@ class ReadingOptions(TypedDict, total=False):
     mirror: bool | None
     tolerance_ms: float | None
     guess: Guess | None
+    in_colour: bool | None
 
 
 def tolerance_ns(options: ReadingOptions) -> int:
@@ -91,6 +93,7 @@ class Recording:
         truth: yields the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
         tolerance_ns: largest difference of stamps within a frame.
         is_guessed: whether the intrinsics are a ``Guess``.
+        remark: what was taken where several things would do; empty where nothing had to be chosen.
     """
 
     def __init__(
@@ -103,8 +106,9 @@ class Recording:
         truth: Callable[[], Iterator[TruthMessage]] = no_truth,
         tolerance_ns: int = 0,
         is_guessed: bool = False,
+        remark: str = "",
     ) -> None:
-        self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
+        self.path, self.frame_count, self.is_guessed, self.remark = path, frame_count, is_guessed, remark
         self.identity, self.truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
         self.pixels: tuple[Pixels, ...] = tuple(stream.pixels for stream in streams)

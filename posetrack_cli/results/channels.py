@@ -14,7 +14,7 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json

@@ -30,7 +30,7 @@ from posetrack_cli.mcap.stream import (
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
-from posetrack_cli.recording.mcap_calibration import camera_from_message
+from posetrack_cli.recording.message_calibration import camera_from_message
 from posetrack_cli.results.channels import CALIBRATION_TOPIC
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Estimate, Subject

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import click
 import numpy as np
-from tqdm import tqdm
 
 from hand_model.people import rows
 from hand_model.template import adult, cage_of
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED
 from posetrack_cli.outputs import whole_or_nothing
 
@@ -43,7 +43,12 @@ def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
 def main(people: tuple[Path, ...], output: Path) -> None:
     """Learn mean and modes from PEOPLE, GLB files or folders of them, and write them."""
     files = sorted(path for one in people for path in (one.rglob("*.glb") if one.is_dir() else [one]))
-    hands = np.array(list(tqdm(rows(files), total=len(files), unit="hand")))
+    found = []
+    with bar("build", "hand", len(files)) as shown:
+        for row in rows(files):
+            found.append(row)
+            shown.advance()
+    hands = np.array(found)
     mean, modes = modes_of(hands, COEFFICIENTS)
     cage = cage_of(adult())
     with whole_or_nothing(output) as part, part.open("wb") as stream:

@@ -136,7 +136,7 @@ def _real(output: Path, kinect: Path | None, frames: str, options: Mapping[str, 
         for title, values in CONFIGURATIONS.items():
             picture = output / f"figure{number}-{values}.png"
             result = _track_real(output, kinect, f"{kind}-{values}", options)
-            sheet = ["--layout", "paper", "--frames", frames, "--recording", str(kinect)]
+            sheet = ["--layout", "paper", "--select", frames, "--recording", str(kinect)]
             _command("view", str(result), "-o", str(picture), *sheet, *_given(options), "--overwrite")
             yield f"Figure {number}, {kind.upper()}, {title}: observed above, estimate below."
             yield ""

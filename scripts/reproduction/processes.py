@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-from tqdm import tqdm
+from posetrack_cli.cli.progress import bar
 
 ONE_CORE = dict.fromkeys(
     ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -32,8 +32,12 @@ def run_modules(
     cores = ONE_CORE if one_core else {}
     with ThreadPoolExecutor(jobs) as pool:
         running = {pool.submit(_run, name, command, cores) for name, command in commands.items()}
-        done = tqdm(as_completed(running), total=len(running), desc=title, unit="recording", disable=None)
-        return [failure for future in done if (failure := future.result())]
+        failures = []
+        with bar(title, "recording", len(running)) as shown:
+            for future in as_completed(running):
+                failures += [failure] if (failure := future.result()) else []
+                shown.advance()
+        return failures
 
 
 def _run(name: str, command: Sequence[str], cores: Mapping[str, str]) -> str:

@@ -10,10 +10,10 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from benchmarking.rows import Row
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.results import load_arrays
 from soaking.cases import Case
 from soaking.findings import Findings
@@ -61,11 +61,11 @@ def soak_frames(case: Case, folder: Path, findings: Findings) -> None:
     samples = []
     with (
         started(case.command(output), folder / "long.txt") as run,
-        tqdm(total=case.frames, desc=case.name, unit="frame", disable=None) as bar,
+        bar(case.name, "frame", case.frames) as shown,
     ):
         for sample in watch(case, output, run.process.pid):
             samples.append(sample)
-            bar.update(sample.frames - bar.n)
+            shown.advance(sample.frames - shown.done)
         ended = run.end()
     if not findings.troubles_of(f"{case.name}, {case.frames} frames", ended.troubles((DONE,))):
         return

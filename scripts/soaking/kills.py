@@ -10,9 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
 from benchmarking.rows import Row
+from posetrack_cli.cli.progress import bar
 from posetrack_cli.outputs import part_path, state_path
 from soaking.cases import Case
 from soaking.findings import Findings
@@ -176,7 +175,7 @@ def soak_kills(
     folder.mkdir()
     rng, cases = random.Random(seed), list(references.values())
     killed, missed, runs, wrong = Counter[str](), 0, 0, 0
-    with tqdm(total=kills, desc="kills", unit="kill", disable=None) as bar:
+    with bar("kills", "kill", kills) as shown:
         while (done := killed.total()) < kills and missed <= MISSES * kills:
             case, reference = cases[runs % len(cases)]
             moments = plan(rng, kills - done, cold=runs % COLD_EVERY == 1)
@@ -186,7 +185,7 @@ def soak_kills(
             wrong, runs = wrong + (not fine), runs + 1
             missed += len(moments) - killing.killed.total()
             killed += killing.killed
-            bar.update(killing.killed.total())
+            shown.advance(killing.killed.total())
     for phase in PHASES:
         findings.add(Row(f"kills in {phase}", killed[phase], ""))
     findings.add(Row("kills", killed.total(), ""))

@@ -109,7 +109,7 @@ def run_to_end(command: Sequence[str], said: Path, *, file_bytes: int | None = N
 
 def frames_readable(path: Path) -> tuple[int, Ended]:
     """Ask ``posetrack info`` how many frames an unfinished result holds; 0 where it cannot be read."""
-    asked = subprocess.run([*POSETRACK, "info", "--json", str(path)], capture_output=True, text=True)
+    asked = subprocess.run([*POSETRACK, "info", str(path), "--json", "-"], capture_output=True, text=True)
     ended = Ended(asked.returncode, asked.stderr)
     if ended.code not in (DONE, DATA_LOST):
         return 0, ended

@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_options_reach_the_recording(tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out.mcap"
-    arguments = [str(folder), str(out), "--fps", "10", "--camera", str(tmp_path / "camera.toml")]
+    arguments = [str(folder), "-o", str(out), "--fps", "10", "--camera", str(tmp_path / "camera.toml")]
     result = CliRunner().invoke(convert, [*arguments, "--missing", "32001", "--mirror"])
     assert (result.exit_code, result.stderr) == (EXIT_DONE, "")
     assert "4 frames" in result.stdout
@@ -48,7 +48,7 @@ def test_options_reach_the_recording(tmp_path: Path, folder: Path) -> None:
 def test_lost_frames_give_exit_code_3_and_a_line(tmp_path: Path, folder: Path) -> None:
     (folder / "2.png").write_bytes(b"broken")
     out = tmp_path / "out.mcap"
-    arguments = [str(folder), str(out), "--fps", "10", "--camera", str(tmp_path / "camera.toml")]
+    arguments = [str(folder), "-o", str(out), "--fps", "10", "--camera", str(tmp_path / "camera.toml")]
     result = CliRunner().invoke(convert, arguments)
     assert result.exit_code == EXIT_DATA_LOST
     assert "first frame 2, 2.png" in result.stderr
@@ -58,7 +58,7 @@ def test_lost_frames_give_exit_code_3_and_a_line(tmp_path: Path, folder: Path) -
 
 def test_existing_output_needs_overwrite(tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out.mcap"
-    arguments = [str(folder), str(out), "--fps", "10", "--camera", str(tmp_path / "camera.toml")]
+    arguments = [str(folder), "-o", str(out), "--fps", "10", "--camera", str(tmp_path / "camera.toml")]
     CliRunner().invoke(convert, arguments, catch_exceptions=False)
     first = out.read_bytes()
     with pytest.raises(UsageError, match="--overwrite"):
@@ -76,10 +76,10 @@ def test_joints_of_a_csv_go_along(tmp_path: Path, folder: Path) -> None:
     truth = tmp_path / "truth.csv"
     truth.write_text("\n".join(rows) + "\n")
     out = tmp_path / "out.mcap"
-    assert run(["convert", str(folder), str(out), *reading, "--truth", str(truth)]) == 0
+    assert run(["convert", str(folder), "-o", str(out), *reading, "--truth", str(truth)]) == 0
     messages = list(open_recording(out).truth())
     assert [(m.topic, m.log_time_ns) for m in messages] == [(points_topic("hand"), s) for s in stamps]
-    again = ["convert", str(out), str(tmp_path / "again.mcap")]
+    again = ["convert", str(out), "-o", str(tmp_path / "again.mcap")]
     assert run(again) == 0
     assert list(open_recording(tmp_path / "again.mcap").truth()) == messages
     assert run([*again, "--overwrite", "--truth", str(truth)]) == EXIT_USAGE

@@ -49,12 +49,12 @@ def test_files_are_read_and_written_without_home_locale_and_terminal(
     folder.mkdir()
     write_depth(folder / NOT_UTF8)
     out = f"{NOT_UTF8}.mcap"
-    done = command(["convert", NOT_UTF8, out], folder, **environment)
+    done = command(["convert", NOT_UTF8, "-o", out], folder, **environment)
     assert (done.returncode, done.stderr) == (EXIT_DONE, b"")
     done.stdout.decode("ascii")
     assert os.fsencode(out) not in done.stdout and b"2 frames" in done.stdout
     expected = tmp_path / "expected.mcap"
-    assert run(["convert", str(folder / NOT_UTF8), str(expected)]) == EXIT_DONE
+    assert run(["convert", str(folder / NOT_UTF8), "-o", str(expected)]) == EXIT_DONE
     assert (folder / out).read_bytes() == expected.read_bytes()
 
 

@@ -179,7 +179,7 @@ def test_hardly_any_frames_are_evaluated(
         (["--fail-if", "joint_error_mm > 1"], "does not say which statistic"),
         (["--fail-if", "coverage is 1"], "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !="),
         (["--fail-if", "coverage < 99%"], "write 0.99 for 99 %"),
-        (["--tolerance-ms", "-1"], "tolerance cannot be used"),
+        (["--truth-tolerance-ms", "-1"], "tolerance cannot be used"),
         (["--align", "loose"], "'loose' is not one of"),
         (["--baseline-tolerance", "-1"], "-1"),
         (["--baseline-tolerance", "nan"], "nan is no finite number"),

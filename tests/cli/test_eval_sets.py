@@ -80,9 +80,9 @@ def test_as_many_rows_as_asked_for(results: list[Path], capsys: pytest.CaptureFi
 
 
 def test_the_layout_can_be_chosen(results: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(*results, "--layout", "columns") == 0
+    assert evaluate(*results, "--columns") == 0
     assert capsys.readouterr().out.splitlines()[0].split() == ["Results", *NAMES]
-    assert evaluate(*results[:2], "--layout", "rows") == 0
+    assert evaluate(*results[:2], "--rows") == 0
     assert list(table_of(capsys.readouterr().out)) == ["take-1", "take-0", "TOTAL of 2"]
 
 
@@ -125,7 +125,6 @@ def test_gates_on_all_together_and_over_results(
         (["--fail-if", "p99(coverage) < 1"], "no figure over results, expected one of mean(...)"),
         (["--fail-if", "p95(coverag) < 1"], "did you mean 'coverage'"),
         (["--junit", "/tmp/none.xml"], "--junit tells of gates, expected --fail-if, --gates or --baseline"),
-        (["--layout", "rings"], "'rings' is not one of"),
         (["--worst", "-1"], "-1"),
         (["--markdown", "-", "--json", "-"], "only one report can go to standard output"),
     ],

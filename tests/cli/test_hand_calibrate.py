@@ -24,7 +24,7 @@ from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
 from posetrack_cli.synthesis.hand.writing import write_synthetic
 from support.calibrations import calibration_of
 
-QUICK = ("--hand-side", "right", "--frames", "8")
+QUICK = ("--hand-side", "right", "--fit-frames", "8")
 FEW = "[acquisition]\nfitted = 16\nrefined = 2\nscattered = 4\n"
 """Hypotheses of a search for the one hand in the image; ``hand run`` below takes the usual ones."""
 
@@ -60,7 +60,8 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_table_and_a_configuration(
     recording: Path, calibrated: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    output, shown = calibrated
+    output, (*shown, following) = calibrated
+    assert following.startswith(f"next: posetrack hand run {recording} --shape {output} -o ")
     assert shown[0].split() == ["side", "right"] and shown[1].split() == ["mm", "sd"]
     rows = {" ".join(line.split()[:-2]): line.split()[-2:] for line in shown[2:-1]}
     assert list(rows) == [*(name.replace("_", " ") for name in MEASURES), "padding"]
@@ -126,8 +127,8 @@ def test_the_recording_is_never_replaced(recording: Path, capsys: pytest.Capture
 def test_too_few_frames_or_too_many(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], frames: str
 ) -> None:
-    assert calibrate(recording, tmp_path / "hand.toml", "--frames", frames) == 2
-    assert "--frames" in one_line(capsys)
+    assert calibrate(recording, tmp_path / "hand.toml", "--fit-frames", frames) == 2
+    assert "--fit-frames" in one_line(capsys)
     assert not list(tmp_path.iterdir())
 
 

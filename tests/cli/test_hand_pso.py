@@ -113,8 +113,8 @@ def test_the_progress_bar_shows_no_particles_where_none_are_weighted(monkeypatch
     monkeypatch.setattr(sys, "stderr", terminal)
     with progress(10, 0, 1, "hand") as report:
         report(SimpleNamespace(frame_index=3, effective_sample_size=None, status="tracking"))
-    shown = terminal.getvalue().splitlines()[-1]
-    assert " 4/10 " in shown and "tracking" in shown and "ESS" not in shown
+    shown = terminal.getvalue()
+    assert " 4/10 frames " in shown and "tracking" in shown and "ESS" not in shown
 
 
 def test_a_swarm_that_would_not_converge_is_one_line(

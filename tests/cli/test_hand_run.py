@@ -28,7 +28,7 @@ from posetrack_cli.evaluation.evaluation import Statistics
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import part_path, state_path
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 
@@ -196,7 +196,7 @@ def test_another_seed_gives_other_estimates(
 def test_a_recording_its_folder_and_what_that_is_converted_to_give_identical_estimates(
     track: Track, folder: Path, result: Path, tmp_path: Path
 ) -> None:
-    assert run(["convert", str(folder), str(tmp_path / "in.mcap")]) == 0
+    assert run(["convert", str(folder), "-o", str(tmp_path / "in.mcap")]) == 0
     assert track(folder, tmp_path / "a.mcap", "--end", "6") == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", "--end", "6") == 0
     same_estimates(tmp_path / "a.mcap", tmp_path / "b.mcap")
@@ -253,8 +253,9 @@ def test_closing_line(
     track: Track, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert track(recording, tmp_path / "r.mcap", "--end", "3") == 0
-    out = capsys.readouterr().out
-    assert out.startswith("3 frames in ") and "0 lost" in out and out.strip().endswith("r.mcap")
+    closing, report, video = capsys.readouterr().out.splitlines()
+    assert closing.startswith("3 frames in ") and "0 lost" in closing and closing.endswith("r.mcap")
+    assert report.startswith("next: posetrack eval ") and video.startswith("next: posetrack view ")
 
 
 # Killed and interrupted runs
@@ -324,8 +325,8 @@ def test_the_progress_bar_stands_at_the_frame(monkeypatch: pytest.MonkeyPatch, i
     estimate = SimpleNamespace(frame_index=index, effective_sample_size=7.4, status="lost")
     with progress(10, 5, 2, "hand") as report:
         report(estimate)
-    shown = terminal.getvalue().splitlines()[-1]
-    assert f" {(index - 5) // 2 + 1}/10 " in shown and "ESS 7 lost" in shown
+    shown = terminal.getvalue()
+    assert f" {(index - 5) // 2 + 1}/10 frames " in shown and "ESS 7 lost" in shown
 
 
 def test_resume_of_nothing_says_so(
@@ -590,7 +591,7 @@ def test_real_kinect_frames_from_folder_and_mcap(track: Track, tmp_path: Path, m
     camera = tmp_path / "camera.toml"
     camera.write_text("fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n")
     reading = ["--fps", "30", "--camera", str(camera)]
-    assert run(["convert", str(kinect), str(tmp_path / "in.mcap"), *reading]) == 0
+    assert run(["convert", str(kinect), "-o", str(tmp_path / "in.mcap"), *reading]) == 0
     left = ["--hand-side", "left"]
     assert track(kinect, tmp_path / "a.mcap", *left, *reading) == 0
     assert track(tmp_path / "in.mcap", tmp_path / "b.mcap", *left) == 0

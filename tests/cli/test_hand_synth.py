@@ -42,7 +42,7 @@ def test_every_switch_has_an_option_and_every_option_is_meant() -> None:
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("--frames", "0"), ("--speed", "-1"), ("--fps", "0"), ("--scale", "0"), ("--seed", "-1")],
+    [("--frames", "0"), ("--speed", "-1"), ("--fps", "0"), ("--scale", "0")],
 )
 def test_bad_values_are_wrong_usage_and_write_nothing(tmp_path: Path, option: str, value: str) -> None:
     with pytest.raises(UsageError, match=f"{option} cannot be used"):

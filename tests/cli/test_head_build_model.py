@@ -63,7 +63,7 @@ def test_few_people_tell_of_few_parameters(
     results: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "face.npz"
-    assert build(*results[:2], "-o", output, "--deformation", "4") == 0
+    assert build(*results[:2], "-o", output, "--deformation-size", "4") == 0
     said = capsys.readouterr()
     assert said.err.strip() == "identity: 4 instead of 10 parameters, as 2 people tell of no more"
     assert said.out.splitlines()[-1] == f"{output}: identity 4, deformation 4"

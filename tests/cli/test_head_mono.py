@@ -27,7 +27,7 @@ from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome
 
 FRAMES = 12
-SEED = ("--frames", str(FRAMES), "--seed", "3", "--cameras", "1")
+SEED = ("--frames", str(FRAMES), "--seed", "3", "--camera-count", "1")
 CAMERA = Camera(160, 120, 250.0, 250.0, 79.5, 59.5)
 GUESSED = "no calibration: focal length taken for {} px (a field of view of 53 degrees, --fov says another)"
 

@@ -21,7 +21,7 @@ def invoke(*arguments: str) -> str:
 def test_it_writes_a_file_or_a_folder_and_says_so(tmp_path: Path) -> None:
     line = invoke("-o", str(tmp_path / "a.mcap"), *SMALL)
     assert line.startswith(f"{tmp_path / 'a.mcap'}: 2 frames of 2 cameras, 0 images missing, 0.033 s long")
-    line = invoke("-o", str(tmp_path / "b"), *SMALL, "--cameras", "1", "--image-format", "png")
+    line = invoke("-o", str(tmp_path / "b"), *SMALL, "--camera-count", "1", "--image-format", "png")
     assert line.startswith(f"{tmp_path / 'b'}: 2 frames of 1 camera, ")
     assert sorted(path.name for path in (tmp_path / "b" / "camera").iterdir()) == ["000000.png", "000001.png"]
 
@@ -30,7 +30,7 @@ def test_defaults_of_command_and_library_are_the_same() -> None:
     values = {
         parameter.name: parameter.get_default(head_synth.make_context("synth", ["-o", "a.mcap"]))
         for parameter in head_synth.params
-        if parameter.name not in ("output", "image_format", "overwrite", "help")
+        if parameter.name not in ("output", "image_format", "overwrite", "verbose", "quiet")
     }
     assert head_synth_options(values) == HeadSynthOptions()
 
@@ -41,12 +41,11 @@ def test_defaults_of_command_and_library_are_the_same() -> None:
         ("--frames", "0"),
         ("--fps", "0"),
         ("--speed", "-1"),
-        ("--noise", "-1"),
-        ("--seed", "-1"),
+        ("--noise-factor", "-1"),
         ("--identity", "-1"),
-        ("--cameras", "3"),
-        ("--distance", "10"),
-        ("--baseline", "0"),
+        ("--camera-count", "3"),
+        ("--distance-mm", "10"),
+        ("--baseline-mm", "0"),
         ("--image-size", "10x10"),
         ("--image-size", "640"),
     ],

@@ -52,7 +52,7 @@ def run(path: Path, *options: str) -> Result:
 
 
 def report(path: Path) -> dict[str, Any]:
-    values: dict[str, Any] = json.loads(run(path, "--json").stdout)
+    values: dict[str, Any] = json.loads(run(path, "--json", "-").stdout)
     return values
 
 
@@ -119,7 +119,7 @@ def test_cut_anywhere_is_listed(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     for offset in range(8, len(data), 211):
         path.write_bytes(data[:offset])
-        assert run(path, "--json").exit_code == EXIT_DATA_LOST
+        assert run(path, "--json", "-").exit_code == EXIT_DATA_LOST
 
 
 def test_what_is_no_recording(tmp_path: Path) -> None:

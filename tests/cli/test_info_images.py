@@ -21,7 +21,7 @@ def lines(path: Path) -> list[str]:
 
 
 def report(path: Path) -> dict[str, Any]:
-    values: dict[str, Any] = json.loads(CliRunner().invoke(info, [str(path), "--json"]).stdout)
+    values: dict[str, Any] = json.loads(CliRunner().invoke(info, [str(path), "--json", "-"]).stdout)
     return values
 
 

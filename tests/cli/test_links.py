@@ -13,7 +13,7 @@ from support.hostile_files import write_depth, write_hand_result
 PRECIOUS = b"precious"
 DEPTH, RESULT = "depth", "result.mcap"
 COMMANDS = [
-    (["convert", DEPTH, "o.mcap"], ".part"),
+    (["convert", DEPTH, "-o", "o.mcap"], ".part"),
     (["export", RESULT, "-o", "o.csv"], ".part"),
     (["export", RESULT, "-o", "o.npz"], ".part"),
     (["eval", RESULT, "--json", "o.json"], ".part"),

@@ -29,7 +29,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["hand", "run", "r", "-o", "r.mcap", "--particles", "0"], "'--particles'", "posetrack hand run"),
         (["hand", "run", "r", "-o", "r.mcap", "--filter", "x"], "'rbpf', 'pf'", "posetrack hand run"),
         (["hand", "run"], "Missing argument 'RECORDING'", "posetrack hand run"),
-        (["convert", "a"], "Missing argument 'OUT.mcap'", "posetrack convert"),
+        (["convert", "a"], "Missing option '-o' / '--output'", "posetrack convert"),
         (["info", "a", "--jsn"], "--jsn", "posetrack info"),
         (["inof"], "No such command 'inof'", "posetrack"),
     ],
@@ -43,13 +43,39 @@ def test_wrong_usage_is_one_line(
     assert found in error and error.endswith(f"; see: {help_of} --help\n")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "former", "now"),
+    [
+        (["view", "r", "-o", "v.mp4", "--scale", "2"], "--scale", "--zoom"),
+        (["view", "r", "-o", "v.mp4", "--frames=worst:3"], "--frames", "--select"),
+        (["view", "r", "-o", "v.mp4", "--truth"], "--truth", "--show-truth"),
+        (["eval", "r", "--layout", "rows"], "--layout", "--rows or --columns"),
+        (["eval", "r", "--tolerance-ms", "1"], "--tolerance-ms", "--truth-tolerance-ms"),
+        (["export", "r", "--topic", "t"], "--topic", "--estimate-topic"),
+        (["hand", "calibrate", "r", "-o", "h.toml", "--frames", "8"], "--frames", "--fit-frames"),
+        (["head", "build-model", "r", "-o", "m", "--identity", "3"], "--identity", "--identity-size"),
+        (["head", "synth", "-o", "h", "--cameras", "1"], "--cameras", "--camera-count"),
+        (["head", "synth", "-o", "h", "--noise", "2"], "--noise", "--noise-factor"),
+        (["head", "synth", "-o", "h", "--distortion"], "--distortion", "--lens-distortion"),
+        (["head", "synth", "-o", "h", "--baseline", "60"], "--baseline", "--baseline-mm"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ",
+)
+def test_a_former_name_is_told_with_the_new_one(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], former: str, now: str
+) -> None:
+    assert run(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"posetrack: {former} is called {now} now; see: ") and error.count("\n") == 1
+
+
 def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]) -> None:
     assert run([]) == 2
     assert "Commands:" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")
-@pytest.mark.parametrize("command", [["info"], ["info", "--json"], ["--help"]], ids=" ".join)
+@pytest.mark.parametrize("command", [["info"], ["info", "--json", "-"], ["--help"]], ids=" ".join)
 def test_a_full_output_is_one_line(recording: Path, command: list[str]) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run([*COMMAND, *command, str(recording)], stdout=full, stderr=subprocess.PIPE)

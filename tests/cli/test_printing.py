@@ -66,7 +66,7 @@ def test_info_of_a_hostile_file_is_lines_of_text(recording: Path, capsys: pytest
 def test_json_of_a_hostile_file_says_the_same_in_escapes(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["info", str(recording), "--json"]) == EXIT_DONE
+    assert run(["info", str(recording), "--json", "-"]) == EXIT_DONE
     out = capsys.readouterr().out
     assert printable(out) == out
     values = json.loads(out)

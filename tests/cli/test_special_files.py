@@ -28,8 +28,8 @@ COMMANDS = [
     ["eval", "--group", f"a={X}", "--group", f"b={RESULT}"],
     *(["eval", RESULT, option, X] for option in ("--truth", "--recording", "--baseline", "--gates")),
     ["export", X],
-    ["convert", X, "o.mcap"],
-    *(["convert", DEPTH, "o.mcap", option, X] for option in ("--truth", "--camera")),
+    ["convert", X, "-o", "o.mcap"],
+    *(["convert", DEPTH, "-o", "o.mcap", option, X] for option in ("--truth", "--camera")),
     ["view", X, "-o", "o.png"],
     ["view", RESULT, "-o", "o.png", "--recording", X],
     ["hand", "run", X, "-o", "o.mcap"],
@@ -114,7 +114,7 @@ def test_nothing_in_a_folder_is_waited_for(
     folder: Path, name: str, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An image that is none is left out; what else a folder needs is told."""
-    for recording, command in ((DEPTH, ["convert", DEPTH, "o.mcap"]), (GREY, [*MONO, "--passes", "1"])):
+    for recording, command in ((DEPTH, ["convert", DEPTH, "-o", "o.mcap"]), (GREY, [*MONO, "--passes", "1"])):
         (folder / recording / name).unlink()
         put(folder / recording / name, kind)
         assert run(["info", recording]) in (EXIT_DONE, EXIT_DATA_LOST, EXIT_FAILED)

@@ -88,7 +88,7 @@ def test_a_video_of_every_frame_with_the_hand_on_its_joints(
 
 
 def test_chosen_frames_as_numbered_pictures(result: Path, tmp_path: Path) -> None:
-    assert view(result, "-o", tmp_path / "p", "--frames", "1:6:2,0", "--layout", "over") == 0
+    assert view(result, "-o", tmp_path / "p", "--select", "1:6:2,0", "--layout", "over") == 0
     names = sorted(path.name for path in (tmp_path / "p").iterdir())
     assert names == [f"frame_{index:06d}.png" for index in (0, 1, 3, 5)]
     assert cv2.imread(str(tmp_path / "p" / names[0])).shape == (424 + CAPTION_PX, 512, 3)
@@ -97,10 +97,11 @@ def test_chosen_frames_as_numbered_pictures(result: Path, tmp_path: Path) -> Non
 def test_the_paper_s_sheet(result: Path, opened: Recording, tmp_path: Path) -> None:
     """Observed above, rendered below, cut out around the hand: both halves show the same region."""
     out = tmp_path / "s.png"
-    assert view(result, "-o", out, "--layout", "paper", "--frames", "0,3") == 0
+    assert view(result, "-o", out, "--layout", "paper", "--select", "0,3") == 0
     sheet = cv2.imread(str(out))
     column = sheet[:, : (sheet.shape[1] - 6) // 2]
-    half = (column.shape[0] - CAPTION_PX * (1 if column.shape[1] >= 420 else 2)) // 2
+    rows = column.shape[0] % (2 * CAPTION_PX)  # of the caption: what both halves leave
+    half = (column.shape[0] - CAPTION_PX) // 2 if rows else column.shape[0] // 2
     observed, rendered = column[:half], column[half : 2 * half]
     skin = rendered.any(axis=2)
     assert 0.1 < skin.mean() < 0.6, "the hand fills the part"
@@ -112,7 +113,7 @@ def test_two_results_beside_each_other(
     result: Path, recording: Path, opened: Recording, tmp_path: Path
 ) -> None:
     other = make_result(recording.with_name("other.mcap"), opened, moved(40.0))
-    assert view(result, other, "-o", tmp_path / "p", "--frames", "2") == 0
+    assert view(result, other, "-o", tmp_path / "p", "--select", "2") == 0
     picture = cv2.imread(str(tmp_path / "p" / "frame_000002.png"))
     assert picture.shape == (424 + 2 * CAPTION_PX, 2 * 512, 3)
     truth = truth_of(opened)[2]
@@ -126,9 +127,9 @@ def test_two_results_beside_each_other(
 
 def test_truth_and_skeleton(result: Path, recording: Path, opened: Recording, tmp_path: Path) -> None:
     wrong = make_result(recording.with_name("wrong.mcap"), opened, moved(30.0), with_truth=True)
-    options = ["--frames", "2", "--layout", "over"]
+    options = ["--select", "2", "--layout", "over"]
     counts = []
-    for extra in ([], ["--truth"], ["--skeleton"]):
+    for extra in ([], ["--show-truth"], ["--skeleton"]):
         assert view(wrong, "-o", tmp_path / "p", *options, *extra, "--overwrite") == 0
         picture = cv2.imread(str(tmp_path / "p" / "frame_000002.png"))[:-CAPTION_PX]
         counts.append(
@@ -174,16 +175,16 @@ def test_lost_frames_are_marked(recording: Path, opened: Recording, tmp_path: Pa
 def test_scale_crop_and_range(result: Path, tmp_path: Path) -> None:
     sizes = {}
     for name, options in {
-        "full": ["--scale", "0.5"],
-        "hand": ["--crop", "hand", "--scale", "1"],
-        "large": ["--crop", "hand", "--scale", "2"],
+        "full": ["--zoom", "0.5"],
+        "hand": ["--crop", "hand", "--zoom", "1"],
+        "large": ["--crop", "hand", "--zoom", "2"],
     }.items():
-        assert view(result, "-o", tmp_path / name, "--frames", "1", "--layout", "over", *options) == 0
+        assert view(result, "-o", tmp_path / name, "--select", "1", "--layout", "over", *options) == 0
         sizes[name] = cv2.imread(str(tmp_path / name / "frame_000001.png")).shape
     assert sizes["full"][:2] == (212 + 2 * CAPTION_PX, 256)
     assert sizes["large"][1] == 2 * sizes["hand"][1] and sizes["hand"][1] < 400
     for name, limits in {"near": ("600", "700"), "wide": ("100", "4000")}.items():
-        assert view(result, "-o", tmp_path / name, "--frames", "1", "--range-mm", *limits) == 0
+        assert view(result, "-o", tmp_path / name, "--select", "1", "--range-mm", *limits) == 0
     near, wide = (cv2.imread(str(tmp_path / n / "frame_000001.png"))[:424, :512] for n in ("near", "wide"))
     assert (near != wide).any(axis=2).mean() > 0.3
 
@@ -212,8 +213,8 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
         (["RECORDING", "-o", "v.mp4"], 1, "no result of posetrack"),
         (["RESULT", "-o", "v.avi"], 2, "expected FILE.mp4, FILE.png or a folder"),
         (["RESULT", "-o", "RESULT"], 2, "output is something else already"),
-        (["RESULT", "-o", "v.mp4", "--frames", "77"], 2, "expected some of 0 to 5"),
-        (["RESULT", "-o", "v.mp4", "--frames", "best"], 2, "--frames cannot be read"),
+        (["RESULT", "-o", "v.mp4", "--select", "77"], 2, "expected some of 0 to 5"),
+        (["RESULT", "-o", "v.mp4", "--select", "best"], 2, "--select cannot be read"),
         (["RESULT", "-o", "v.mp4", "--range-mm", "9", "1"], 2, "expected 0 <= NEAR < FAR"),
         (["RESULT", "-o", "v.mp4", "--layout", "side-by-side"], 2, "needs two results"),
         (["RESULT", "RESULT", "RESULT", "-o", "v.mp4"], 2, "at most 2"),
@@ -221,8 +222,8 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
         (["RESULT", "-o", "v.mp4", "--any-recording"], 2, "needs --recording"),
         (["RESULT", "-o", "v.mp4", "--missing", "3"], 2, "does not apply to an MCAP file"),
         (["RESULT", "-o", "v.mp4", "--device", "99"], 1, "no headless context"),
-        (["RESULT", "-o", "v.mp4", "--scale", "0"], 2, "--scale"),
-        (["RESULT", "-o", "v.mp4", "--scale", "nan"], 2, "nan is no finite number"),
+        (["RESULT", "-o", "v.mp4", "--zoom", "0"], 2, "--zoom"),
+        (["RESULT", "-o", "v.mp4", "--zoom", "nan"], 2, "nan is no finite number"),
         (["RESULT", "-o", "v.mp4", "--rate", "nan"], 2, "nan is no finite number"),
         (["RESULT", "-o", "-"], 2, "pictures cannot go to standard output"),
     ],
@@ -270,7 +271,7 @@ def test_a_converted_recording_serves_when_any_will_do(
     result: Path, recording: Path, opened: Recording, tmp_path: Path
 ) -> None:
     copy = tmp_path / "copy.mcap"
-    assert run(["convert", str(recording), str(copy)]) == 0
+    assert run(["convert", str(recording), "-o", str(copy)]) == 0
     arguments = [result, "-o", tmp_path / "v.mp4", "--recording", copy]
     assert view(*arguments) == 1
     assert view(*arguments, "--any-recording") == 0
@@ -284,7 +285,7 @@ def test_an_existing_output_is_replaced_only_when_asked(
     out.write_bytes(b"mine")
     assert view(result, "-o", out) == 2 and out.read_bytes() == b"mine"
     assert "--overwrite" in one_line(capsys)
-    assert view(result, "-o", out, "--overwrite", "--frames", "0") == 0
+    assert view(result, "-o", out, "--overwrite", "--select", "0") == 0
     assert len(pictures_of(out)) == 1
 
 
@@ -296,7 +297,7 @@ def test_a_truncated_result_is_drawn_as_far_as_it_goes(
     whole = make_result(tmp_path / "whole.mcap", open_recording(many))
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[: int(0.6 * whole.stat().st_size)])
-    assert view(cut, "-o", tmp_path / "v.mp4", "--layout", "over", "--scale", "0.25") == 3
+    assert view(cut, "-o", tmp_path / "v.mp4", "--layout", "over", "--zoom", "0.25") == 3
     captured = capsys.readouterr()
     drawn = len(pictures_of(tmp_path / "v.mp4"))
     assert 0 < drawn < 25 and captured.out.startswith(f"{drawn} frames: ")
@@ -343,7 +344,7 @@ def test_ctrl_c_leaves_a_video_of_what_was_drawn(tmp_path: Path) -> None:
     recording = make_recording(tmp_path / "long.mcap", 40)
     result = make_result(tmp_path / "result.mcap", open_recording(recording))
     out, part = tmp_path / "v.mp4", tmp_path / "v.part.mp4"
-    arguments = ["view", str(result), "-o", str(out), "--scale", "4"]
+    arguments = ["view", str(result), "-o", str(out), "--zoom", "4"]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (part.exists() and part.stat().st_size > 0) and time.monotonic() < deadline:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import re
-import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -13,27 +11,12 @@ import click
 import pytest
 
 from posetrack_cli.cli.main import cli
-from support.markdown import PAGES, ROOT, blocks, invocations, statements, without_blocks
+from support.markdown import PAGES, ROOT, blocks, check, invocations, statements, without_blocks
 
 LANGUAGES = {"bash", "python", "toml", "yaml", "csv", "json", ""}
 """Those that are used, so that no command hides in one that nothing looks at."""
 GENERATED = ROOT / "docs" / "reference"
 WRITTEN = [path for path in PAGES if GENERATED not in path.parents]
-
-
-def check(arguments: Sequence[str]) -> None:
-    """Have click parse a command line as it would before it runs the command."""
-    command, name, rest, context = cli, "posetrack", list(arguments), None
-    while True:
-        try:
-            context = command.make_context(name, rest, parent=context)
-        except click.exceptions.Exit:
-            return  # --help, --version
-        if not isinstance(command, click.Group):
-            return
-        found, within, rest = command.resolve_command(context, [*context._protected_args, *context.args])
-        assert found is not None and within is not None
-        name, command = found, within
 
 
 def commands(
@@ -105,19 +88,6 @@ def test_options_in_the_text_exist(path: Path) -> None:
         if command or code.startswith("-"):
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", code):
                 assert option in known, f"{path.name}: {code}: there is no {option}"
-
-
-@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_other_code_is_what_it_says(path: Path) -> None:
-    """TOML is read as such; what Python imports is there."""
-    for block in blocks(path):
-        if block.language == "toml":
-            tomllib.loads(block.text)
-        if block.language == "python":
-            tree = ast.parse(block.text)
-            imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-            assert imports
-            exec(compile(ast.Module(imports, []), block.place, "exec"), {})
 
 
 def test_a_command_line_that_is_wrong_is_told() -> None:

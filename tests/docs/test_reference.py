@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+import click
+import pytest
+
 import reference
+from posetrack_cli.cli.command import Command, Option, commands_of
+from posetrack_cli.cli.main import cli
+from posetrack_cli.cli.view import view
 from posetrack_cli.hand.config import HandConfig
+from support.markdown import check, invocations, statements
+
+COMMANDS = [one for one, _ in commands_of(cli, "posetrack") if not isinstance(one, click.Group)]
+
+COMMANDS = [one for one, _ in commands_of(cli, "posetrack") if not isinstance(one, click.Group)]
 
 
 def test_what_is_committed_is_current() -> None:
@@ -21,6 +32,49 @@ def test_a_key_is_told_with_type_bounds_default_and_meaning() -> None:
     assert "- `scale`: number from 0.1 to 10, default `1.0`; 1 is the average adult hand" in page
     particles = HandConfig().filter.particles
     assert f"- `particles`: whole number from 1 to 1,000,000, default `{particles}`; " in page
+
+
+def test_no_option_has_two_meanings() -> None:
+    """Nor two types: whoever has seen a name in one command knows it in all others."""
+    for name, uses in reference.uses_of_options().items():
+        assert len({use.meaning for use in uses}) == 1, [(use.command, use.meaning) for use in uses]
+        assert len({use.kind for use in uses}) == 1, [(use.command, use.kind) for use in uses]
+        assert all(use.meaning for use in uses), f"{name} does not say what it means"
+
+
+def test_no_name_stands_for_two_options() -> None:
+    """Short ones and those that turn something off included."""
+    meant: dict[str, set[str]] = {}
+    for name, uses in reference.uses_of_options().items():
+        for called in (called for use in uses for called in use.names):
+            meant.setdefault(called, set()).add(name)
+    assert {called: names for called, names in meant.items() if len(names) > 1} == {}
+
+
+def test_a_second_meaning_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = Option(["--scale"], is_flag=True, help="Draw a scale.")
+    monkeypatch.setattr(view, "params", [*view.params, other])
+    uses = reference.uses_of_options()["--scale"]
+    assert {use.kind for use in uses} == {"float", "switch"}
+    assert {use.meaning for use in uses} == {"Size of the hand", "Draw a scale"}
+
+
+def test_every_command_writes_to_the_same_option() -> None:
+    """What writes one thing writes it to -o; reports and learned models are beside it."""
+    table = reference.uses_of_options()
+    writing = {use.command for use in table["--overwrite"]} | {use.command for use in table["--redo"]}
+    assert writing - {"eval", "info"} == {use.command for use in table["--output"]}
+    assert all("-o" in use.names for use in table["--output"])
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda one: str(one.name))
+def test_examples_are_what_their_command_accepts(command: click.Command) -> None:
+    """And narrow enough to be read at 80 columns."""
+    assert isinstance(command, Command) and command.examples
+    assert max(map(len, command.examples)) <= 76
+    for statement in statements("\n".join(command.examples)):
+        for arguments in invocations(statement):
+            check(arguments)
 
 
 def test_every_command_has_its_options() -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from support.axe import serious_violations
+from support.browser import open_browser, set_width
 from support.markdown import ROOT, without_blocks
 
 LONGEST_README = 150
@@ -56,6 +58,24 @@ def test_tables_and_lists_are_drawn_as_such(site: Path) -> None:
         text = page.read_text(encoding="utf-8")
         for paragraph in re.findall(r"<p>(.*?)</p>", text, re.DOTALL):
             assert not re.search(r"\n(?:- |\d+\. |\|)", paragraph), f"{page.name}: {paragraph[:200]}"
+
+
+SCHEME = """
+const style = document.head.appendChild(document.createElement("style"));
+style.textContent = "* { transition: none !important; }";
+document.body.setAttribute("data-md-color-scheme", arguments[0]);
+"""
+
+
+def test_axe_finds_nothing_serious(site: Path, tmp_path: Path) -> None:
+    """On a telephone in light colours, wide in dark ones: text, code, tables, pictures, the theme around."""
+    with open_browser(tmp_path) as driver:
+        for name, width, scheme in (("index", 390, "default"), ("results", 1200, "slate")):
+            set_width(driver, width)
+            driver.get((site / f"{name}.html").as_uri())
+            driver.execute_script(SCHEME, scheme)
+            assert serious_violations(driver) == [], name
+            assert driver.execute_script("return document.documentElement.scrollWidth") == width
 
 
 def slug(heading: str) -> str:

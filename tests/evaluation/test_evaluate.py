@@ -228,7 +228,7 @@ def test_when_no_stamp_matches_the_nearest_is_told(tmp_path: Path) -> None:
     got = evaluate(path)
     reason = (
         "no estimate has a truth within 5 ms: the nearest is 12 ms away; "
-        "see --tolerance-ms and --time-offset-s"
+        "see --truth-tolerance-ms and --time-offset-s"
     )
     assert got.notes == (reason,)
     assert got.absent["joint_error_mm.wrist"] == reason

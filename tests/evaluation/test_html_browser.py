@@ -20,6 +20,7 @@ from posetrack_cli.evaluation.html.packing import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.rows_page import RowsPage
 from posetrack_cli.evaluation.html.writer import ReportPage
+from support.axe import serious_violations
 from support.browser import console_lines, open_browser, requested, set_features, set_width
 from support.evaluation import hand_evaluation
 from support.html import NASTY, head_evaluation, picture, shortened, without_truth
@@ -461,6 +462,97 @@ def test_contrast_is_enough(make: Make, scheme: str) -> None:
     found = page.run(CONTRAST, [*text, ["--ink", "--warn"], *drawn])
     assert all(found[f"{ink} on {paper}"] >= 4.5 for ink, paper in [*text, ["--ink", "--warn"]]), found
     assert all(found[f"{ink} on {paper}"] >= 3.0 for ink, paper in drawn), found
+
+
+UNFOLD = "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
+PHONE_PX = 390
+
+
+def test_no_table_is_cut_on_a_phone_and_every_cell_names_its_column(make: Make) -> None:
+    """Figures of one result and of several, run records; also those that were folded."""
+    for evaluations in (
+        [head_evaluation(frames=30)],
+        [hand_evaluation(f"take {i}", 60, 3.0 + i) for i in range(5)],
+    ):
+        page = make(*evaluations, width=PHONE_PX)
+        page.run(UNFOLD)
+        cut = page.run(
+            "return [...document.querySelectorAll('.scrolling, .contents, .key, figure')].filter((one) =>"
+            " one.scrollWidth > one.clientWidth + 1).map((one) => one.outerHTML.slice(0, 120))"
+        )
+        assert cut == []
+        outside = page.run(
+            "return [...document.querySelectorAll('td, th, a')].filter((one) => one.offsetWidth > 1 &&"
+            " one.getBoundingClientRect().right > innerWidth).length"
+        )
+        assert outside == 0
+        nameless = "td:not(:first-child):not([data-label])"
+        assert page.all(f"table.figures tbody {nameless}") == []
+        shown = page.run(
+            "const cell = document.querySelector('table.figures tbody td');"
+            "return getComputedStyle(cell, '::before').content"
+        )
+        assert shown.strip('"').strip() in {"mean/value", *(one.name for one in evaluations)}
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(PHONE_PX, "dark"), (1200, "light")])
+def test_axe_finds_nothing_serious(make: Make, width: int, scheme: str) -> None:
+    """With everything unfolded: a result with pictures, several with differences, and one of little."""
+    several = [some_lost(hand_evaluation(name, FRAMES, 3.0 + i)) for i, name in enumerate("ab")]
+    for evaluations in (several, [without_truth(head_evaluation(frames=20))]):
+        page = make(*evaluations, width=width, scheme=scheme, a=[picture()])
+        page.run(UNFOLD)
+        assert serious_violations(page.driver) == []
+
+
+def test_axe_finds_nothing_serious_on_a_page_of_many_results(driver: Any, tmp_path: Path) -> None:
+    members = [result(f"take-{place}", 2.0 + place) for place in range(8)]
+    outcomes = check_gates([parse_gate("joint_error_mm.mean > 5")], members)
+    found = RowsPage(
+        [result_set(members, outcomes)], outcomes, missing=[("a", "b")], links={"take-1": "./x.html"}
+    )
+    write_rows_html(tmp_path / "rows.html", found)
+    page = Page(driver, tmp_path / "rows.html")
+    for width, scheme in ((PHONE_PX, "light"), (1200, "dark")):
+        page.open(width, scheme)
+        page.run(UNFOLD)
+        assert serious_violations(driver) == []
+        assert page.run("return document.documentElement.scrollWidth") == width
+
+
+def test_axe_would_find_what_is_wrong(make: Make) -> None:
+    page = make(hand_evaluation(frames=5), a=[picture()])
+    page.run("document.querySelector('figure img').removeAttribute('alt')")
+    page.run("document.querySelector('h1').style.color = '#ddd'")
+    found = serious_violations(page.driver)
+    assert any("image-alt" in one for one in found) and any("color-contrast" in one for one in found)
+
+
+def test_pictures_and_the_view_in_space_come_first_and_the_contents_lead_to_all(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES), a=[picture()])
+    places = page.run("return [...document.querySelectorAll('main section')].map((one) => one.id)")
+    assert places[:3] == ["worst", "scene", "summary"] and places.index("tables") > places.index("over-time")
+    links = page.run(
+        "return [...document.querySelectorAll('.contents a')].map((a) => a.getAttribute('href'))"
+    )
+    assert {link.removeprefix("#") for link in links} <= set(places)
+    page.find(".contents a[href='#tables']").click()
+    page.settle()
+    bar, heading = (page.find(one).rect for one in (".contents", "#tables h2"))
+    top = page.run("return scrollY")
+    assert bar["y"] + bar["height"] <= heading["y"] + 1 and heading["y"] - top < 900, (
+        "the bar hides no heading"
+    )
+
+
+def test_who_wants_less_motion_is_not_scrolled_smoothly(make: Make) -> None:
+    page = make(hand_evaluation(frames=FRAMES), a=[picture(77, 77 * FRAME_NS)])
+    told = "window.told = []; Element.prototype.scrollIntoView = function (how) { told.push(how.behavior); }"
+    page.run(told)
+    for motion in ("reduce", "no-preference"):
+        set_features(page.driver, prefers_reduced_motion=motion)
+        page.run("arguments[0].click()", page.find(".jump"))
+    assert page.run("return told") == ["auto", "smooth"]
 
 
 @pytest.mark.parametrize("width", [360, 800, 1600])

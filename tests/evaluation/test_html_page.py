@@ -99,12 +99,14 @@ def test_several_results_have_a_column_each_and_their_differences() -> None:
         for name, error in (("a", 3.0), ("b", 9.0))
     )
     text = page(one, two, comparison=compare([one, two]))
-    assert len(cells(text, "joint error mm")) == 2
+    assert len(cells(text, "joint error, mean mm")) == 2
     words = Outline(text).words
     assert "Paired differences" in words and "b - a" in words
 
 
-@pytest.mark.parametrize("nasty", [NASTY, "--><!--", "${title}", "\x00\x1b[2J", "\ud800"])
+@pytest.mark.parametrize(
+    "nasty", [NASTY, "--><!--", "${title}", "{{ title }}{% raw %}{# ", "\x00\x1b[2J", "\ud800"]
+)
 def test_nothing_that_a_user_names_becomes_part_of_the_page(nasty: str) -> None:
     def words(count: int) -> tuple[str, ...]:
         return tuple(f"{nasty}{i}" for i in range(count))

@@ -45,8 +45,12 @@ def test_the_worst_frames_come_first_with_their_errors(tmp_path: Path, recording
     assert [picture.frame_index for picture in pictures[:2]] == [20, 70]
     assert [picture.stamp_ns for picture in pictures[:2]] == [stamps[20], stamps[70]]
     seconds = [(stamps[frame] - stamps[0]) * 1e-9 for frame in (20, 70)]
-    assert pictures[0].caption == f"frame 20, {seconds[0]:.3f} s, tracking, joint error 60.0 mm"
-    assert pictures[1].caption == f"frame 70, {seconds[1]:.3f} s, tracking, joint error 30.0 mm"
+    assert (
+        pictures[0].caption == f"frame 20, {seconds[0]:.3f} s, tracking, joint error 60.0 mm, confidence 0.75"
+    )
+    assert (
+        pictures[1].caption == f"frame 70, {seconds[1]:.3f} s, tracking, joint error 30.0 mm, confidence 0.75"
+    )
 
 
 def test_pictures_show_the_hand_and_the_truth_beside_it(tmp_path: Path, recording: Recording) -> None:
@@ -68,8 +72,8 @@ def test_without_truth_lost_frames_and_high_costs_are_worst(tmp_path: Path, reco
         evaluate(make_result(tmp_path / "r.mcap", recording, change)), recording, 3
     )
     assert [picture.frame_index for picture in pictures] == [72, 36, 3]
-    assert pictures[0].caption.endswith("lost, cost 1.0 mm")
-    assert pictures[1].caption.endswith("tracking, cost 30.0 mm")
+    assert pictures[0].caption.endswith("lost, confidence 0.75, cost 1.0 mm")
+    assert pictures[1].caption.endswith("tracking, confidence 0.75, cost 30.0 mm")
     first = np.hsplit(decoded(pictures[0].png), 2)[1]
     assert first[0].tolist() == [[60, 60, 255]] * first.shape[1], "a lost frame has a red border"
 

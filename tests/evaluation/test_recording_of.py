@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
@@ -20,10 +23,13 @@ from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.recording.camera_file import LONE_NAME
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.results.reader import Result
 from support import images
+from support.bags import HEIGHT, WIDTH, write_bag, write_folder
+from support.kinect import write_kinect
 from support.viewing import make_folder, make_recording, make_result, truth_of, write_camera
 
 RATE = 20.0
@@ -214,6 +220,82 @@ def test_an_mcap_tracked_with_a_camera_file_gets_the_run_s_camera(
         k: v for k, v in values[1].items() if k != "name"
     }
     assert (next(found.frames()).depth == next(opened.frames()).depth).all()
+
+
+def test_a_video_tracked_with_a_camera_file_gets_it_from_the_result(tmp_path: Path) -> None:
+    """Wherever file and video are now, and with the part of the images that the file has cut out."""
+    video = tmp_path / "face.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), RATE, (64, 48))
+    for image in images.grey_images(3):
+        writer.write(cv2.cvtColor(cv2.resize(image, (64, 48)), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    file = tmp_path / "mine.toml"
+    file.write_text("fx = 80.0\nfy = 81.0\ncx = 30.0\ncy = 20.0\ncrop = [8, 4, 40, 40]\n")
+    opened = open_recording(video, "grey", camera_file=file)
+    result = result_of(tmp_path / "r.mcap", opened)
+    file.unlink()
+    moved = Path(shutil.move(video, tmp_path / "renamed.avi"))
+    for any_recording in (False, True):
+        found = search_recording(result, moved, any_recording=any_recording).recording
+        assert found is not None and found.cameras == opened.cameras
+        (first,) = next(found.frames()).images
+        assert first is not None and first.shape == (40, 40)
+
+
+SMALL = {"width": WIDTH, "height": HEIGHT, "fx": 70.0, "fy": 71.0, "cx": 31.0, "cy": 23.0}
+OF_KINECT = {"width": 320, "height": 288, "fx": 250.0, "fy": 251.0, "cx": 160.0, "cy": 144.0}
+EVERY_KIND: dict[str, tuple[PixelKind, Callable[[Path], Path], dict[str, float]]] = {
+    "ROS 1, depth": ("depth", lambda folder: write_bag(folder / "r.bag"), SMALL),
+    "ROS 1, colour": ("grey", lambda folder: write_bag(folder / "r.bag"), SMALL),
+    "ROS 2, folder": ("depth", lambda folder: write_folder(folder / "r", "sqlite3"), SMALL),
+    "ROS 2, MCAP": ("grey", lambda folder: write_folder(folder / "r", "mcap"), SMALL),
+    "Azure Kinect": ("depth", lambda folder: write_kinect(folder / "r.mkv"), OF_KINECT),
+}
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+@pytest.mark.parametrize("told", [False, True], ids=["own camera", "camera file"])
+def test_every_kind_is_opened_again_wherever_it_is_now(tmp_path: Path, kind: str, told: bool) -> None:
+    """Folders, MCAP files and videos have tests of their own, above."""
+    pixels, write, camera = EVERY_KIND[kind]
+    path, file = write(tmp_path), tmp_path / "mine.toml"
+    table = "[cameras.color_frame]\n" if pixels == "grey" else ""
+    file.write_text(table + "".join(f"{key} = {value}\n" for key, value in camera.items()))
+    given = {"camera_file": file} if told else {}
+    opened = open_recording(path, pixels, **given)
+    assert (opened.cameras[0].fx == camera["fx"]) or not told
+    stamps = [frame.stamp_ns for frame in opened.frames()]
+    result = result_of(tmp_path / "r.mcap", opened)
+    file.unlink()
+    moved = path.rename(tmp_path / f"other{path.suffix}")
+    found = search_recording(result, moved).recording
+    assert found is not None and found.cameras == opened.cameras
+    assert [frame.stamp_ns for frame in found.frames()] == stamps and stamps
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_another_recording_without_a_camera_gets_that_of_the_run(
+    source: Path, tmp_path: Path, mirror: bool
+) -> None:
+    """Also where the run had it from its recording's messages."""
+    opened = open_recording(source, mirror=mirror)
+    result = result_of(tmp_path / "r.mcap", opened)
+    folder = make_folder(tmp_path / "images", open_recording(source), camera=False)
+    found = search_recording(result, folder, any_recording=True, fps=RATE).recording
+    assert found is not None
+    assert found.cameras == (replace(opened.cameras[0], name=LONE_NAME),)
+    assert (next(found.frames()).depth == next(opened.frames()).depth).all()
+
+
+def test_another_recording_of_another_size_is_told_without_a_file_that_nobody_knows(
+    source: Path, tmp_path: Path
+) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(source))
+    small = tmp_path / "small"
+    small.mkdir()
+    cv2.imwrite(str(small / "0.png"), np.full((48, 64), 700, np.uint16))
+    with pytest.raises(RecordingError, match=r"small, with the run's camera: .* found images of 64x48"):
+        search_recording(result, small, any_recording=True, fps=RATE)
 
 
 def test_a_folder_of_one_camera_without_a_name_is_opened_as_the_run_opened_it(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.image_files import encode_png
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice

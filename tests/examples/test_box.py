@@ -82,7 +82,7 @@ def test_it_is_measured_by_the_command_line(
 def test_it_is_drawn_by_the_command_line(recording: Path, result: Path, tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
     assert (
-        run(["view", str(result), "--recording", str(recording), "--frames", "spread:3", "-o", str(sheet)])
+        run(["view", str(result), "--recording", str(recording), "--select", "spread:3", "-o", str(sheet)])
         == 0
     )
     assert sheet.stat().st_size > 1000

@@ -37,14 +37,14 @@ RUN = ("hand", "run", "r.mcap", "-o", "out.mcap", *HAND)
 MONO = ("head", "mono", "r.mcap", "-o", "out.mcap", *HEAD, "--passes", "1")
 READING = {
     "info": ("info", "r.mcap"),
-    "info json": ("info", "r.mcap", "--json"),
-    "convert": ("convert", "r.mcap", "out.mcap"),
+    "info json": ("info", "r.mcap", "--json", "-"),
+    "convert": ("convert", "r.mcap", "-o", "out.mcap"),
     "hand run": RUN,
     "head mono": MONO,
 }
 MEASURING = {
     "info": ("info", "r.mcap"),
-    "info json": ("info", "r.mcap", "--json"),
+    "info json": ("info", "r.mcap", "--json", "-"),
     "eval": ("eval", "r.mcap"),
     "export": ("export", "r.mcap"),
 }
@@ -219,7 +219,7 @@ def images_folder(name: str, data: bytes, *, grey: bool = False) -> Callable[[Se
 
 FOLDER = {
     "info": ("info", "rec"),
-    "convert": ("convert", "rec", "out.mcap"),
+    "convert": ("convert", "rec", "-o", "out.mcap"),
     "run": ("hand", "run", "rec", *RUN[3:]),
 }
 for _called, _command in FOLDER.items():
@@ -558,8 +558,8 @@ for _called, _special in {"pipe": Pipe(), "device": Link("/dev/zero"), "folder l
     for _name, _command in (READING | MEASURING).items():
         add(f"a {_called} as recording: {_name}", _command, lambda seeds, s=_special: {"r.mcap": s})
     for _option, _command in {
-        "--camera": ("convert", "rec", "out.mcap", "--camera", "x"),
-        "--truth": ("convert", "rec", "out.mcap", "--truth", "x"),
+        "--camera": ("convert", "rec", "-o", "out.mcap", "--camera", "x"),
+        "--truth": ("convert", "rec", "-o", "out.mcap", "--truth", "x"),
         "--config": ("hand", "run", "rec", "-o", "out.mcap", "--config", "x"),
         "--init": ("hand", "run", "rec", "-o", "out.mcap", "--init", "x"),
         "--shape": ("hand", "run", "rec", "-o", "out.mcap", "--shape", "x"),

@@ -67,15 +67,14 @@ def serve() -> None:
 def prepare() -> None:
     """Import everything; no thread may run when children are forked."""
     import cv2
-    import tqdm
 
     import posetrack_cli
 
     cv2.setNumThreads(0)
-    tqdm.tqdm.monitor_interval = 0
     for module in pkgutil.walk_packages(posetrack_cli.__path__, "posetrack_cli."):
         importlib.import_module(module.name)
     for name in (
+        "av",
         "encodings.idna",
         "multiprocessing.util",
         "http.client",

@@ -41,9 +41,12 @@ def commands(*weighted: tuple[int, tuple[str, ...]]) -> st.SearchStrategy[tuple[
 
 def of_recording(name: str, *, depth: bool = True, heads: bool = True) -> st.SearchStrategy[tuple[str, ...]]:
     """Commands that read a recording; those that track are rare, as they take long."""
-    choices = [(6, ("info", name)), (6, ("info", name, "--json"))]
+    choices = [(6, ("info", name)), (6, ("info", name, "--json", "-"))]
     if depth:
-        choices += [(8, ("convert", name, "out.mcap")), (1, ("hand", "run", name, "-o", "out.mcap", *HAND))]
+        choices += [
+            (8, ("convert", name, "-o", "out.mcap")),
+            (1, ("hand", "run", name, "-o", "out.mcap", *HAND)),
+        ]
     if heads:
         choices.append((3, ("head", "mono", name, "-o", "out.mcap", *HEAD, "--passes", "1")))
         choices.append((2, ("head", "stereo", name, "-o", "out.mcap", *HEAD)))
@@ -53,12 +56,12 @@ def of_recording(name: str, *, depth: bool = True, heads: bool = True) -> st.Sea
 def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
     return commands(
         (4, ("info", name)),
-        (3, ("info", name, "--json")),
+        (3, ("info", name, "--json", "-")),
         (3, ("eval", name)),
         (1, ("eval", name, "--parts")),
         (1, ("eval", name, "--json", "-")),
         (1, ("eval", name, "--html", "out.html")),
-        (1, ("eval", name, "--layout", "rows", "--html", "out.html", "--markdown", "-")),
+        (1, ("eval", name, "--rows", "--html", "out.html", "--markdown", "-")),
         (2, ("export", name)),
         (2, ("export", name, "--format", "json")),
         (1, ("export", name, "-o", "out.npz")),
@@ -340,7 +343,7 @@ def cameras(seeds: Seeds) -> Strategy:
             "cameras",
             "c.toml",
             changed_text(of.CAMERA_TOML, TOML_PIECES),
-            st.sampled_from([("convert", "r.mcap", "out.mcap", "--camera", "c.toml")]),
+            st.sampled_from([("convert", "r.mcap", "-o", "out.mcap", "--camera", "c.toml")]),
             **{"r.mcap": seeds.hand},
         ),
     )
@@ -453,7 +456,7 @@ def tables(seeds: Seeds) -> Strategy:
             "tables",
             "t.csv",
             changed_text(of.truth_csv(), CSV_PIECES),
-            st.just(("convert", "rec", "out.mcap", "--truth", "t.csv")),
+            st.just(("convert", "rec", "-o", "out.mcap", "--truth", "t.csv")),
             **folder,
         ),
         made_of(
@@ -689,7 +692,7 @@ def names(seeds: Seeds) -> Strategy:
             }
             return Case("names", draw(of_recording("rec", heads=False)), frames, OUT)
         if how == "output":
-            words = ("convert", "r.mcap", "out.mcap", *draw(st.sampled_from(((), ("--overwrite",)))))
+            words = ("convert", "r.mcap", "-o", "out.mcap", *draw(st.sampled_from(((), ("--overwrite",)))))
             place = draw(
                 st.sampled_from(
                     ("out.mcap", "out.mcap.part", "out.mcap.part.state", "out.mcap.part.state.tmp")
@@ -722,8 +725,8 @@ def names(seeds: Seeds) -> Strategy:
 
 def _options_of_files(name: str) -> list[tuple[str, ...]]:
     return [
-        ("convert", "rec", "out.mcap", "--camera", name),
-        ("convert", "rec", "out.mcap", "--truth", name),
+        ("convert", "rec", "-o", "out.mcap", "--camera", name),
+        ("convert", "rec", "-o", "out.mcap", "--truth", name),
         ("eval", "r.mcap", "--truth", name),
         ("eval", "r.mcap", "--gates", name),
         ("eval", "r.mcap", "--baseline", name),

@@ -190,7 +190,9 @@ def two_topics(make: SimpleNamespace, path: Path) -> Path:
 
 def test_two_candidates_are_listed_and_either_can_be_chosen(tmp_path: Path, make: SimpleNamespace) -> None:
     path = two_topics(make, tmp_path)
-    text = message_of(path)
+    with pytest.raises(UsageError) as caught:  # as several cameras of a head are
+        open_recording(path)
+    text = str(caught.value)
     assert "/left/depth (foxglove.RawImage, 16UC1), /right/depth (foxglove.RawImage, 16UC1)" in text
     assert "--topic" in text
     np.testing.assert_array_equal(depths(path, topic="/right/depth")[0], make.depth_codes(2)[1])

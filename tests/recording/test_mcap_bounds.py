@@ -24,7 +24,7 @@ from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError
 from posetrack_cli.mcap.records import HEAD, MAGIC, chunk_records, record_spans
 from posetrack_cli.mcap.stream import DAMAGED_CHUNK, LARGE_CHUNK, McapFile
 from posetrack_cli.mcap.summary import read_summary
-from posetrack_cli.recording.mcap_topics import scan_topics
+from posetrack_cli.recording.message_topics import scan_topics
 
 MIB = 1 << 20
 

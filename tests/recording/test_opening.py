@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from posetrack_cli.cli.options import NAMES
@@ -17,7 +19,7 @@ OPENERS = [opener for source in SOURCES for opener in source.openers.values()]
 def test_every_option_is_one_of_reading_and_applies_somewhere() -> None:
     applying = frozenset[str]().union(*(opener.options for opener in OPENERS))
     assert applying == ReadingOptions.__annotations__.keys()
-    assert {*NAMES, "guess"} == applying
+    assert {*NAMES, "guess", "in_colour"} == applying
 
 
 def test_options_that_exclude_each_other_both_apply_alone() -> None:
@@ -56,5 +58,14 @@ def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path
 
 def test_a_video_holds_no_depth(tmp_path: Path) -> None:
     (tmp_path / "v.mp4").write_bytes(b"\0\0\0\x20ftypisom")
-    with pytest.raises(RecordingError, match=r"is not a recording, found a file of another kind, expected"):
+    with pytest.raises(RecordingError, match=r"is no video that can be read"):
         open_recording(tmp_path / "v.mp4")
+    (tmp_path / "notes").write_text("notes")
+    with pytest.raises(RecordingError, match=r"is not a recording, found a file of another kind, expected"):
+        open_recording(tmp_path / "notes")
+    video = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    video.write(np.zeros((48, 64, 3), np.uint8))
+    video.release()
+    hint = "is a video without depth, .*; posetrack head mono tracks heads in videos"
+    with pytest.raises(RecordingError, match=hint):
+        open_recording(tmp_path / "v.avi")

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.video import open_capture
+from posetrack_cli.recording.opening import describe, open_recording
+from posetrack_cli.recording.video_file import opened_video
 
 COUNT, RATE = 12, 25.0
 CAMERA = "fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n"
@@ -250,11 +253,11 @@ def test_a_list_of_other_files_is_no_video(tmp_path: Path, text: str, disguise: 
     )
     writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
-    with open_capture(tmp_path / "other.avi"):
+    with opened_video(tmp_path / "other.avi"):
         pass
     path = tmp_path / "list.mp4"
     path.write_text(f"{disguise}ftyp\n{text}" if disguise else text)
-    with pytest.raises(RecordingError, match="is no video that can be read"), open_capture(path):
+    with pytest.raises(RecordingError, match="is no video that can be read"), opened_video(path):
         pass
 
 
@@ -265,5 +268,84 @@ def test_a_video_larger_than_any_is_refused(tmp_path: Path, monkeypatch: pytest.
     writer.release()
     monkeypatch.setattr(limits, "IMAGE_PIXELS", 64 * 48 - 1)
     expected = "video is larger than any that is read, found 64x48"
-    with pytest.raises(RecordingError, match=expected), open_capture(path):
+    with pytest.raises(RecordingError, match=expected), opened_video(path):
         pass
+
+
+# Videos as phones and recorders make them: H.264 with pictures out of order, uneven stamps, a turned camera
+
+IDENTITY, QUARTER = (0x10000, 0, 0, 0, 0x10000, 0), (0, 0x10000, 0, -0x10000, 0, 0)
+"""The two upper rows of MP4's matrix, (a, b, u, c, d, v): as stored, and turned clockwise to be shown."""
+H264_LEVELS = 8.0
+
+
+def write_h264(path: Path, times: Sequence[int]) -> Path:
+    """Pictures of given stamps, periods of 1 / RATE, stored in the order in which B-frames need them."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=int(RATE), options={"bf": "2", "crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, int(RATE))
+        for picture, time in zip(pictures(), times, strict=False):
+            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+            frame.pts, frame.time_base = time, Fraction(1, int(RATE))
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    path.with_suffix(".toml").write_text(CAMERA)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_frames_of_h264_come_in_order_with_their_own_stamps(tmp_path: Path, suffix: str) -> None:
+    recording = open_recording(write_h264(tmp_path / f"v{suffix}", UNEVEN), "grey")
+    frames = list(recording.frames())
+    true = [round(time * 1e9 / RATE) for time in UNEVEN]
+    assert np.abs(np.subtract([frame.stamp_ns for frame in frames], true)).max() <= OF_MATROSKA_NS
+    assert recording.losses == ()
+    for frame, picture in zip(frames, pictures(), strict=False):
+        assert np.abs(frame.images[0] - picture @ [0.114, 0.587, 0.299]).mean() < H264_LEVELS
+
+
+def test_a_video_is_turned_as_its_container_says(tmp_path: Path) -> None:
+    path = write_h264(tmp_path / "v.mp4", range(COUNT))
+    (plain,) = next(iter(open_recording(path, "grey").frames())).images
+    matrices = [struct.pack(">3i", *rows[:3]) + struct.pack(">3i", *rows[3:]) for rows in (IDENTITY, QUARTER)]
+    at = path.read_bytes().index(b"tkhd")
+    data = path.read_bytes()
+    path.write_bytes(data[:at] + data[at:].replace(matrices[0], matrices[1], 1))
+    (turned,) = next(iter(open_recording(path, "grey").frames())).images
+    np.testing.assert_array_equal(turned, np.rot90(plain, -1))
+    assert describe(path)["image"] == {"width": 48, "height": 64}
+    shown = cv2.VideoCapture(str(path)).read()[1]
+    assert np.abs(cv2.cvtColor(shown, cv2.COLOR_BGR2GRAY).astype(int) - turned).mean() < 1
+
+
+def test_frames_that_a_video_only_claims_cost_nothing(video: Path) -> None:
+    """An AVI that says of itself to have two thousand million frames."""
+    data = bytearray(video.read_bytes())
+    for name, at in ((b"avih", 24), (b"strh", 40)):
+        struct.pack_into("<I", data, data.index(name) + at, 2**31 - 1)
+    video.write_bytes(data)
+    recording = open_recording(video, "grey")
+    assert len(list(recording.frames())) == COUNT
+    assert all(loss.what == "video frame missing" for loss in recording.losses)
+
+
+def test_a_video_that_grows_within_is_not_decoded_beyond_the_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    large = cv2.imencode(".jpg", np.zeros((480, 640, 3), np.uint8))[1].tobytes()
+    path = write_packets(tmp_path / "v.mp4", [*packets(3), large, *packets(2)], range(6))
+    monkeypatch.setattr(limits, "IMAGE_PIXELS", 640 * 480 - 1)
+    recording = open_recording(path, "grey")
+    assert len(list(recording.frames())) == 5
+    (loss,) = recording.losses
+    assert (loss.what, loss.count, loss.first) == ("video frame cannot be decoded", 1, "frame 3")
+
+
+def test_colour_to_draw_on_is_kept(video: Path) -> None:
+    for frame, picture in zip(
+        open_recording(video, "grey", in_colour=True).frames(), pictures(), strict=True
+    ):
+        (image,) = frame.images
+        assert image.shape == picture.shape
+        assert np.abs(image.astype(int) - picture).mean() < 2 * CODEC_LEVELS  # colour is halved

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import ResultWriter, Subject
 from support.results import (
@@ -99,16 +99,13 @@ def test_a_run_can_be_interrupted_again_and_again(tmp_path: Path, whole: bytes) 
 def test_chunks_that_end_by_their_size_are_replayed_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bytes
 ) -> None:
-    monkeypatch.setattr("posetrack_cli.mcap.sink.McapSink.__init__.__kwdefaults__", small_chunks())
+    defaults = McapSink.__init__.__kwdefaults__ | {"chunk_bytes": 5000}
+    monkeypatch.setattr(McapSink.__init__, "__kwdefaults__", defaults)
     uninterrupted = write_result(tmp_path / "whole.mcap", FRAMES).read_bytes()
     path = killed(tmp_path, 17)
     resume_result(path, FRAMES)
     assert path.read_bytes() == uninterrupted
     assert uninterrupted != whole
-
-
-def small_chunks() -> Mapping[str, object]:
-    return {"compression": "zstd", "chunk_bytes": 5000}
 
 
 def test_the_tracker_gets_its_state_back_bit_by_bit(tmp_path: Path) -> None:

@@ -36,13 +36,13 @@ def browser_paths() -> tuple[str, str]:
 
 
 @contextmanager
-def open_browser(profile: Path) -> Iterator[Any]:
+def open_browser(profile: Path, *flags: str) -> Iterator[Any]:
     """A headless browser with a fresh profile that logs its console and its network requests."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
     browser, driver_path = browser_paths()
     options = webdriver.ChromeOptions()
     options.binary_location = browser
-    for flag in (*FLAGS, f"--user-data-dir={profile}"):
+    for flag in (*FLAGS, *flags, f"--user-data-dir={profile}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     # the driver's path is given, so that selenium asks nobody for one

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import click
+
+from posetrack_cli.cli.main import cli
 
 ROOT = Path(__file__).parents[2]
 PAGES = (
@@ -16,7 +20,8 @@ PAGES = (
 """Everything that is read; the changelog tells of what was."""
 
 _FENCE = re.compile(
-    r"^(?:<!-- not run: (?P<reason>[^>]+) -->\n)?```(?P<language>\S*)\n(?P<text>.*?)^```$",
+    r"^(?:<!-- (?:not run: (?P<reason>[^>]+)|needs: (?P<needs>[\w ]+)) -->\n)?"
+    r"```(?P<language>\S*)\n(?P<text>.*?)^```$",
     re.DOTALL | re.MULTILINE,
 )
 _ENDS = frozenset("|&;<>()")
@@ -24,13 +29,19 @@ _ENDS = frozenset("|&;<>()")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: page relative to the root, line, language, text, why it is not run, if so."""
+    """A fenced block: page relative to the root, line, language, text.
+
+    Attributes:
+        reason: why it is not run, if so.
+        needs: modules without which it cannot be run, which are no dependencies, not even of tests.
+    """
 
     page: str
     line: int
     language: str
     text: str
     reason: str | None
+    needs: tuple[str, ...] = ()
 
     @property
     def place(self) -> str:
@@ -42,7 +53,14 @@ def blocks(path: Path) -> list[Block]:
     text = path.read_text(encoding="utf-8")
     page = path.relative_to(ROOT).as_posix()
     return [
-        Block(page, text.count("\n", 0, found.start()) + 1, found["language"], found["text"], found["reason"])
+        Block(
+            page,
+            text.count("\n", 0, found.start()) + 1,
+            found["language"],
+            found["text"],
+            found["reason"],
+            tuple((found["needs"] or "").split()),
+        )
         for found in _FENCE.finditer(text)
     ]
 
@@ -68,3 +86,18 @@ def invocations(statement: str) -> Iterator[list[str]]:
             rest = words[start + 1 :]
             end = next((k for k, each in enumerate(rest) if set(each) <= _ENDS), len(rest))
             yield rest[:end]
+
+
+def check(arguments: Sequence[str]) -> None:
+    """Have click parse a command line as it would before it runs the command."""
+    command, name, rest, context = cli, "posetrack", list(arguments), None
+    while True:
+        try:
+            context = command.make_context(name, rest, parent=context)
+        except click.exceptions.Exit:
+            return  # --help, --version
+        if not isinstance(command, click.Group):
+            return
+        found, within, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        assert found is not None and within is not None
+        name, command = found, within

@@ -1,18 +1,24 @@
-"""What every page is made of and how it is written: texts beside this module, a security policy, one file."""
+"""What every page is made of and how it is written: templates, style, scripts, security policy, one file."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
-from string import Template
+from typing import TYPE_CHECKING, Any
 
 from posetrack_cli import __version__
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.html.components import text
+from posetrack_cli.evaluation.html.components import readable
+from posetrack_cli.evaluation.html.summary import described
+from posetrack_cli.evaluation.reports.table import ABSENT
 from posetrack_cli.files import write_output
 from posetrack_cli.outputs import check_place, whole_or_nothing
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 HERE = Path(__file__).parent
 ENDINGS = (".html", ".htm")
@@ -44,19 +50,58 @@ def write_page(path: Path, content: str) -> None:
         write_output(part, content.encode("utf-8", "backslashreplace"))
 
 
-def filled(template: str, title: str, names: Iterable[str], **parts: str) -> str:
-    """Return a page: a template with its head, style and scripts, and the parts that are its own.
+def rendered(template: str, title: str, names: Iterable[str], /, **context: Any) -> str:
+    """Return a page: a template with its head, style and scripts, and what it shows.
+
+    Everything is escaped (Jinja2's autoescape) but style, scripts and what is ``Markup`` already.
 
     Args:
-        template: file beside this module; its placeholders are those of all pages and of ``parts``.
-        title: of the page, not escaped yet.
+        template: file in ``templates``.
+        title: of the page.
         names: of its scripts, in the order in which they run.
-        parts: HTML, by placeholder.
+        context: what the template names.
     """
+    from markupsafe import Markup
+
     style, script = asset("report.css"), scripts(names)
-    shared = {"title": text(title), "version": text(__version__), "style": style, "script": script}
-    head = Template(asset("head.html")).substitute(shared, policy=policy(style, script))
-    return Template(asset(template)).substitute(shared, head=head, **parts)
+    shared = {"title": title, "version": __version__, "policy": policy(style, script)}
+    return (
+        _environment()
+        .get_template(template)
+        .render(shared | context, style=Markup(style), script=Markup(script))
+    )
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_finalised,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"minus": _minus, "readable": readable}
+    environment.globals |= {"described": described, "absent": ABSENT}
+    return environment
+
+
+def _finalised(value: Any) -> Any:
+    """Text in which control characters can be seen; what is HTML already stays."""
+    return visible(value) if type(value) is str else value
+
+
+def visible(value: str) -> str:
+    """Return text in which what has no shape of its own, such as a control character, is a sign."""
+    return "".join(c if c.isprintable() or c in "\n\u202f\u00a0" else "\ufffd" for c in value)
+
+
+def _minus(value: object) -> str:
+    """A number with the sign that is as wide as a plus."""
+    return str(value).replace("-", "\u2212")
 
 
 def scripts(names: Iterable[str]) -> str:

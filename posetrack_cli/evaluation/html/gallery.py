@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import base64
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.components import element, text
-from posetrack_cli.evaluation.pictures import Picture
+from posetrack_cli.evaluation.pictures import Picture, errors_of
+from posetrack_cli.evaluation.viewing.frame_choice import APART_NS
+from posetrack_cli.units import NS_PER_S
 
 MOST_BYTES = 3_500_000
 """Of all pictures of a page together; base64 makes them 4.7 MB, and half of 10 MB is for the plots."""
@@ -18,6 +20,11 @@ MOST_BYTES = 3_500_000
 NO_FRAMES = "No pictures: there are no frames."
 NOT_DRAWN = "No pictures were drawn."
 NO_ROOM = "No pictures: those of the other results take all the room there is."
+
+WIDE = 1.5
+"""Width over height of pictures that need more room than others."""
+_PNG_SIZE_AT = 16
+"""Where a PNG file tells its width and height."""
 
 Pictures: TypeAlias = Mapping[str, Sequence[Picture] | str]
 """Of each result, by name, the pictures, the worst first; or a text that says why there are none."""
@@ -63,33 +70,71 @@ def _reason(evaluation: Evaluation, given: Sequence[Picture] | str) -> str:
     return NOT_DRAWN if evaluation.coverage.frames else NO_FRAMES
 
 
-def gallery_section(evaluations: Sequence[Evaluation], gallery: Gallery) -> str:
-    """Return one group of figures per result; scripts show the group of the chosen one."""
-    groups = [
-        element("div", _group(gallery, one.name), class_="gallery", data_result=place)
-        for place, one in enumerate(evaluations)
+@dataclass(frozen=True)
+class Figure:
+    """A picture as the page shows it.
+
+    Attributes:
+        source: the image itself, as an address.
+        caption: one line.
+        frame_index: position in the recording.
+        width, height: pixels.
+    """
+
+    source: str
+    caption: str
+    frame_index: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Group:
+    """The pictures of one result.
+
+    Attributes:
+        name: of the result.
+        pictures: the worst first.
+        missing: why there are none.
+        chosen_by: what makes them the worst.
+    """
+
+    name: str
+    pictures: tuple[Figure, ...]
+    missing: str
+    chosen_by: str
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether its pictures are of several panels beside each other."""
+        return any(one.width > WIDE * one.height for one in self.pictures)
+
+
+def groups(evaluations: Sequence[Evaluation], gallery: Gallery) -> list[Group]:
+    """Return the pictures of each result; scripts show those of the chosen one."""
+    return [
+        Group(
+            one.name,
+            tuple(map(_figure, gallery.pictures[one.name])),
+            gallery.missing.get(one.name, ""),
+            chosen_by(one),
+        )
+        for one in evaluations
     ]
-    if gallery.dropped:
-        note = f"{gallery.dropped} more pictures were left out to keep the page small."
-        groups.append(element("p", text(note), class_="remark"))
-    return "".join(groups)
 
 
-def _group(gallery: Gallery, name: str) -> str:
-    if name in gallery.missing:
-        return element("p", text(gallery.missing[name]), class_="missing")
-    return "".join(_figure(place, one) for place, one in enumerate(gallery.pictures[name]))
-
-
-def _figure(place: int, picture: Picture) -> str:
-    source = "data:image/png;base64," + base64.b64encode(picture.png).decode("ascii")
-    image = f'<img src="{source}" alt="{text(picture.caption)}">'
-    button = element(
-        "button",
-        f"Show frame {picture.frame_index} in 3-D",
-        type="button",
-        class_="jump",
-        data_picture=place,
-        hidden="hidden",
+def chosen_by(evaluation: Evaluation) -> str:
+    """Say which frames are the worst."""
+    _, error = errors_of(evaluation)
+    what = (
+        f"The largest {error} first"
+        if error
+        else "Without truth: lost frames first, then the least confidence"
     )
-    return element("figure", image + element("figcaption", text(picture.caption) + button))
+    return f"{what}; at least {APART_NS / NS_PER_S:g} s apart."
+
+
+def _figure(picture: Picture) -> Figure:
+    source = "data:image/png;base64," + base64.b64encode(picture.png).decode("ascii")
+    width, height = struct.unpack_from(">II", picture.png, _PNG_SIZE_AT)
+    return Figure(source, picture.caption, picture.frame_index, width, height)

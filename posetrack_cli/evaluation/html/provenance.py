@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from posetrack_cli import __version__
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.components import details, element, listed, row, scrolling, text
 from posetrack_cli.geometry.euler import EULER_ORDER
 
 FIRST = (
@@ -29,15 +28,37 @@ MOST_LISTED = 4
 """How many results are described without being asked for."""
 
 
-def provenance(evaluations: Sequence[Evaluation]) -> str:
-    """Return the tables of run records and configurations, on demand; rows that differ are marked."""
+@dataclass(frozen=True)
+class RecordRow:
+    """An entry of run records: a value for each result, None where it has none."""
+
+    key: str
+    values: tuple[str | None, ...]
+
+    @property
+    def differs(self) -> bool:
+        """Whether results have different values."""
+        return any(value != self.values[0] for value in self.values)
+
+
+@dataclass(frozen=True)
+class Records:
+    """A table of run records or configurations."""
+
+    title: str
+    rows: tuple[RecordRow, ...]
+
+
+def provenance(evaluations: Sequence[Evaluation]) -> list[Records]:
+    """Return the tables of run records and configurations; none if no result states a run."""
+    if not any(one.run for one in evaluations):
+        return []
     records = [_record(one) for one in evaluations]
     configurations = [dict(_flat(_json(one.run.get("configuration", "")))) for one in evaluations]
-    names = [one.name for one in evaluations]
-    if not any(one.run for one in evaluations):
-        return element("p", "The results state no run: who made them, from what and how.", class_="missing")
-    tables = [("Run", records), ("Resolved configuration", configurations)]
-    return "".join(details(title, _table(title, names, columns)) for title, columns in tables)
+    return [
+        Records(title, _rows(columns))
+        for title, columns in (("Run", records), ("Resolved configuration", configurations))
+    ]
 
 
 def _record(evaluation: Evaluation) -> dict[str, str]:
@@ -71,21 +92,9 @@ def _flat(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
         yield key, json.dumps(value, ensure_ascii=False)
 
 
-def _table(title: str, names: Sequence[str], columns: Sequence[Mapping[str, str]]) -> str:
+def _rows(columns: Sequence[Mapping[str, str]]) -> tuple[RecordRow, ...]:
     keys = dict.fromkeys(key for column in columns for key in column)
-    if not keys:
-        return element("p", "None is stated.", class_="missing")
-    rows = [_row(key, [column.get(key) for column in columns]) for key in keys]
-    head = [element("th", text(name), scope="col") for name in ("", *names)]
-    content = element("caption", text(title)) + element("thead", row(head)) + element("tbody", "".join(rows))
-    return scrolling(element("table", content, class_="record"), title)
-
-
-def _row(key: str, values: Sequence[str | None]) -> str:
-    differs = any(value != values[0] for value in values)
-    cells = [element("td", "–" if value is None else text(value or "(empty)")) for value in values]
-    mark = ' <span class="mark">differs</span>' if differs else ""
-    return row([element("th", text(key) + mark, scope="row"), *cells], class_="differs" if differs else "")
+    return tuple(RecordRow(key, tuple(column.get(key) for column in columns)) for key in keys)
 
 
 def plot_remark(data: Mapping[str, Any]) -> str:
@@ -98,18 +107,40 @@ def component_remark(data: Mapping[str, Any]) -> str:
     return _left_out(data, [(one, one["components"]) for one in data["results"]])
 
 
-def about(data: Mapping[str, Any]) -> str:
-    """Return what made the page and how its data are reduced and stored."""
-    results = [_of_result(result) for result in data["results"]]
-    lines = [
-        f"Written by posetrack {text(__version__)}. Everything is in this file; it loads nothing.",
-        "Tables are made from all frames, plots and the 3-D view from these; lines hold 32-bit numbers.",
-        "What the page holds of each result: "
-        + (listed(results) if len(results) <= MOST_LISTED else details("show", listed(results))),
+@dataclass(frozen=True)
+class Held:
+    """How much the page holds of a result."""
+
+    name: str
+    words: str
+
+
+@dataclass(frozen=True)
+class About:
+    """How the page's data are reduced and stored.
+
+    Attributes:
+        held: of each result.
+        times, angles: one sentence or two.
+    """
+
+    held: tuple[Held, ...]
+    times: str
+    angles: str
+
+    @property
+    def is_short(self) -> bool:
+        """Whether all results are described without being asked for."""
+        return len(self.held) <= MOST_LISTED
+
+
+def about(data: Mapping[str, Any]) -> About:
+    """Return how the page's data are reduced and stored."""
+    return About(
+        tuple(map(_held, data["results"])),
         f"Times are stored in steps of {data['tickSeconds'] * 1e3:.3g} ms. {_origins(data)}",
-        f"Euler angles: {text(EULER_ORDER)}; of a head, the turn away from looking at the camera.",
-    ]
-    return listed(lines)
+        f"Euler angles: {EULER_ORDER}; of a head, the turn away from looking at the camera.",
+    )
 
 
 def _left_out(data: Mapping[str, Any], lines: Iterable[tuple[Mapping[str, Any], Iterable[Any]]]) -> str:
@@ -128,8 +159,7 @@ def _left_out(data: Mapping[str, Any], lines: Iterable[tuple[Mapping[str, Any], 
     )
 
 
-def _of_result(result: Mapping[str, Any]) -> str:
-    """How much of one result the page holds."""
+def _held(result: Mapping[str, Any]) -> Held:
     lines = [one["points"] for one in (*result["quantities"].values(), *result["components"])]
     scene = result["scene"]
     parts = [f"{result['frames']} frames"]
@@ -138,7 +168,7 @@ def _of_result(result: Mapping[str, Any]) -> str:
     if scene is not None:
         every = "" if scene["every"] == 1 else f", one in {scene['every']} and the worst ones"
         parts.append(f"3-D view of {scene['points']} frames{every}, in steps of {scene['stepMm']:.2g} mm")
-    return f"<bdi>{text(result['name'])}</bdi>: {', '.join(parts)}."
+    return Held(result["name"], ", ".join(parts))
 
 
 def _between(counts: list[int]) -> str:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.html.assets import filled, write_page
-from posetrack_cli.evaluation.html.components import details, element, listed, row, scrolling, text
-from posetrack_cli.evaluation.html.summary import comparison_section
-from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of, split_address
+from posetrack_cli.evaluation.html.assets import rendered, write_page
+from posetrack_cli.evaluation.html.summary import Notice, described, differences
+from posetrack_cli.evaluation.metrics.catalogue import metric_of
 from posetrack_cli.evaluation.reports.row_table import shown_change, total_lines
 from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, shown
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, worst_first
@@ -21,6 +19,7 @@ from posetrack_cli.evaluation.rows import ResultRow, ResultSet, worst_first
 SCRIPTS = ("rows",)
 MOST_UNFOLDED = 20
 """Failed gates that are shown at once."""
+GATES_FAILED = "gates failed"
 NOTHING = "\u2013"
 
 
@@ -65,171 +64,172 @@ def rows_page(page: RowsPage) -> str:
     """Return the page's text, see ``write_rows_html``."""
     evaluations = worst_first(page.sets)
     failed = [one for one in page.outcomes if one.failed]
-    title = page.title or f"{len(evaluations)} results"
-    comparison = comparison_section(page.comparison)
-    return filled(
+    return rendered(
         "rows.html",
-        title,
+        page.title or f"{len(evaluations)} results",
         SCRIPTS,
+        most_unfolded=MOST_UNFOLDED,
         lead=_lead(page, failed),
-        notices=_against(page.notes),
-        failed=_named("Recordings without a result", page.missing) + _failed(failed),
-        sets="".join(_set(one, page.links) for one in page.sets),
-        comparison=element("section", comparison, id="comparison") if comparison else "",
-        remarks=_named("Remarks of single results", page.remarks) + _remarks(evaluations),
+        notices=[Notice(f"Baseline: {note}") for note in page.notes],
+        missing=page.missing,
+        failed=[("", one.line) for one in failed],
+        sets=[_shown_set(one, page.links) for one in page.sets],
+        comparison=differences(page.comparison),
+        remarks=page.remarks,
+        notes=closing_lines(evaluations),
     )
 
 
 def _lead(page: RowsPage, failed: Sequence[GateOutcome]) -> str:
     if not page.outcomes:
         return ""
-    words = f"{len(failed)} of {len(page.outcomes)} gates failed." if failed else "All gates passed."
-    return element("p", words, class_="lead")
+    return f"{len(failed)} of {len(page.outcomes)} gates failed." if failed else "All gates passed."
 
 
-def _failed(failed: Sequence[GateOutcome]) -> str:
-    lines = [text(one.line) for one in failed]
-    if not lines:
-        return ""
-    few = {"open": ""} if len(lines) <= MOST_UNFOLDED else {}
-    return details(f"Failed gates ({len(lines)})", listed(lines), **few)
+@dataclass(frozen=True)
+class Head:
+    """The heading of a column.
+
+    Attributes:
+        label: what it says, unless it is a figure.
+        meaning: as a tooltip.
+        kind: of what it is sorted by, ``text`` or ``number``.
+        figure: address of the figure below it; empty for none.
+        ordered: whether rows are in its order.
+    """
+
+    label: str
+    meaning: str
+    kind: str
+    figure: str = ""
+    ordered: bool = False
 
 
-def _named(heading: str, lines: Sequence[tuple[str, str]]) -> str:
-    """What there is to say of single results, folded where it is much."""
-    if not lines:
-        return ""
-    few = {"open": ""} if len(lines) <= MOST_UNFOLDED else {}
-    items = (f"<bdi>{text(name)}</bdi>: {text(said)}" for name, said in lines)
-    return details(f"{heading} ({len(lines)})", listed(items), **few)
+@dataclass(frozen=True)
+class Cell:
+    """A value of a row.
+
+    Attributes:
+        column: what it is of.
+        shown: as text.
+        number: that it is sorted by; None for none.
+        worse: whether it is a change for the worse.
+    """
+
+    column: str
+    shown: str
+    number: str | None = None
+    worse: bool = False
 
 
-def _against(notes: Sequence[str]) -> str:
-    """What limits the comparison with the baseline, before any figure."""
-    lines = listed(text(f"Baseline: {note}") for note in notes)
-    return element("div", lines, class_="notices", role="note") if lines else ""
+@dataclass(frozen=True)
+class Line:
+    """A row of the table: a result, or all of them."""
+
+    name: str
+    link: str
+    failed: bool
+    cells: tuple[Cell, ...]
 
 
-def _remarks(evaluations: Sequence[Evaluation]) -> str:
-    lines = closing_lines(evaluations)
-    shown_lines = listed(text(line) for line in lines)
-    return details(f"Notes, and what has no value ({len(lines)})", shown_lines) if lines else ""
+@dataclass(frozen=True)
+class Total:
+    """A figure of all results together."""
+
+    figure: str
+    cells: tuple[Cell, ...]
 
 
-def _set(results: ResultSet, links: Mapping[str, str]) -> str:
+@dataclass(frozen=True)
+class ShownSet:
+    """What the page shows of results of one kind.
+
+    Attributes:
+        title: what they are; empty if there is but one set.
+        count: how many they are.
+        total_columns, totals: the pooled figures.
+        total_lines: why there are none, or not all.
+        judged: whether there are gates.
+        heads, rows, total: the table with a row for each result.
+    """
+
+    title: str
+    count: int
+    total_columns: tuple[str, ...]
+    totals: tuple[Total, ...]
+    total_lines: tuple[str, ...]
+    judged: bool
+    heads: tuple[Head, ...]
+    rows: tuple[Line, ...]
+    total: Line
+
+
+def _shown_set(results: ResultSet, links: Mapping[str, str]) -> ShownSet:
     """All together, and the table of rows."""
-    title = text(results.title[:1].upper() + results.title[1:])
-    content = element("h2", f"All {len(results.rows)} results{': ' + title if title else ''}")
-    content += _totals(results)
-    content += element("h2", f"Result by result{': ' + title if title else ''}")
-    return element("section", content + _table(results, links))
-
-
-def _totals(results: ResultSet) -> str:
-    """The pooled figures, one a line, or why there are none."""
-    total = results.total
-    figures = dict.fromkeys((*results.figures, *results.further))
-    known = [figure for figure in figures if total.value(figure) is not None]
-    reasons = listed(text(line) for line in total_lines(results))
-    remark = element("div", reasons, class_="remark") if reasons else ""
-    if not known:
-        return remark
-    compared = total.earlier is not None
-    columns = ["now", *(("baseline", "change") if compared else ())]
-    head = element(
-        "thead", row([element("th", "", scope="col"), *(element("th", c, scope="col") for c in columns)])
+    figures = list(dict.fromkeys((*results.figures, *results.further)))
+    compared = results.total.earlier is not None
+    known = [figure for figure in figures if results.total.value(figure) is not None]
+    return ShownSet(
+        title=results.title[:1].upper() + results.title[1:],
+        count=len(results.rows),
+        total_columns=("now", *(("baseline", "change") if compared else ())),
+        totals=tuple(Total(figure, _total_cells(results.total, figure, compared)) for figure in known),
+        total_lines=tuple(total_lines(results)),
+        judged=results.judged,
+        heads=tuple(_heads(results, figures)),
+        rows=tuple(_line(one, figures, results, one.name, links.get(one.name, "")) for one in results.rows),
+        total=_line(results.total, figures, results, f"Total of {len(results.rows)}"),
     )
-    lines = (
-        row([element("th", _label(figure), scope="row"), *_total_cells(total, figure, compared)])
-        for figure in known
-    )
-    table = element("table", head + element("tbody", "".join(lines)), class_="figures")
-    return scrolling(table, "All results together") + remark
 
 
-def _total_cells(total: ResultRow, figure: str, compared: bool) -> list[str]:
+def _total_cells(total: ResultRow, figure: str, compared: bool) -> tuple[Cell, ...]:
     now, change = total.value(figure), total.change(figure)
-    cells = [element("td", _number(now))]
+    cells = (Cell("now", _number(now)),)
     if not compared:
         return cells
     then = None if now is None or change is None else now - change
-    return [*cells, element("td", _number(then)), _change(total, figure)]
+    return (*cells, Cell("baseline", _number(then)), _change(total, figure))
 
 
-def _table(results: ResultSet, links: Mapping[str, str]) -> str:
-    """A row for each result: script sorts and filters it, and without script it is in order."""
-    figures = list(dict.fromkeys((*results.figures, *results.further)))
-    heads = [_head("result", "result", "text")]
+def _heads(results: ResultSet, figures: Sequence[str]) -> Iterator[Head]:
+    """The headings: script sorts and filters by them, and without script rows are in order."""
+    yield Head("result", "result", "text")
     for figure in figures:
-        heads.append(_head(_label(figure), figure, "number", figure == results.worst_by))
+        yield Head("", figure, "number", figure, figure == results.worst_by)
         if results.compared and figure != "frames":
-            heads.append(_head("change", f"{figure}: now minus baseline", "number"))
+            yield Head("change", f"{figure}: now minus baseline", "number")
     if results.judged:
-        heads.append(_head("gates failed", "gates failed", "number"))
-    body = "".join(_row(one, figures, results, links=links) for one in results.rows)
-    foot = _row(results.total, figures, results, f"Total of {len(results.rows)}")
-    table = element(
-        "table",
-        element("thead", row(heads)) + element("tbody", body) + element("tfoot", foot),
-        class_="figures rows",
-    )
-    failed = (
-        '<label><input type="checkbox" class="only-failed"> failed only</label>' if results.judged else ""
-    )
-    bar = (
-        '<div class="heading filter" hidden>'
-        '<label>Filter by name <input type="search" class="name-filter"></label>'
-        f'{failed}<span class="shown-count remark" role="status"></span></div>'
-    )
-    return bar + scrolling(table, "Results, worst first")
+        yield Head(GATES_FAILED, GATES_FAILED, "number")
 
 
-def _head(label: str, meaning: str, kind: str, ordered: bool = False) -> str:
-    more = {"aria_sort": "descending"} if ordered else {}
-    return element("th", label, scope="col", title=meaning, data_kind=kind, **more)
-
-
-def _label(figure: str) -> str:
-    """What a figure is called, with its address and meaning as a tooltip."""
-    label, unit = label_and_unit(split_address(figure).base)
-    statistic = split_address(figure).statistic
-    words = f"{label}{f', {statistic}' if statistic else ''}"
-    unit_text = f' <span class="unit">{text(unit)}</span>' if unit else ""
-    return element("abbr", text(words), title=f"{figure}: {metric_of(figure).meaning}") + unit_text
-
-
-def _row(
-    one: ResultRow,
-    figures: Sequence[str],
-    results: ResultSet,
-    label: str = "",
-    links: Mapping[str, str] = MappingProxyType({}),
-) -> str:
-    shown_name = f"<bdi>{text(label or one.name)}</bdi>"
-    if one.name in links:
-        shown_name = element("a", shown_name, href=links[one.name])
-    name = element("th", shown_name, scope="row")
-    cells = [name]
+def _line(one: ResultRow, figures: Sequence[str], results: ResultSet, name: str, link: str = "") -> Line:
+    cells = []
     for figure in figures:
         value = one.value(figure)
-        cells.append(element("td", _number(value), **({} if value is None else {"data_value": repr(value)})))
+        cells.append(Cell(_words(figure), _number(value), None if value is None else repr(value)))
         if results.compared and figure != "frames":
             cells.append(_change(one, figure))
     if results.judged:
-        cells.append(element("td", str(one.failed), data_value=one.failed))
-    return row(cells, **({"class_": "failed"} if one.failed else {}))
+        cells.append(Cell(GATES_FAILED, str(one.failed), str(one.failed)))
+    return Line(name, link, bool(one.failed), tuple(cells))
 
 
-def _change(one: ResultRow, figure: str) -> str:
+@cache
+def _words(figure: str) -> str:
+    """What a figure is called, with its unit."""
+    named = described(figure)
+    return f"{named.label} {named.unit}".strip()
+
+
+def _change(one: ResultRow, figure: str) -> Cell:
     """By how much a figure changed; where that is for the worse it stands out."""
     change, better = one.change(figure), metric_of(figure).better
-    shown_text = shown_change(one, figure)
+    text = shown_change(one, figure)
     if change is None:
-        return element("td", NOTHING if shown_text == ABSENT else shown_text)
+        return Cell("change", NOTHING if text == ABSENT else text)
     worse = (change > 0.0 and better == "lower") or (change < 0.0 and better == "higher")
-    marked = {"class_": "worse"} if worse and shown_text != "0" else {}
-    return element("td", text(shown_text).replace("-", "\u2212"), data_value=repr(change), **marked)
+    return Cell("change", text, repr(change), worse and text != "0")
 
 
 def _number(value: float | None) -> str:
-    return NOTHING if value is None else text(shown(value)).replace("-", "\u2212")
+    return NOTHING if value is None else shown(value)

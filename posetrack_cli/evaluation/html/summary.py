@@ -1,13 +1,14 @@
-"""The parts of the page above the plots: what to know first, the tables of figures, what they mean."""
+"""What the page says before and below its plots: what to know first, the figures that decide, all figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
-from posetrack_cli.evaluation.html.components import details, element, listed, readable, row, scrolling, text
-from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of
+from posetrack_cli.evaluation.figures import figure_of, key_figures
+from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of, split_address
 from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
 from posetrack_cli.evaluation.reports.table import (
@@ -25,15 +26,60 @@ from posetrack_cli.evaluation.reports.table import (
 from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.losses import loss_line
 
+DECISIVE = ("lost", "frames_wrong", "confidence.mean", "jitter_mm.mean", "ms_per_frame.median")
+"""What tells how good a track is beside the key figures of its subject."""
+BETTER = {"lower": " Lower is better.", "higher": " Higher is better."}
 
-def notices(evaluations: Sequence[Evaluation]) -> str:
-    """Return what a reader must know before any figure: notes and data that could not be read."""
+
+@dataclass(frozen=True)
+class Described:
+    """A figure in words.
+
+    Attributes:
+        address: its name.
+        label, unit: what it is called.
+        meaning: one sentence.
+    """
+
+    address: str
+    label: str
+    unit: str
+    meaning: str
+
+
+def described(address: str) -> Described:
+    """Return what a figure is called, given its address with or without a statistic."""
+    base, statistic = split_address(address).base, split_address(address).statistic
+    label, unit = label_and_unit(base)
+    words = f"{label}, {statistic}" if statistic else label
+    return Described(address, words, unit, metric_of(address).meaning)
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A line that must be known before any figure.
+
+    Attributes:
+        line: what it says.
+        names: of the results that it holds for; none if it holds for all.
+    """
+
+    line: str
+    names: tuple[str, ...] = ()
+
+
+def notices(evaluations: Sequence[Evaluation]) -> list[Notice]:
+    """Return what a reader must know first: notes, and data that could not be read."""
     found: dict[str, list[str]] = {}
     for one in evaluations:
         for line in _notices_of(one):
             found.setdefault(line, []).append(one.name)
-    lines = [_notice(line, names, len(evaluations)) for line, names in found.items()]
-    return element("div", listed(lines), class_="notices", role="note") if lines else ""
+    return [Notice(line, _some(names, evaluations)) for line, names in found.items()]
+
+
+def _some(names: Sequence[str], evaluations: Sequence[Evaluation]) -> tuple[str, ...]:
+    """The names, or none if they are all."""
+    return () if len(names) == len(evaluations) else tuple(names)
 
 
 def _notices_of(evaluation: Evaluation) -> Iterator[str]:
@@ -46,66 +92,85 @@ def _notices_of(evaluation: Evaluation) -> Iterator[str]:
         yield "No truth: errors cannot be told, only what the run says of itself."
 
 
-def _notice(line: str, names: Sequence[str], results: int) -> str:
-    if len(names) == results:
-        return text(line)
-    return ", ".join(element("b", text(name)) for name in names) + f": {text(line)}"
+@dataclass(frozen=True)
+class LeadError:
+    """The main error of a result, as text."""
+
+    label: str
+    unit: str
+    mean: str
+    p95: str
 
 
-def lead(evaluations: Sequence[Evaluation]) -> str:
-    """Return one sentence per result: coverage and the main error."""
-    if len(evaluations) > 1:
-        return ""
-    return "".join(element("p", _lead_of(one), class_="lead") for one in evaluations)
+@dataclass(frozen=True)
+class Lead:
+    """The sentence that a page of one result begins with: coverage and the main errors, as text."""
+
+    share: str
+    due: int
+    lost: int
+    errors: tuple[LeadError, ...]
 
 
-def _lead_of(evaluation: Evaluation) -> str:
+def lead(evaluations: Sequence[Evaluation]) -> Lead | None:
+    """Return what the only result is like; None of several."""
+    if len(evaluations) != 1:
+        return None
+    (evaluation,) = evaluations
     coverage = evaluation.coverage
-    due = coverage.frames + coverage.missed
-    parts = [f"Coverage <strong>{shown(coverage.share)}</strong> ({due} frames due, {coverage.lost} lost)"]
+    errors = []
     for name in KINDS[evaluation.subject].lead:
         value = evaluation.metrics.get(name)
         if isinstance(value, Statistics) and value.count:
-            label, unit = label_and_unit(name)
-            parts.append(
-                f"{text(label)} <strong>{shown(value.mean)} {unit}</strong> on average, "
-                f"95 % below {shown(value.p95)} {unit}"
-            )
-    return "; ".join(parts) + "."
+            errors.append(LeadError(*label_and_unit(name), shown(value.mean), shown(value.p95)))
+    return Lead(shown(coverage.share), coverage.frames + coverage.missed, coverage.lost, tuple(errors))
 
 
-def summary_tables(evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()) -> str:
-    """Return the tables of figures, those of parts and confidence on demand, absent ones and meanings."""
+def decisive_rows(evaluations: Sequence[Evaluation]) -> list[Row]:
+    """Return the few figures that decide, those that any result has, with a cell for each result."""
+    addresses = dict.fromkeys(
+        address for one in evaluations for address in (*key_figures(one.subject), *DECISIVE)
+    )
+    rows = [Row(address, _cells(evaluations, address), address) for address in addresses]
+    return [row for row in rows if any(cell != ABSENT for cell in row.cells)]
+
+
+def _cells(evaluations: Iterable[Evaluation], address: str) -> tuple[str, ...]:
+    values = [figure_of(one, address).value for one in evaluations]
+    return tuple(ABSENT if value is None else shown(value) for value in values)
+
+
+@dataclass(frozen=True)
+class Folded:
+    """A table that is shown on demand.
+
+    Attributes:
+        summary: what it is behind.
+        table: what it shows.
+        lines: what belongs under it.
+    """
+
+    summary: str
+    table: Table
+    lines: tuple[str, ...] = ()
+
+
+def folded_tables(evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()) -> list[Folded]:
+    """Return the tables of all figures, those of results together, of parts and of confidence."""
     if not evaluations:
-        return element("p", "No result was given.", class_="missing")
-    made = tables(evaluations)
-    found = [_table(table, "" if place == 0 else table.title) for place, table in enumerate(made)]
-    parts = _parts_only(tables(evaluations, parts=True)[0])
-    if parts.sections:
-        found.append(details("Per joint, finger, angle or point", _table(parts, "Parts")))
+        return []
+    main, *more = tables(evaluations)
+    found = [Folded("Every figure", main), *(Folded(table.title, table) for table in more)]
     pooled = pooled_table(pools)
     if pooled is not None:
-        notes = listed(text(line) for line in pool_lines(pools))
-        found.append(_table(pooled, pooled.title) + element("div", notes, class_="remark"))
+        found.append(Folded(pooled.title, pooled, tuple(pool_lines(pools))))
+    parts = _parts_only(tables(evaluations, parts=True)[0])
+    if parts.sections:
+        found.append(Folded("Per joint, finger, angle or point", parts))
     confidence = reliability_table(evaluations, pools)
     if confidence is not None:
-        found.append(details("Reliability of confidence", _table(confidence, confidence.title)))
-    found += [_absent(evaluations), _meanings(evaluations)]
-    return "".join(found)
-
-
-def honesty_remark(evaluations: Sequence[Evaluation]) -> str:
-    """Say what makes a frame right; nothing where none was judged."""
-    return text(" ".join(f"{line[0].upper()}{line[1:]}." for line in criterion_lines(evaluations)))
-
-
-def comparison_section(comparison: Comparison | None) -> str:
-    """Return the tables of paired differences, and what belongs under them."""
-    if comparison is None:
-        return ""
-    found = [_table(table, table.title) for table in comparison_tables(comparison)]
-    notes = listed(text(line) for line in comparison_lines(comparison))
-    return element("h3", "Paired differences") + "".join(found) + element("div", notes, class_="remark")
+        found.append(Folded("Reliability of confidence", confidence))
+    return found
 
 
 def _parts_only(table: Table) -> Table:
@@ -115,88 +180,67 @@ def _parts_only(table: Table) -> Table:
     sections = tuple(
         Section(name, tuple(one for one in rows if one.address.split(".")[0] == name)) for name in names
     )
-    return Table(table.title, table.columns, sections)
+    return Table("Parts", table.columns, sections)
 
 
-def _table(table: Table, caption: str) -> str:
-    heading = row(
-        [
-            element("th", "", scope="col"),
-            *(element("th", f"<bdi>{text(name)}</bdi>", scope="col", title=name) for name in table.columns),
-        ]
-    )
-    bodies = "".join(_section(section, len(table.columns)) for section in table.sections)
-    title = element("caption", text(caption)) if caption else ""
-    content = title + element("thead", heading) + bodies
-    return scrolling(element("table", content, class_="figures"), caption or "Summary")
+def honesty_remark(evaluations: Sequence[Evaluation]) -> str:
+    """Say what makes a frame right; nothing where none was judged."""
+    return " ".join(f"{line[0].upper()}{line[1:]}." for line in criterion_lines(evaluations))
 
 
-def _section(section: Section, columns: int) -> str:
-    rows = [_row(one) for one in section.rows]
-    if section.title:
-        title = _spoken(section.title) if section.title.islower() else text(section.title)
-        rows.insert(0, row([element("th", title, scope="rowgroup", colspan=columns + 1)], class_="group"))
-    return element("tbody", "".join(rows))
+@dataclass(frozen=True)
+class Differences:
+    """Paired differences as tables, and what belongs under them."""
+
+    tables: tuple[Table, ...]
+    lines: tuple[str, ...]
 
 
-def _row(one: Row) -> str:
-    label = _metric_label(one) if one.address.split(".")[-1] == one.label else text(one.label)
-    cells = [element("td", "–" if cell == ABSENT else text(cell).replace("-", "−")) for cell in one.cells]
-    return row([element("th", label, scope="row"), *cells], class_="inner" if one.indent else "")
+def differences(comparison: Comparison | None) -> Differences | None:
+    """Return what a comparison shows, if there is one."""
+    if comparison is None:
+        return None
+    return Differences(tuple(comparison_tables(comparison)), tuple(comparison_lines(comparison)))
 
 
-def _metric_label(one: Row) -> str:
-    if "." in one.address:
-        return text(readable(one.label))
-    return _spoken(one.address)
+@dataclass(frozen=True)
+class Unmeasured:
+    """Figures without a value.
+
+    Attributes:
+        reason: why.
+        addresses: which.
+        names: of the results that it holds for; none if it holds for all.
+    """
+
+    reason: str
+    addresses: tuple[str, ...]
+    names: tuple[str, ...]
 
 
-def _spoken(address: str) -> str:
-    """What a metric is called, its unit, and its meaning as a tooltip."""
-    label, unit = label_and_unit(address)
-    meaning = f"{address}: {metric_of(address).meaning}"
-    unit_text = f' <span class="unit">{text(unit)}</span>' if unit else ""
-    return element("abbr", text(label), title=meaning) + unit_text
-
-
-def _absent(evaluations: Sequence[Evaluation]) -> str:
-    """What has no value, and why: one line for each reason and result."""
-    lines: dict[str, list[str]] = {}
+def unmeasured(evaluations: Sequence[Evaluation]) -> list[Unmeasured]:
+    """Return what has no value, and why: one entry for each reason and what it is about."""
+    found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for one in evaluations:
         for reason in dict.fromkeys(one.absent.values()):
-            lines.setdefault(_absent_line(one, reason), []).append(one.name)
-    made = [_notice_line(line, names, len(evaluations)) for line, names in lines.items()]
-    return details(f"Without a value here ({len(made)})", listed(made)) if made else ""
+            found.setdefault((reason, _addresses(one, reason)), []).append(one.name)
+    return [
+        Unmeasured(reason, addresses, _some(names, evaluations))
+        for (reason, addresses), names in found.items()
+    ]
 
 
-def _absent_line(evaluation: Evaluation, reason: str) -> str:
+def _addresses(evaluation: Evaluation, reason: str) -> tuple[str, ...]:
+    """What lacks a value for a reason; its parts only where it has one itself."""
     names = [name for name, why in evaluation.absent.items() if why == reason and "." not in name]
-    names = names or [name for name, why in evaluation.absent.items() if why == reason]
-    codes = ", ".join(element("code", text(name)) for name in names)
-    return f"{text(reason)}: {codes}"
+    return tuple(names or [name for name, why in evaluation.absent.items() if why == reason])
 
 
-def _notice_line(line: str, names: Sequence[str], results: int) -> str:
-    who = "" if len(names) == results else ", ".join(text(name) for name in names) + " – "
-    return who + line
-
-
-def _meanings(evaluations: Sequence[Evaluation]) -> str:
-    """Name, address and meaning of every figure on the page."""
+def meanings(evaluations: Sequence[Evaluation]) -> list[Described]:
+    """Return every figure on the page in words."""
     names = dict.fromkeys(base.split(".")[0] for one in evaluations for base in (*one.metrics, *one.absent))
-    items = []
-    for name in names:
-        metric = metric_of(name)
-        label, unit = label_and_unit(name)
-        better = {"lower": " Lower is better.", "higher": " Higher is better."}.get(metric.better, "")
-        items.append(
-            element("dt", f"{text(label)}{f', {text(unit)}' if unit else ''} {element('code', text(name))}")
-            + element("dd", text(metric.meaning + better))
-        )
-    content = element("dl", "".join(items)) + element(
-        "p",
-        "sd is the standard deviation of the values themselves; p95 their 95th percentile, and p5, "
-        "told where small is bad, their 5th. Lost frames count "
-        "in every figure that does not say otherwise. The names in code are those of <code>--fail-if</code>.",
-    )
-    return details("What the figures mean", content)
+    found = [(described(name), metric_of(name).better) for name in names]
+    return [
+        Described(one.address, one.label, one.unit, one.meaning + BETTER.get(better, ""))
+        for one, better in found
+    ]

@@ -8,17 +8,20 @@ from pathlib import Path
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.assets import filled, write_page
-from posetrack_cli.evaluation.html.gallery import Pictures, fitting, gallery_section
+from posetrack_cli.evaluation.html.assets import rendered, write_page
+from posetrack_cli.evaluation.html.gallery import Pictures, fitting, groups
 from posetrack_cli.evaluation.html.packing import json_text
 from posetrack_cli.evaluation.html.page_data import page_data
 from posetrack_cli.evaluation.html.provenance import about, component_remark, plot_remark, provenance
 from posetrack_cli.evaluation.html.summary import (
-    comparison_section,
+    decisive_rows,
+    differences,
+    folded_tables,
     honesty_remark,
     lead,
+    meanings,
     notices,
-    summary_tables,
+    unmeasured,
 )
 from posetrack_cli.evaluation.pooling import Pool
 
@@ -79,23 +82,28 @@ def write_html(path: Path, page: ReportPage) -> None:
 
 def html_page(page: ReportPage) -> str:
     """Return the page's text, see ``write_html``."""
+    from markupsafe import Markup
+
     evaluations = page.evaluations
-    gallery = fitting(evaluations, page.pictures)
-    data = page_data(evaluations, gallery.pictures, page.pools)
-    return filled(
+    chosen = fitting(evaluations, page.pictures)
+    data = page_data(evaluations, chosen.pictures, page.pools)
+    return rendered(
         "report.html",
         page.title,
         SCRIPTS,
-        top="top single" if len(evaluations) == 1 else "top",
+        names=[one.name for one in evaluations],
         lead=lead(evaluations),
         notices=notices(evaluations),
-        summary=summary_tables(evaluations, page.pools),
-        comparison=comparison_section(page.comparison),
+        gallery={"groups": groups(evaluations, chosen), "dropped": chosen.dropped},
+        key=decisive_rows(evaluations),
+        comparison=differences(page.comparison),
         honesty_remark=honesty_remark(evaluations),
         plot_remark=plot_remark(data),
         component_remark=component_remark(data),
-        gallery=gallery_section(evaluations, gallery),
-        provenance=provenance(evaluations),
+        tables=folded_tables(evaluations, page.pools),
+        unmeasured=unmeasured(evaluations),
+        meanings=meanings(evaluations),
+        records=provenance(evaluations),
         about=about(data),
-        data=json_text(data),
+        data=Markup(json_text(data)),
     )

@@ -12,13 +12,15 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.recorded_hand import configuration_of, hand_of
 from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.viewing.captions import CaptionLine, Captions
 from posetrack_cli.evaluation.viewing.colours import TEXT, TRUTH, Colour, DepthRange, false_colour
-from posetrack_cli.evaluation.viewing.drawing import Canvas, SkeletonDrawer, caption, marked
+from posetrack_cli.evaluation.viewing.drawing import Canvas, SkeletonDrawer, marked
 from posetrack_cli.evaluation.viewing.hand_drawing import HandSegments
 from posetrack_cli.evaluation.viewing.layers import (
     MOST_RESULTS,
     Drawing,
     DrawnEstimate,
+    DrawnTrack,
     Instant,
     ViewOptions,
     not_lost,
@@ -32,8 +34,6 @@ from posetrack_cli.results.reader import Result
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
 _DIMMED, _OPACITY = 0.6, 0.8
 _BONE: Colour = (255, 255, 255)
-_ROOM_PX = 420
-"""From this width on, one result's caption is one line."""
 
 
 class DepthPanels:
@@ -58,22 +58,49 @@ class DepthPanels:
         self.drawing = drawing
         self._camera, self._depths, self._layout, self._skeleton = camera, depths, layout, skeleton
         self._sampler = PixelSampler(camera)  # what is drawn comes from a pinhole camera
-        self._framing = Framing(camera, drawing.around, drawing.scale, still=drawing.still)
+        self._framing = Framing(
+            camera, drawing.around, drawing.scale, still=drawing.still, shrunk=drawing.shrunk
+        )
+        width, _ = self.size
+        tracks = drawing.tracks
+        if layout == "side-by-side":
+            each = width // len(tracks)
+            self._captions = [Captions(self._longest((drawn,)), each) for drawn in tracks]
+        else:
+            self._captions = [Captions(self._longest(tracks), width)]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of a picture without its caption, pixels."""
+        (width, height), count = self._framing.size, len(self.drawing.tracks)
+        if self._layout == "paper":
+            return width, (1 + count) * height
+        across = {"over": 1, "side-by-side": count, "segments": 1 + count}.get(self._layout, 1 + 2 * count)
+        return across * width, height
 
     def picture(self, instant: Instant) -> ImageArray:
         """Return the picture (height, width, 3), blue green red, of a frame, with its caption below."""
-        scene = self.scene(instant)
+        scene, estimates = self.scene(instant), instant.estimates
         if self._layout == "side-by-side":
-            return np.hstack([scene.captioned([scene.over(drawn)], (drawn,)) for drawn in instant.estimates])
+            parts = zip(self._captions, estimates, strict=True)
+            return np.hstack(
+                [captions.below(scene.over(drawn), scene.lines((drawn,))) for captions, drawn in parts]
+            )
         if self._layout == "over":
-            panels = [scene.over(*instant.estimates)]
+            panels = [scene.over(*estimates)]
         elif self._layout == "segments":
-            panels = [scene.observed, *map(scene.segments, instant.estimates)]
+            panels = [scene.observed, *map(scene.segments, estimates)]
         else:
             panels = [scene.observed]
-            for drawn in instant.estimates:
+            for drawn in estimates:
                 panels += [scene.rendered(drawn), *([scene.over(drawn)] if self._layout == "beside" else [])]
-        return scene.captioned(panels, instant.estimates, downwards=self._layout == "paper")
+        body = np.vstack(panels) if self._layout == "paper" else np.hstack(panels)
+        return self._captions[0].below(body, scene.lines(estimates))
+
+    def _longest(self, tracks: Sequence[DrawnTrack]) -> list[list[str]]:
+        """The words of a caption that take the most room, line by line."""
+        words = [drawn.longest_words for drawn in tracks]
+        return _caption_lines(self.drawing.longest_when, words, named=bool(tracks[0].name))
 
     def plain(self, instant: Instant) -> ImageArray:
         """Return observed depth and, right of it, the estimates over it; no caption."""
@@ -138,20 +165,12 @@ class DepthScene:
         marks = [drawn.mark for drawn in estimates if drawn.mark is not None]
         return marked(picture, marks[0] if marks else None)
 
-    def captioned(
-        self, panels: Sequence[ImageArray], estimates: Sequence[DrawnEstimate], *, downwards: bool = False
-    ) -> ImageArray:
-        """Panels beside or below each other, and frame and time below them.
-
-        Then comes what is said of each estimate; on lines of their own where there is no room.
-        """
-        body = np.vstack(panels) if downwards else np.hstack(panels)
-        when, width = self.instant.when, body.shape[1]
-        said = [(drawn.words, self._ink(drawn)) for drawn in estimates]
-        words, ink = said[0]
-        if len(said) == 1 and width >= _ROOM_PX and not estimates[0].of.name:
-            return np.vstack([body, caption([([*when, *words], ink)], width)])
-        return np.vstack([body, caption([(when, TEXT), *said], width)])
+    def lines(self, estimates: Sequence[DrawnEstimate]) -> list[CaptionLine]:
+        """What a caption says: frame and time, then of each estimate; all in one where there is but one."""
+        named = bool(estimates[0].of.name)
+        lines = _caption_lines(self.instant.when, [drawn.words for drawn in estimates], named=named)
+        inks = [self._ink(drawn) for drawn in estimates]
+        return list(zip(lines, inks if len(lines) == len(inks) else [TEXT, *inks], strict=True))
 
     def _canvas(self, picture: ImageArray) -> Canvas:
         return Canvas(picture, self.viewport.camera(self.camera))
@@ -164,6 +183,11 @@ class DepthScene:
 
     def _ink(self, drawn: DrawnEstimate) -> Colour:
         return drawn.mark or (drawn.of.colour if len(self.instant.estimates) > 1 else TEXT)
+
+
+def _caption_lines(when: list[str], said: Sequence[list[str]], *, named: bool) -> list[list[str]]:
+    """Frame and time, then the words about each estimate; on one line where one without a name is drawn."""
+    return [when, *said] if named or len(said) > 1 else [[*when, *said[0]]]
 
 
 def depth_panels(

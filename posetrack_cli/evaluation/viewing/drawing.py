@@ -1,11 +1,9 @@
-"""What can be drawn of an estimate: the interface, what every subject has (points, bones, axes), captions."""
+"""What can be drawn of an estimate: the interface, what every subject has (points, bones, axes)."""
 
 from __future__ import annotations
 
-import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from typing import Protocol
 
@@ -26,10 +24,6 @@ _SUBPIXEL_BITS = 4
 _BORDER_PX = 4
 _FARTHEST_PX = 20_000.0
 """Lines are cut at the edges of the image; coordinates beyond this overflow in that."""
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
-_SIZE, _SMALLEST = 0.45, 0.33
-_LINE_PX, _BASE_PX, _LEFT_PX, _GAP_PX = 18, 13, 4, 14
-_GROUND: Colour = (24, 24, 24)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,40 +148,3 @@ def marked(picture: ImageArray, mark: Colour | None) -> ImageArray:
         height, width = picture.shape[:2]
         cv2.rectangle(picture, (0, 0), (width - 1, height - 1), mark, 2 * _BORDER_PX - 1)
     return picture
-
-
-def caption(lines: Sequence[tuple[Sequence[str], Colour]], width: int) -> ImageArray:
-    """Lines of words (one after the other, with gaps) as a picture (18 per line, width, 3).
-
-    Every line is written on one row, smaller if it must be, so pictures of one width are equally high.
-    What still does not fit is cut off. Characters that the font lacks are written as ``?``.
-    """
-    picture = np.full((_LINE_PX * len(lines), width, 3), _GROUND, dtype=np.uint8)
-    for number, (words, colour) in enumerate(lines):
-        _write(picture, [_plain(word) for word in words], number * _LINE_PX + _BASE_PX, colour)
-    return picture
-
-
-def _write(picture: ImageArray, words: list[str], base: int, colour: Colour) -> None:
-    free = picture.shape[1] - 2 * _LEFT_PX
-    length = sum(_length(word) for word in words)
-    gaps = max(0, len(words) - 1)
-    shrunk = min(1.0, free / (length + gaps * _GAP_PX)) if length else 1.0
-    size = max(_SMALLEST, _SIZE * shrunk)
-    left = float(_LEFT_PX)
-    for word in words:
-        cv2.putText(picture, word, (round(left), base), _FONT, size, colour, 1, cv2.LINE_AA)
-        left += (_length(word) + _GAP_PX) * size / _SIZE
-
-
-@lru_cache(maxsize=4096)
-def _length(word: str) -> int:
-    """Width at the usual size, pixels."""
-    (width, _), _ = cv2.getTextSize(word, _FONT, _SIZE, 1)
-    return int(width)
-
-
-def _plain(text: str) -> str:
-    """The text in the letters that the font has: accents are left off, other letters are ``?``."""
-    letters = (c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
-    return "".join(letters).encode("ascii", "replace").decode()

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.evaluation.viewing.captions import Captions
 from posetrack_cli.evaluation.viewing.colours import SKIN, TEXT, Colour
-from posetrack_cli.evaluation.viewing.drawing import caption
 from posetrack_cli.head.face.points import LINES, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 
@@ -79,7 +79,8 @@ def _cell(shape: FloatArray, neutral: FloatArray, text: str) -> ImageArray:
     for points, colour in ((neutral, _MEAN), (shape, SKIN)):
         _draw(picture, points[:, [0, 1]] - [_FRONT_X_MM, 0.0], LINES, colour)
         _draw(picture, points[_RIGHT][:, [2, 1]] + [_FRONT_MM - _SIDE_Z_MM, 0.0], _SIDE_LINES, colour)
-    return np.pad(np.vstack([picture, caption([([text], TEXT)], width)]), ((0, 3), (0, 3), (0, 0)))
+    named = Captions([[text]], width).below(picture, [([text], TEXT)])
+    return np.pad(named, ((0, 3), (0, 3), (0, 0)))
 
 
 def _draw(picture: ImageArray, places: FloatArray, lines: Sequence[tuple[int, int]], colour: Colour) -> None:

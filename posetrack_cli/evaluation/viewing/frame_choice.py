@@ -111,7 +111,7 @@ def _named(part: str, frame_index: IntArray) -> BoolArray:
     if not named.any():
         raise UsageError(
             "frame is not in the result",
-            where=f"--frames {part}",
+            where=f"--select {part}",
             expected=f"some of {frame_index.min()} to {frame_index.max()}",
         )
     return np.asarray(named, dtype=np.bool_)
@@ -123,4 +123,4 @@ def _bounded(digits: str | None, usual: int) -> int:
 
 
 def _unknown(choice: str) -> UsageError:
-    return UsageError("--frames cannot be read", found=f"'{choice}'", expected=EXPECTED)
+    return UsageError("--select cannot be read", found=f"'{choice}'", expected=EXPECTED)

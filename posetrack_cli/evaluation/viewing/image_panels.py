@@ -11,9 +11,17 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.viewing.captions import Captions
 from posetrack_cli.evaluation.viewing.colours import TEXT, TRUTH
-from posetrack_cli.evaluation.viewing.drawing import Canvas, caption, marked
-from posetrack_cli.evaluation.viewing.layers import MOST_RESULTS, Drawing, DrawnEstimate, Instant, ViewOptions
+from posetrack_cli.evaluation.viewing.drawing import Canvas, marked
+from posetrack_cli.evaluation.viewing.layers import (
+    MOST_RESULTS,
+    Drawing,
+    DrawnEstimate,
+    DrawnTrack,
+    Instant,
+    ViewOptions,
+)
 from posetrack_cli.evaluation.viewing.viewport import Framing
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_normalised
@@ -38,19 +46,27 @@ class CameraPanel:
 
     def __init__(self, camera: Camera, drawing: Drawing) -> None:
         self._camera = camera
-        self._framing = Framing(camera, drawing.around, drawing.scale, still=drawing.still)
+        self._framing = Framing(
+            camera, drawing.around, drawing.scale, still=drawing.still, shrunk=drawing.shrunk
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of its pictures, pixels."""
+        return self._framing.size
 
     def canvas(self, image: ImageArray | None, points: FloatArray | None) -> Canvas:
-        """Return the picture of a grey image, to paint on.
+        """Return the picture of an image, to paint on.
 
         Args:
-            image: (h, w) uint8 as it was taken, None where the camera gave none.
+            image: (h, w) or (h, w, 3) uint8 as it was taken, None where the camera gave none.
             points: (P, 3) mm, in the axes of the reference camera, that it is cut out around if the part that
                 is shown moves.
         """
         viewport = self._framing.viewport(points)
         straight = self._straight(image)
-        picture = cv2.cvtColor(np.ascontiguousarray(viewport.cut(straight)), cv2.COLOR_GRAY2BGR)
+        cut = viewport.cut(straight)
+        picture = cut.copy() if cut.ndim == 3 else cv2.cvtColor(np.ascontiguousarray(cut), cv2.COLOR_GRAY2BGR)
         return Canvas(picture, viewport.camera(self._camera))
 
     def _straight(self, image: ImageArray | None) -> ImageArray:
@@ -94,15 +110,32 @@ class ImagePanels:
     def __init__(self, cameras: Sequence[Camera], drawing: Drawing) -> None:
         self.drawing = drawing
         self._panels = [CameraPanel(camera, drawing) for camera in cameras]
+        width, when = self._body_size[0], drawing.longest_when
+        longest = [[*when, *drawn.longest_words, *_longest_angles(drawn)] for drawn in drawing.tracks]
+        self._captions = [Captions([words], width) for words in longest]
+
+    @property
+    def _body_size(self) -> tuple[int, int]:
+        """(width, height) of the cameras' pictures beside each other."""
+        widths, heights = zip(*(panel.size for panel in self._panels), strict=True)
+        return sum(widths), max(heights)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of a picture without its captions, pixels."""
+        width, height = self._body_size
+        return width, height * len(self.drawing.tracks)
 
     def picture(self, instant: Instant) -> ImageArray:
         """Return the picture (height, width, 3) of a frame, with a caption below each result."""
-        parts = []
-        for drawn in instant.estimates:
-            body = self._body(instant, drawn)
-            words = [*instant.when, *drawn.words, *_angles(drawn)]
-            parts += [body, caption([(words, drawn.mark or TEXT)], body.shape[1])]
-        return np.vstack(parts)
+        parts = [
+            captions.below(
+                self._body(instant, drawn),
+                [([*instant.when, *drawn.words, *_angles(drawn)], drawn.mark or TEXT)],
+            )
+            for captions, drawn in zip(self._captions, instant.estimates, strict=True)
+        ]
+        return np.vstack(_equally_wide(parts))
 
     def plain(self, instant: Instant) -> ImageArray:
         """Return what the cameras saw, with the first result's estimate; no caption."""
@@ -140,6 +173,16 @@ def _equally_high(pictures: Sequence[ImageArray]) -> list[ImageArray]:
     """Pictures with black below those that are lower than others."""
     height = max(len(picture) for picture in pictures)
     return [np.pad(picture, ((0, height - len(picture)), (0, 0), (0, 0))) for picture in pictures]
+
+
+def _equally_wide(pictures: Sequence[ImageArray]) -> list[ImageArray]:
+    """Pictures with black beside those that are narrower than others."""
+    width = max(picture.shape[1] for picture in pictures)
+    return [np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0))) for picture in pictures]
+
+
+def _longest_angles(drawn: DrawnTrack) -> list[str]:
+    return [] if drawn.track.quaternion is None else [f"{name} -180.0" for name in ANGLES]
 
 
 def _angles(drawn: DrawnEstimate) -> list[str]:

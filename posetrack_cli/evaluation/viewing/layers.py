@@ -13,6 +13,7 @@ from posetrack_cli.evaluation.association import associate, nearest_rows
 from posetrack_cli.evaluation.metrics.pose_errors import distances
 from posetrack_cli.evaluation.track import Track, track_of_result, unique_names
 from posetrack_cli.evaluation.truth.loading import load_truth
+from posetrack_cli.evaluation.viewing.captions import widest
 from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, TONES, Colour
 from posetrack_cli.evaluation.viewing.drawing import Canvas, Drawer, Segments, Shown
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
@@ -25,6 +26,9 @@ TOLERANCE_NS = 5_000_000
 """How far apart the stamps of a frame and of an estimate of it may be."""
 
 
+CONFIDENCE_WORDS, ERROR_WORDS = "confidence {:.2f}", "error {:.1f} mm"
+STATUS_WORDS = ("tracking", "reinitialised", "LOST", "NO ESTIMATE")
+MOST_OF_NAME = 41
 MOST_RESULTS = len(TONES)
 MOST_IN_SHEET = 120
 SHEET_CHOICE = "spread:6"
@@ -59,6 +63,15 @@ class DrawnTrack:
         row = int(nearest_rows(np.array([stamp_ns]), stamps)[0])
         return row if abs(int(stamps[row]) - stamp_ns) <= TOLERANCE_NS else None
 
+    @property
+    def longest_words(self) -> list[str]:
+        """The words of a caption that take the most room, see ``DrawnEstimate.words``."""
+        words = [_shortened(self.name)] if self.name else []
+        words.append(widest(STATUS_WORDS))
+        words += [] if self.track.confidence is None else [CONFIDENCE_WORDS.format(1.0)]
+        errors = np.empty(0) if self.error_mm is None else self.error_mm[np.isfinite(self.error_mm)]
+        return [*words, *([ERROR_WORDS.format(errors.max())] if errors.size else [])]
+
     def at(self, stamp_ns: int) -> DrawnEstimate:
         """What is drawn at a stamp; nothing where there is no estimate."""
         row = self.row(stamp_ns)
@@ -92,11 +105,11 @@ class DrawnEstimate:
     @property
     def words(self) -> list[str]:
         """What a caption says of the estimate."""
-        words = [self.of.name] if self.of.name else []
+        words = [_shortened(self.of.name)] if self.of.name else []
         words.append(self.status.upper() if self.status in ("lost", "no estimate") else self.status)
         if self.row is not None:
-            words += _figure(self.of.track.confidence, self.row, "confidence {:.2f}")
-            words += _figure(self.of.error_mm, self.row, "error {:.1f} mm")
+            words += _figure(self.of.track.confidence, self.row, CONFIDENCE_WORDS)
+            words += _figure(self.of.error_mm, self.row, ERROR_WORDS)
         return words
 
     def draw(self, canvas: Canvas) -> None:
@@ -106,6 +119,14 @@ class DrawnEstimate:
     def outline(self, canvas: Canvas, colour: Colour) -> None:
         """Paint it as lines."""
         self.of.drawer.outline(canvas, self.shown, colour)
+
+
+def _shortened(name: str) -> str:
+    """A name that leaves room for what is said of it: its beginning and end."""
+    if len(name) <= MOST_OF_NAME:
+        return name
+    half = (MOST_OF_NAME - 3) // 2
+    return f"{name[:half]}...{name[-half:]}"
 
 
 def _figure(values: FloatArray | None, row: int, words: str) -> list[str]:
@@ -137,17 +158,18 @@ class Instant:
 def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
     """Mean distance (N,) of the points of each frame from the truth's, mm; NaN without truth at its stamp.
 
-    None where either knows no points, or they are others.
+    Of the positions where either knows no points, or they are others; None where there is no such truth.
     """
-    if truth is None or truth.points is None or track.points is None:
+    if truth is None:
         return None
-    if truth.points.shape[1:] != track.points.shape[1:]:
-        return None
-    errors = np.full(len(track), np.nan)
-    pairs = associate(track.stamp_ns, truth.stamp_ns, TOLERANCE_NS)
-    apart = distances(track.points[pairs.estimate], truth.points[pairs.truth])
-    errors[pairs.estimate] = apart.mean(axis=1)
-    return errors
+    for own, true in ((track.points, truth.points), (track.position, truth.position)):
+        if own is not None and true is not None and own.shape[1:] == true.shape[1:]:
+            errors = np.full(len(track), np.nan)
+            pairs = associate(track.stamp_ns, truth.stamp_ns, TOLERANCE_NS)
+            apart = distances(own[pairs.estimate], true[pairs.truth])
+            errors[pairs.estimate] = apart.reshape(len(apart), -1).mean(axis=1)
+            return errors
+    return None
 
 
 @dataclass(frozen=True)
@@ -188,6 +210,7 @@ class Drawing:
             of the image.
         scale: picture pixels per image pixel; None enlarges small pictures.
         still: whether all pictures show the same part.
+        shrunk: factor on the size of pictures whose scale is not told.
     """
 
     tracks: tuple[DrawnTrack, ...]
@@ -195,18 +218,30 @@ class Drawing:
     around: FloatArray | None = None
     scale: float | None = None
     still: bool = True
+    shrunk: float = 1.0
 
     @property
     def start_ns(self) -> int:
         """The stamp that captions count the time from."""
         return int(self.tracks[0].track.stamp_ns[0])
 
+    @property
+    def longest_when(self) -> list[str]:
+        """The words of a caption about the time that take the most room."""
+        track = self.tracks[0].track
+        if not len(track):
+            return []
+        last = len(track) - 1 if track.frame_index is None else int(track.frame_index.max())
+        return self._when(last, int(track.stamp_ns[-1]))
+
+    def _when(self, index: int, stamp_ns: int) -> list[str]:
+        return [f"frame {index}", f"{(stamp_ns - self.start_ns) / NS_PER_S:.3f} s"]
+
     def at(self, frame: Frame, stamp_ns: int) -> Instant:
         """Return what is drawn of a frame, given the stamp of its estimates."""
-        seconds = (stamp_ns - self.start_ns) / NS_PER_S
         return Instant(
             frame,
-            [f"frame {frame.index}", f"{seconds:.3f} s"],
+            self._when(frame.index, stamp_ns),
             tuple(drawn.at(stamp_ns) for drawn in self.tracks),
             None if self.truth is None else self.truth.at(stamp_ns),
         )
@@ -221,7 +256,7 @@ def truth_of(result: Result, options: ViewOptions) -> Track | None:
             raise
         return None
     if truth is None and options.truth:
-        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --truth")
+        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --show-truth")
     return truth
 
 
@@ -252,7 +287,7 @@ def rows_to_draw(options: ViewOptions, first: DrawnTrack) -> IntArray:
     rows = chosen_rows(choice, first.track, first.error_mm)
     if options.sheet and len(rows) > MOST_IN_SHEET:
         expected = f"at most {MOST_IN_SHEET} in one picture"
-        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --frames")
+        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --select")
     return rows
 
 

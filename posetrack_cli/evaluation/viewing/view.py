@@ -29,6 +29,7 @@ from posetrack_cli.evaluation.viewing.layers import (
     rows_to_draw,
     truth_of,
 )
+from posetrack_cli.evaluation.viewing.outputs import fitting_sheet
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.pixels import PixelKind
@@ -51,6 +52,10 @@ class Panels(Protocol):
     """
 
     drawing: Drawing
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of a picture without its captions, pixels."""
 
     def picture(self, instant: Instant) -> ImageArray:
         """Return the picture (height, width, 3), blue green red, of a frame, with its caption below."""
@@ -109,7 +114,12 @@ class ResultView:
             scale=options.scale,
             still=not options.sheet,
         )
-        self._panels = style.panels(results, _common_cameras(results, recording), drawing, options)
+        cameras = _common_cameras(results, recording)
+        self._panels = style.panels(results, cameras, drawing, options)
+        if options.sheet and options.scale is None:
+            shrunk = fitting_sheet(len(self.rows), self._panels.size)
+            if shrunk < 1.0:
+                self._panels = style.panels(results, cameras, replace(drawing, shrunk=shrunk), options)
 
     @property
     def rate_hz(self) -> float:

@@ -37,9 +37,9 @@ class Viewport:
         """All of a camera's image."""
         return cls(0, 0, camera.width, camera.height, scale)
 
-    def scaled(self, scale: float | None) -> Viewport:
-        """The same part at a scale; by default the whole number that makes it ``LEAST_ROWS`` high."""
-        return replace(self, scale=scale or float(-(-LEAST_ROWS // self.height)))
+    def scaled(self, scale: float | None, shrunk: float = 1.0) -> Viewport:
+        """The same part at a scale; by default the whole number that makes it ``LEAST_ROWS`` high, shrunk."""
+        return replace(self, scale=scale or shrunk * -(-LEAST_ROWS // self.height))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -61,9 +61,10 @@ class Viewport:
         )
 
     def cut(self, image: ImageArray) -> ImageArray:
-        """The picture of an image; depth is repeated, never interpolated."""
+        """The picture of an image: its pixels are repeated, or averaged where the picture is smaller."""
         part = image[self.top : self.top + self.height, self.left : self.left + self.width]
-        return cv2.resize(part, self.size, interpolation=cv2.INTER_NEAREST) if self.scale != 1.0 else part
+        way = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_NEAREST
+        return cv2.resize(part, self.size, interpolation=way) if self.scale != 1.0 else part
 
 
 class Framing:
@@ -75,16 +76,28 @@ class Framing:
             all of the image.
         scale: picture pixels per image pixel; None enlarges small pictures.
         still: whether all pictures show the same part, or each is centred on its own points.
+        shrunk: factor on the size of pictures whose scale is not told.
     """
 
     def __init__(
-        self, camera: Camera, points: FloatArray | None, scale: float | None = None, *, still: bool = True
+        self,
+        camera: Camera,
+        points: FloatArray | None,
+        scale: float | None = None,
+        *,
+        still: bool = True,
+        shrunk: float = 1.0,
     ) -> None:
         self._camera, self._moves = camera, points is not None and not still
         common = Viewport.whole(camera)
         if points is not None:
             common = (around_points if still else largest_viewport)(in_camera_axes(camera, points), camera)
-        self._common = common.scaled(scale)
+        self._common = common.scaled(scale, shrunk)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of every picture, pixels."""
+        return self._common.size
 
     def viewport(self, points: FloatArray | None) -> Viewport:
         """Return the part to show where points (P, 3) mm are, in the axes of the reference camera."""

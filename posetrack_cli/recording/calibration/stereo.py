@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.files import placed_path
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.epipolar import CameraPair
 from posetrack_cli.geometry.triangulation import triangulate
@@ -91,7 +92,7 @@ class StereoCalibration:
     def file_text(self, source: Path) -> str:
         """Return the camera file, with the errors as comments."""
         title = (
-            f"measured by posetrack calibrate stereo on {shown_name(source.resolve())}, {self.board.words}"
+            f"measured by posetrack calibrate stereo on {shown_name(placed_path(source))}, {self.board.words}"
         )
         return camera_file_text(self.cameras, [title, *self.lines()])
 

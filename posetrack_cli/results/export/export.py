@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 from typing import IO
@@ -117,30 +118,49 @@ TEXT_FORMATS: Mapping[str, Callable[[ExportSource], Iterator[str]]] = {
     "tum": tum_text,
     "json": json_text,
 }
-NPZ = "npz"
-FORMATS = (*TEXT_FORMATS, NPZ)
 ROLL_PITCH_YAW = "roll_pitch_yaw_deg"
 
 
-def export_file(source: ExportSource, format_name: str, out: Path, *, overwrite: bool = False) -> None:
+def export_file(
+    source: ExportSource, format_name: str, out: Path, *, overwrite: bool = False
+) -> tuple[str, ...]:
     """Write a file in one of ``FORMATS``, whole or not at all.
+
+    Returns:
+        Lines on what was left out, or filled, for the format's sake.
 
     Raises:
         UsageError: ``out`` is a folder, the result itself, or exists and may not be replaced.
         ResultError: it cannot be written, or the result not be read.
     """
+    if format_name in TEXT_FORMATS:
+        save_text(text_pieces(source, format_name), source, out, overwrite=overwrite)
+        return ()
+    with _whole(source, out, overwrite=overwrite) as part:
+        return tuple(BINARY_FORMATS[format_name](source, part))
+
+
+def save_text(pieces: Iterable[str], source: ExportSource, out: Path, *, overwrite: bool = False) -> None:
+    """Write pieces of text to a file as ``export_file`` does."""
+    with _whole(source, out, overwrite=overwrite) as part, open_output(part) as stream:
+        _write_pieces(pieces, stream)
+
+
+@contextmanager
+def _whole(source: ExportSource, out: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Yield the name to write to, which becomes ``out`` at the end; the result is never replaced."""
     check_target(out, overwrite=overwrite, source=source.result.path, source_name="result")
     with whole_or_nothing(out) as part:
-        if format_name == NPZ:
-            write_npz(source, part)
-            return
-        with open_output(part) as stream:
-            export_text(source, format_name, stream)
+        yield part
 
 
 def export_text(source: ExportSource, format_name: str, stream: IO[bytes]) -> None:
     """Write one of ``TEXT_FORMATS`` to an open stream, as UTF-8; see ``text_pieces``."""
-    for piece in text_pieces(source, format_name):
+    _write_pieces(text_pieces(source, format_name), stream)
+
+
+def _write_pieces(pieces: Iterable[str], stream: IO[bytes]) -> None:
+    for piece in pieces:
         stream.write(piece.encode("utf-8", "backslashreplace"))
 
 
@@ -189,3 +209,29 @@ def _units(fields: Iterable[str]) -> dict[str, str]:
         if name == "quaternion":
             units[ROLL_PITCH_YAW] = "deg"
     return units
+
+
+def _write_npz(source: ExportSource, path: Path) -> Iterator[str]:
+    write_npz(source, path)
+    yield from ()
+
+
+def _write_c3d(source: ExportSource, path: Path) -> Iterator[str]:
+    from posetrack_cli.results.export.c3d import write_c3d
+
+    yield from write_c3d(source, path).notes("their markers are not seen")
+
+
+def _write_ros2(source: ExportSource, path: Path) -> Iterator[str]:
+    from posetrack_cli.results.export.ros2 import write_ros2
+
+    write_ros2(source, path)
+    yield from ()
+
+
+BINARY_FORMATS: Mapping[str, Callable[[ExportSource, Path], Iterable[str]]] = {
+    "npz": _write_npz,
+    "c3d": _write_c3d,
+    "mcap": _write_ros2,
+}
+FORMATS = (*TEXT_FORMATS, *BINARY_FORMATS)

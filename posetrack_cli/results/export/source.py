@@ -11,7 +11,7 @@ from typing import Any
 from posetrack_cli.errors import ResultError
 from posetrack_cli.losses import loss_line
 from posetrack_cli.results.columns import Columns, empty_columns, joined
-from posetrack_cli.results.estimate import Status
+from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.export.table import table_of
 from posetrack_cli.results.fields import BY_NAME, Sizes
 from posetrack_cli.results.reader import Result
@@ -48,11 +48,22 @@ class ExportSource:
                 kept = block["status"] != Status.LOST.value
                 yield {name: column[kept] for name, column in block.items()}
 
-    def columns(self) -> Columns:
-        """Return all columns at once."""
-        return joined(self.blocks()) or empty_columns(
-            self.result.field_names, Sizes(*self._counts, len(self.result.subject.number_names))
+    def columns(self, fields: Collection[str] | None = None) -> Columns:
+        """Return all columns at once, or some and what ``blocks`` needs besides."""
+        return joined(self.blocks(fields)) or empty_columns(
+            fields or self.result.field_names, Sizes(*self._counts, len(self.result.subject.number_names))
         )
+
+    def estimates(self) -> Iterator[Estimate]:
+        """Yield estimates one by one.
+
+        Raises:
+            ResultError: as of ``blocks``.
+        """
+        for estimate in self.result.estimates(self.topic):
+            self._check_counts((len(estimate.shape), len(estimate.points)))
+            if self.lost or estimate.status is not Status.LOST:
+                yield estimate
 
     def begun_blocks(self, fields: Collection[str] | None = None) -> Iterator[Columns]:
         """Return ``blocks``, the first of them read: nothing is written yet if that fails."""
@@ -64,7 +75,9 @@ class ExportSource:
         return len(self.result.subject.shape_names), len(self.result.subject.point_names)
 
     def _check(self, block: Columns) -> None:
-        found = block["shape"].shape[1], block["points"].shape[1]
+        self._check_counts((block["shape"].shape[1], block["points"].shape[1]))
+
+    def _check_counts(self, found: tuple[int, int]) -> None:
         if found != self._counts:
             raise ResultError(
                 "estimates of another subject",

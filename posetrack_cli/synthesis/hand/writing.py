@@ -14,7 +14,7 @@ from posetrack_cli.outputs import check_output
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.image_files import encode_png
-from posetrack_cli.recording.mcap_calibration import calibration_message
+from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.synthesis.hand.frames import SUBJECT, Plan, SyntheticHandFrame, make_plan, render_plan
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.sensor import CAMERA

@@ -72,16 +72,16 @@ class HeadSynthOptions:
             "script", self.script, self.expressions or self.script == FREE, "a face with expressions"
         )
         check_option("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
-        check_option("cameras", self.cameras, self.cameras in CAMERAS, "1 or 2")
+        check_option("camera-count", self.cameras, self.cameras in CAMERAS, "1 or 2")
         for name in ("identity", "seed"):
             check_option(name, getattr(self, name), getattr(self, name) >= 0, "0 or more")
         ranges = {
             "frames": (self.frames, 1, MOST_FRAMES),
             "fps": (self.fps, 1.0, 1000.0),
             "speed": (self.speed, 0.1, 10.0),
-            "noise": (self.noise, 0.0, 20.0),
-            "distance": (self.distance_mm, *DISTANCES_MM),
-            "baseline": (self.baseline_mm, *BASELINES_MM),
+            "noise-factor": (self.noise, 0.0, 20.0),
+            "distance-mm": (self.distance_mm, *DISTANCES_MM),
+            "baseline-mm": (self.baseline_mm, *BASELINES_MM),
         }
         for name, (value, low, high) in ranges.items():
             check_option(name, value, low <= value <= high, f"{low:g} to {high:g}")

@@ -40,7 +40,7 @@ class Kinect:
             return []
         camera = options.output / "kinect2.camera.toml"
         camera.write_text(KINECT_CAMERA, encoding="utf-8")
-        converted = ("convert", str(options.kinect), "--camera", str(camera), "--fps", f"{KINECT_HZ:g}")
+        converted = ("convert", str(options.kinect), "--camera", str(camera), "--fps", f"{KINECT_HZ:g}", "-o")
         return [Task(KINECT_NAME, converted, {ENTRANT: (*LEFT, "--config", "hand")})]
 
     def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
@@ -54,7 +54,7 @@ class Kinect:
                 command(*task.recording, str(recording), "--overwrite")
                 yield from _kinect_lines(evaluate(path, EvalOptions(recording=recording)), options, targets)
                 sheet = options.output / f"{KINECT_NAME}.png"
-                chosen = ("--frames", f"spread:{SHEET_FRAMES}", "--recording", str(recording), "--overwrite")
+                chosen = ("--select", f"spread:{SHEET_FRAMES}", "--recording", str(recording), "--overwrite")
                 command("view", str(path), "-o", str(sheet), *chosen)
                 yield f"![Frames of the recording, observed and estimated]({sheet.name})"
                 yield ""

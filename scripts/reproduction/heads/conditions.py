@@ -18,8 +18,8 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
     "sudden light": ("--light", "sudden"),
     "occlusion": ("--occlusion",),
     "sudden turn": ("--motion", "turn"),
-    "distortion": ("--distortion",),
-    "noise 2": ("--noise", "2"),
+    "distortion": ("--lens-distortion",),
+    "noise 2": ("--noise-factor", "2"),
     "speed 2": ("--speed", "2"),
     "missing images": ("--drops",),
 }

@@ -147,7 +147,7 @@ def _draw_pictures(path: Path, recording: Path, results: Mapping[str, Path], fra
     """Figure 3.9, by ``posetrack view``."""
     chosen = ",".join(map(str, frames))
     both = [str(results[name]) for name in ("rigid", "deformable")]
-    arguments = ["--recording", str(recording), "--frames", chosen, "--crop", "head", "--overwrite"]
+    arguments = ["--recording", str(recording), "--select", chosen, "--crop", "head", "--overwrite"]
     code = posetrack(["view", *both, "-o", str(path), *arguments])
     if code not in (EXIT_DONE, EXIT_DATA_LOST):
         sys.exit(code)

@@ -155,7 +155,7 @@ def _pictures(options: Options, clip: Path) -> Iterator[str]:
     picture = options.output / f"{clip.stem}.png"
     if not result.exists():
         return
-    arguments = ["--recording", str(clip), "--frames", PICTURES, "--crop", "head", "--overwrite"]
+    arguments = ["--recording", str(clip), "--select", PICTURES, "--crop", "head", "--overwrite"]
     code = posetrack(["view", str(result), "-o", str(picture), *arguments])
     if code not in (EXIT_DONE, EXIT_DATA_LOST):
         sys.exit(code)

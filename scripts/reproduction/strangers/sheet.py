@@ -12,7 +12,7 @@ from reproduction.strangers.people import Person
 from reproduction.strangers.tasks import VIEW, Task
 
 PICTURE = "default-sheet"
-DRAWN = (VIEW, DEFAULT, "--frames", "spread:6")
+DRAWN = (VIEW, DEFAULT, "--select", "spread:6")
 
 
 class Sheets:

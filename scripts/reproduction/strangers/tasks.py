@@ -68,7 +68,9 @@ class Task(EntrantsTask):
             folder = Path(name)
             draw(Path(self.tool), folder, self.recording)
             recording = folder / f"{self.name}.mcap"
-            command("convert", str(folder / "depth"), str(recording), "--truth", str(folder / "truth.csv"))
+            command(
+                "convert", str(folder / "depth"), "-o", str(recording), "--truth", str(folder / "truth.csv")
+            )
             yield lambda entrant: self._done(entrant, recording, out.resolve())
 
     def _done(self, entrant: str, recording: Path, out: Path) -> None:

@@ -199,5 +199,10 @@ def test_point_errors_are_mean_distances_at_equal_stamps(track: Track) -> None:
     np.testing.assert_allclose(errors[:3], 5.0 / 21)
     assert np.isnan(errors[3])
     assert point_errors(track, None) is None
-    assert point_errors(track, replace(track, points=track.points[:, :5])) is None
-    assert point_errors(replace(track, points=None), track) is None
+    assert track.position is not None
+    pose_alone = replace(track, points=None, position=track.position + np.array([0.0, 6.0, 8.0]))
+    for other in (pose_alone, replace(pose_alone, points=track.points[:, :5])):
+        found = point_errors(track, other)
+        assert found is not None
+        np.testing.assert_allclose(found, 10.0)
+    assert point_errors(replace(track, points=None, position=None), track) is None

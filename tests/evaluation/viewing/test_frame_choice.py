@@ -51,7 +51,7 @@ def test_numbers_are_those_of_the_recording() -> None:
     "choice", ["", "x", "1-5", "3:9:0", "worst:", "worst:0", "spread:x", "1,,2", "-3", "²"]
 )
 def test_what_cannot_be_read_is_refused_with_what_can(choice: str) -> None:
-    with pytest.raises(UsageError, match=r"--frames cannot be read.*0:300:5.*worst:8"):
+    with pytest.raises(UsageError, match=r"--select cannot be read.*0:300:5.*worst:8"):
         chosen_rows(choice, track(), None)
 
 

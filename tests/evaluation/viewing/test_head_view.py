@@ -99,7 +99,7 @@ def view(*arguments: object) -> int:
 def test_what_is_drawn_lies_on_what_was_seen(
     result: Callable[..., Path], recording: Path, tmp_path: Path
 ) -> None:
-    assert view(result(), "-o", tmp_path / "p", "--recording", recording, "--scale", 1) == 0
+    assert view(result(), "-o", tmp_path / "p", "--recording", recording, "--zoom", 1) == 0
     picture = cv2.imread(str(tmp_path / "p" / "frame_000000.png"))
     assert picture.shape[:2] == (240 + 18, 640)
     for camera, left in zip(CAMERAS, (0, 320), strict=True):
@@ -111,7 +111,7 @@ def test_what_is_drawn_lies_on_what_was_seen(
 
 
 def test_axes_point_where_the_head_does(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:
-    assert view(result(), "-o", tmp_path / "p", "--recording", recording, "--scale", 1) == 0
+    assert view(result(), "-o", tmp_path / "p", "--recording", recording, "--zoom", 1) == 0
     picture = cv2.imread(str(tmp_path / "p" / "frame_000000.png"))
     # half a turn about x: the subject's left is the image's right, its up the image's up
     middles = np.array([[0.5 * AXIS_MM, 0.0, 600.0], [0.0, -0.5 * AXIS_MM, 600.0]])
@@ -132,7 +132,7 @@ def test_two_results_are_below_each_other_and_crops_are_small(
     result: Callable[..., Path], recording: Path, tmp_path: Path
 ) -> None:
     a, b = result("a.mcap"), result("b.mcap")
-    options = ("--recording", recording, "--frames", "0", "--scale", 1)
+    options = ("--recording", recording, "--select", "0", "--zoom", 1)
     assert view(a, b, "-o", tmp_path / "two.png", *options) == 0
     assert cv2.imread(str(tmp_path / "two.png")).shape == (2 * (240 + 18), 640, 3)
     assert view(a, "-o", tmp_path / "crop.png", *options, "--crop", "head") == 0
@@ -143,7 +143,7 @@ def test_two_results_are_below_each_other_and_crops_are_small(
 
 def test_it_is_found_beside_the_result(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:
     (tmp_path / "dots").symlink_to(recording)
-    assert view(result(), "-o", tmp_path / "a.png", "--frames", "0") == 0
+    assert view(result(), "-o", tmp_path / "a.png", "--select", "0") == 0
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_it_is_found_beside_the_result(result: Callable[..., Path], recording: P
         (["--layout", "segments"], "layout cannot be used, found --layout segments"),
         (["--range-mm", "1", "2"], "--range-mm does not apply to images"),
         (["--missing", "3"], "--missing does not apply to a folder of images"),
-        (["--truth"], "carries no truth to draw"),
+        (["--show-truth"], "carries no truth to draw"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

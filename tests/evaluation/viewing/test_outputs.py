@@ -11,11 +11,15 @@ import pytest
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.viewing import outputs
 from posetrack_cli.evaluation.viewing.outputs import (
+    LEAST_PICTURE_PX,
+    SHEET_PX,
     PictureFolder,
     Sheet,
     VideoFile,
     check_view_output,
+    fitting_sheet,
     open_output,
+    sheet_columns,
     sheet_of,
 )
 from support.viewing import pictures_of
@@ -139,7 +143,7 @@ def test_no_picture_is_written_through_a_link(tmp_path: Path) -> None:
     assert (tmp_path / "victim").read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize(("count", "width", "columns"), [(1, 96, 1), (6, 300, 6), (7, 700, 3), (3, 5000, 1)])
+@pytest.mark.parametrize(("count", "width", "columns"), [(1, 96, 1), (6, 30, 3), (7, 700, 1), (3, 5000, 1)])
 def test_a_sheet_shows_every_picture_where_reading_order_has_it(count: int, width: int, columns: int) -> None:
     sheet = sheet_of([plain(10 + number, 20, width) for number in range(count)])
     rows = -(-count // columns)
@@ -148,6 +152,32 @@ def test_a_sheet_shows_every_picture_where_reading_order_has_it(count: int, widt
         row, column = divmod(number, columns)
         part = sheet[26 * row : 26 * row + 20, (width + 6) * column : (width + 6) * column + width]
         assert (part == 10 + number).all()
+
+
+@pytest.mark.parametrize("size", [(1536, 424), (640, 480), (1280, 480), (300, 300), (640, 840), (1920, 1080)])
+@pytest.mark.parametrize("count", [1, 6, 8, 24])
+def test_sheets_are_as_large_as_a_screen_shows_and_their_pictures_can_be_read(
+    size: tuple[int, int], count: int
+) -> None:
+    """Three depth panels, one camera, two, a cut-out hand, one above the other, a telephone's video."""
+    shrunk = fitting_sheet(count, size)
+    width, height = (round(shrunk * side) for side in size)
+    captioned = width, height + 36
+    columns = sheet_columns(count, captioned)
+    rows = -(-count // columns)
+    assert columns * (width + 6) - 6 <= SHEET_PX[0] + 3 * columns
+    assert rows * (captioned[1] + 6) - 6 <= SHEET_PX[1] + 3 * rows or height == LEAST_PICTURE_PX
+    assert height >= min(LEAST_PICTURE_PX, size[1]) and shrunk <= 1.0
+    assert shrunk > 0.99 or columns * width > 0.6 * SHEET_PX[0] or rows * height > 0.6 * SHEET_PX[1]
+
+
+def test_places_of_a_sheet_are_filled() -> None:
+    assert [sheet_columns(count, (430, 470)) for count in (1, 2, 3, 4, 6, 8, 9)] == [1, 2, 3, 2, 3, 4, 3]
+
+
+def test_of_very_many_pictures_a_sheet_is_higher_and_they_keep_their_size() -> None:
+    assert fitting_sheet(120, (1536, 424)) == LEAST_PICTURE_PX / 424
+    assert sheet_columns(120, (580, 196)) == 5
 
 
 def test_a_sheet_is_written_at_the_end(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ function showReport() {
   const store = new Store(results);
   store.sharedTime = data.sharedTime;
   store.pools = data.pools;
-  document.querySelectorAll(".scripted").forEach((section) => { section.hidden = false; });
+  document.querySelectorAll(".scripted").forEach((one) => { one.hidden = false; });
   const find = (id) => document.getElementById(id);
   new OverTime(store, find("quantity-choice"), find("over-time-plot"));
   showCurve(store, find("curve-choice"), find("curve-plot"));
@@ -30,7 +30,7 @@ function showChooser(store, bar, select) {
 
 /** Pictures of the chosen result; each leads to its frame in the 3-D view. */
 function showGallery(store) {
-  const groups = [...document.querySelectorAll(".gallery")];
+  const groups = [...document.querySelectorAll(".gallery-of")];
   const choose = () => groups.forEach((group) => { group.hidden = Number(group.dataset.result) !== store.result?.index; });
   groups.forEach((group) => group.querySelectorAll("figure").forEach((figure) => linkFigure(store, group, figure)));
   store.on("result", choose);

@@ -15,8 +15,8 @@ class Player {
   build() {
     const button = (text, label, kind = "") => makeElement("button", { type: "button", class: kind, "aria-label": label }, text);
     this.canvas = makeElement("canvas", {
-      tabindex: "0", role: "img", "aria-describedby": "scene-keys",
-      "aria-label": "Points of estimate and truth in 3-D",
+      tabindex: "0", role: "application", "aria-describedby": "scene-keys",
+      "aria-label": "Points of estimate and truth in 3-D, moved by keys",
     });
     this.reading = makeElement("div", { class: "reading" });
     this.play = button("Play", "Play", "play");

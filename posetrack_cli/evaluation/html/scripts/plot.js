@@ -14,7 +14,7 @@ class Plot {
     this.options = { height: 240, spans: [], rasters: [], fromZero: false, ...options };
     this.clip = `plot-clip-${plotCount++}`;
     this.box = makeElement("div", {
-      class: "plot", tabindex: "0", role: "group", "aria-label": `${this.options.label}. Arrow keys move the cursor.`,
+      class: "plot", tabindex: "0", role: "application", "aria-label": `${this.options.label}. Arrow keys move the cursor.`,
     });
     this.svg = makeSvg("svg", { role: "img", "aria-label": this.options.label, height: this.options.height });
     this.tip = makeElement("div", { class: "tip", role: "status", hidden: true });

@@ -1,15 +1,16 @@
-"""What topics an MCAP file has, and which one holds the depth."""
+"""What topics a file of messages has, and which one holds the depth."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mcap.records import Channel, Schema
 
-from posetrack_cli.errors import RecordingError, nearest_name
+from posetrack_cli.bags.message_file import MessageFile, message_file
+from posetrack_cli.errors import RecordingError, UsageError, nearest_name
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -17,10 +18,14 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     kind_of,
 )
-from posetrack_cli.mcap.stream import McapFile, McapItem
-from posetrack_cli.mcap.summary import read_summary
+from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.depth import ImageDescription, describe_image
 
+DEPTH = "depth"
+TRANSPORTS = ("/compressed", "/compressedDepth")
+"""What ROS adds to the name of a topic that is published compressed, too."""
+REDRAWN = ("aligned_depth", "depth_registered", "depth_to_", "registered_depth")
+"""How drivers name depth as another camera, that of colour, would see it."""
 TRIES = 50
 """How many messages of a topic are looked at until one decodes."""
 
@@ -111,7 +116,7 @@ class FileTopics:
         by_name: its topics.
     """
 
-    file: McapFile
+    file: MessageFile
     by_name: Mapping[str, Topic]
 
     @property
@@ -133,14 +138,20 @@ class FileTopics:
             if topic.kind == CALIBRATION and topic.first is not None
         }
 
+    @property
+    def depth_topics(self) -> list[Topic]:
+        """The topics of depth images, or what may be depth: infrared has 16 bits, too."""
+        return [topic for topic in self.images if topic.is_depth]
+
     def depth_topic(self, wanted: str | None = None) -> Topic:
-        """Return the topic that holds depth: the one asked for, else the only one that does.
+        """Return the topic that holds depth: the one asked for, else the one that most likely is meant.
 
         Raises:
             RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
-                or if there is not exactly one candidate.
+                or if there is none.
+            UsageError: listing them, if there are several and none is asked for, or likeliest.
         """
-        depth = [topic for topic in self.images if topic.is_depth]
+        depth = self.depth_topics
         asked = None if wanted is None else self.by_name.get(wanted)
         if asked is not None and asked.is_depth:
             return asked
@@ -153,11 +164,12 @@ class FileTopics:
                 expected=_labels(depth) or "a topic with depth images, of which there is none",
                 hint=nearest_name(wanted, names) if asked is None and names else "",
             )
-        if len(depth) == 1:
-            return depth[0]
+        likeliest = _likeliest_depth(depth)
+        if len(likeliest) == 1:
+            return likeliest[0]
         if depth:
             what, hint = "several topics hold depth", "choose one with --topic"
-            raise RecordingError(what, where=self.path, found=_labels(depth), hint=hint)
+            raise UsageError(what, where=self.path, found=_labels(depth), hint=hint)
         among = f" among {', '.join(sorted(self.by_name))}" if self.by_name else ""
         raise RecordingError(
             "no topic holds depth",
@@ -169,19 +181,19 @@ class FileTopics:
 
 def scan_topics(path: Path) -> FileTopics:
     """Return the topics of a file: from its index, or by reading all of it if it has none."""
-    file, summary, scan = McapFile(path), read_summary(path), TopicScan()
-    if summary is None or summary.statistics is None:
+    file, scan = message_file(path), TopicScan()
+    counts = file.counts()
+    if counts is None:
         for item in file.messages():
             scan.inspect(item).count += 1
         return FileTopics(file, scan.topics)
-    for channel in summary.channels.values():
-        topic = scan.topic(summary.schemas.get(channel.schema_id), channel)
-        topic.count += summary.statistics.channel_message_counts.get(channel.id, 0)
+    for schema, channel, count in counts:
+        scan.topic(schema, channel).count += count
     _settle(file, scan)
     return FileTopics(file, scan.topics)
 
 
-def _settle(file: McapFile, scan: TopicScan) -> None:
+def _settle(file: MessageFile, scan: TopicScan) -> None:
     """Look at messages until all topics that have any are settled: one pass for however many topics."""
     waiting = {name for name, topic in scan.topics.items() if topic.count and not topic.is_settled}
     if not waiting:
@@ -192,6 +204,15 @@ def _settle(file: McapFile, scan: TopicScan) -> None:
             waiting.discard(topic.name)
             if not waiting:
                 return
+
+
+def _likeliest_depth(depth: Sequence[Topic]) -> Sequence[Topic]:
+    """Leave out what is there twice, infrared, and depth that was drawn anew for another camera."""
+    names = {topic.name for topic in depth}
+    copies = {name for name in names if name.endswith(TRANSPORTS) and name.rpartition("/")[0] in names}
+    raw = [topic for topic in depth if topic.name not in copies]
+    called = [topic for topic in raw if DEPTH in f"{topic.name} {topic.frame_id}".lower()] or raw
+    return [topic for topic in called if not any(word in topic.name.lower() for word in REDRAWN)] or called
 
 
 def _labels(topics: list[Topic]) -> str:

@@ -1,4 +1,4 @@
-"""MCAP files as recordings: depth on one topic, or grey images of one or more cameras; Foxglove or ROS.
+"""Files of messages as recordings: depth on one topic, or grey images of one or more cameras.
 
 Stamps are the messages' own, or log times where those are 0. A truncated or damaged file is read as far as it
 goes, which ends the frames with a loss, not an error.
@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from posetrack_cli.arrays import ImageArray
+from posetrack_cli.bags.message_file import message_file, required_container
+from posetrack_cli.bags.ros2_folder import parts_of
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
-from posetrack_cli.mcap.stream import McapFile, McapItem
+from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
     NotCalibratedError,
@@ -26,13 +28,19 @@ from posetrack_cli.recording.base import (
     no_png,
     truth_message,
 )
-from posetrack_cli.recording.camera_file import DepthCamera, Rig, load_depth_camera, load_rig
+from posetrack_cli.recording.camera_file import (
+    DepthCamera,
+    Rig,
+    camera_record,
+    load_depth_camera,
+    load_rig,
+)
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import Guess, check_one_camera
-from posetrack_cli.recording.identity import file_digest, identity_record
+from posetrack_cli.recording.identity import file_digest, files_digest, identity_record
 from posetrack_cli.recording.matching import NS_PER_MS
-from posetrack_cli.recording.mcap_calibration import choose_calibration
-from posetrack_cli.recording.mcap_cameras import (
+from posetrack_cli.recording.message_calibration import choose_calibration
+from posetrack_cli.recording.message_cameras import (
     CameraTopic,
     GreyTopic,
     calibrated_camera,
@@ -41,15 +49,16 @@ from posetrack_cli.recording.mcap_cameras import (
     find_sources,
     sources_of_rig,
 )
-from posetrack_cli.recording.mcap_topics import FileTopics, Topic, scan_topics
+from posetrack_cli.recording.message_topics import FileTopics, Topic, scan_topics
 from posetrack_cli.recording.pixels import Pixels, Window
+from posetrack_cli.recording.realsense import depth_unit_mm
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
 
 FROM_FILE, FROM_MESSAGES, GUESSED = "camera file", "messages", "guessed"
 """Where cameras are from."""
 
 
-def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
+def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
     """Open the depth frames of one topic; its calibration comes from a camera file or another topic.
 
     Raises:
@@ -59,7 +68,8 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
             together with a camera file.
     """
     topics = scan_topics(path)
-    source = _depth_topic(topics.depth_topic(options.get("topic")))
+    topic = topics.depth_topic(options.get("topic"))
+    source = _depth_topic(topic, depth_unit_mm(topics, topic))
     settings = _camera_file(options)
     name, frame_id = source.topic.name, source.topic.frame_id
     wanted = options.get("camera_topic")
@@ -75,11 +85,12 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
 
     def identity() -> Mapping[str, str]:
         return {
-            **identity_record(path, "mcap", file_digest(path)),
+            **_identity(path),
             "topic": source.topic.name,
             "camera_topic": calibration,
             "frames": str(source.topic.count),
             "mirror": str(window.mirror).lower(),
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(
@@ -88,10 +99,11 @@ def open_depth_mcap(path: Path, options: ReadingOptions) -> Recording:
         identity=identity,
         frame_count=source.topic.count,
         truth=_truth(topics, mirror=window.mirror),
+        remark=_taken("depth", source, topics.depth_topics, "--topic"),
     )
 
 
-def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
+def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
     """Open the grey images of one or more cameras.
 
     Every camera's images are read in a pass of its own over the file, so that memory does not grow where one
@@ -102,7 +114,9 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
             image of another size raises it while it is read.
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
-    rig, sources, cameras, calibration = _grey_cameras(topics, options)
+    rig, sources, cameras, calibration, remark = _grey_cameras(topics, options)
+    if options.get("in_colour"):
+        sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
     streams = [
         _TopicImages(path, source, window).stream(camera)
@@ -113,7 +127,7 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
 
     def identity() -> Mapping[str, str]:
         return {
-            **identity_record(path, "mcap", file_digest(path)),
+            **_identity(path),
             "frames": "" if count is None else str(count),
             "cameras": ",".join(stream.camera.name for stream in streams),
             "topics": ",".join(source.topic.name for source in sources),
@@ -121,6 +135,7 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
             "stored": ", ".join(dict.fromkeys(source.pixels.words for source in sources)),
             "mirror": str(windows[0].mirror).lower(),
             "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
+            **camera_record(options.get("camera_file")),
         }
 
     return Recording(
@@ -131,15 +146,24 @@ def open_grey_mcap(path: Path, options: ReadingOptions) -> Recording:
         truth=_truth(topics, mirror=windows[0].mirror),
         tolerance_ns=tolerance,
         is_guessed=calibration == GUESSED,
+        remark=remark,
     )
 
 
-def _depth_topic(topic: Topic) -> CameraTopic[Depth]:
+def _identity(path: Path) -> dict[str, str]:
+    """What identifies a file of messages, or all files of a folder of them."""
+    kind = required_container(path).kind
+    parts = [(part.name, part) for part in parts_of(path)] if path.is_dir() else []
+    return identity_record(path, kind, files_digest(parts) if parts else file_digest(path))
+
+
+def _depth_topic(topic: Topic, unit_mm: float) -> CameraTopic[Depth]:
     """Return the camera of a topic that holds depth, named by its frame id."""
     image = topic.image
     if image is None or image.depth is None:
         raise TypeError(f"{topic.name} holds no depth")
-    pixels = Depth(image.width, image.height, image.depth, stored=image.encoding)
+    encoding = image.depth if unit_mm == 1.0 else "32FC1"
+    pixels = Depth(image.width, image.height, encoding, unit_mm, stored=image.encoding)
     return CameraTopic(topic, topic.frame_id or "camera", pixels)
 
 
@@ -152,7 +176,7 @@ def _camera_file(options: ReadingOptions) -> DepthCamera | None:
     for key in ("depth_unit_mm", "missing"):
         if getattr(settings, key) != DepthCamera.model_fields[key].default:
             raise UsageError(
-                f"key '{key}' does not apply to MCAP",
+                f"key '{key}' does not apply to messages",
                 where=path,
                 hint="its encoding tells the unit: 16UC1 mm, 32FC1 m",
             )
@@ -161,19 +185,24 @@ def _camera_file(options: ReadingOptions) -> DepthCamera | None:
 
 def _grey_cameras(
     topics: FileTopics, options: ReadingOptions
-) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str]:
-    """Return the camera file if there is one, topics and stored images' cameras, and where these are from."""
+) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str, str]:
+    """Return the camera file if there is one, topics and stored images' cameras, where these are from.
+
+    And what was taken of several topics where one camera is to be used.
+    """
     file, wanted, guess = options.get("camera_file"), options.get("cameras"), options.get("guess")
     if file is None:
-        sources = distinct_names(find_sources(topics, wanted))
-        return None, sources, *_cameras(topics, sources, guess)
+        every = distinct_names(find_sources(topics, wanted))
+        sources = _of_colour(every) if guess is not None else every
+        words = _taken("colour", sources[0], [source.topic for source in every], "--cameras")
+        return None, sources, *_cameras(topics, sources, guess), words if len(sources) == 1 else ""
     rig = load_rig(file)
     rig = rig if wanted is None else rig.chosen(wanted)
     sources = [_with_bits(source, rig) for source in sources_of_rig(topics, rig)]
     cameras = rig.stored_cameras({source.name: source.size for source in sources})
     if guess is not None:
         check_one_camera(topics.path, rig.cameras)
-    return rig, sources, cameras, FROM_FILE
+    return rig, sources, cameras, FROM_FILE, ""
 
 
 def _cameras(
@@ -188,6 +217,18 @@ def _cameras(
         if guess is None:
             raise
     return [guess.stored_camera(*source.size, source.name) for source in sources], GUESSED
+
+
+def _of_colour(sources: list[GreyTopic]) -> list[GreyTopic]:
+    """The only camera of colour where one is to be used: beside it there are those of infrared, for depth."""
+    colour = [source for source in sources if source.pixels.colour]
+    return colour if len(colour) == 1 else sources
+
+
+def _taken(what: str, source: CameraTopic[Pixels], several: Sequence[Topic], option: str) -> str:
+    """Words about the topic that was taken of several; none where there is only one."""
+    others = ", ".join(topic.name for topic in several if topic.name != source.topic.name)
+    return f"{what} is taken from {source.topic.name}; {option} takes another: {others}" if others else ""
 
 
 def _with_bits(source: GreyTopic, rig: Rig) -> GreyTopic:
@@ -224,7 +265,7 @@ class _TopicImages:
 
     def _images(self, losses: LossLog) -> Iterator[StoredImage | None]:
         decoder, is_alone = MessageDecoder(), self.source.pixels.is_numbered_as_stored
-        file = McapFile(self.path, losses if is_alone else None)
+        file = message_file(self.path, losses if is_alone else None)
         try:
             for number, item in enumerate(file.messages([self.source.topic.name])):
                 try:

@@ -16,7 +16,7 @@ from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternion
 from posetrack_cli.mcap.decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.depth import MM_PER_M
-from posetrack_cli.recording.mcap_topics import FileTopics
+from posetrack_cli.recording.message_topics import FileTopics
 
 MESSAGES = 1000
 """How many messages of transforms are looked at; static ones come first or again and again."""

@@ -1,4 +1,4 @@
-"""Describe an MCAP file, intact or not, in one pass over its messages."""
+"""Describe a file of messages, intact or not, in one pass over its messages."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from mcap.records import Attachment, Metadata
-from mcap.summary import Summary
 
+from posetrack_cli.bags.message_file import message_file, required_container
+from posetrack_cli.bags.ros2_folder import parts_of
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.files import placed_path
 from posetrack_cli.losses import Loss
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
@@ -19,31 +21,31 @@ from posetrack_cli.mcap.decoding import (
     stamp_of,
 )
 from posetrack_cli.mcap.stream import McapFile, McapItem
-from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.recording.description import described_cameras, described_losses, opened
 from posetrack_cli.recording.grey import holds_grey
 from posetrack_cli.recording.identity import shown_name
-from posetrack_cli.recording.mcap_calibration import camera_from_message
-from posetrack_cli.recording.mcap_source import open_grey_mcap
-from posetrack_cli.recording.mcap_topics import Topic, TopicScan
+from posetrack_cli.recording.message_calibration import camera_from_message
+from posetrack_cli.recording.message_source import open_grey_messages
+from posetrack_cli.recording.message_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 
 SHOWN_CHARACTERS = 60
 
 
-class McapSurvey:
+class MessageSurvey:
     """Collects topics, stamps and losses from a file's messages.
 
     Stamps are those a reader uses: the message's own for images and calibrations, else the log time.
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = McapFile(path)
+        self._file = message_file(path)
         self._scan = TopicScan()
         self._decoder = MessageDecoder()
         self._timelines: dict[str, Timeline] = {}
-        self._add_indexed(read_summary(path))
+        for schema, channel, _ in self._file.counts() or ():  # also of topics without any message
+            self._scan.topic(schema, channel)
         for item in self._file.messages():
             self._add(item)
 
@@ -68,14 +70,8 @@ class McapSurvey:
 
     def extras(self) -> list[tuple[str, dict[str, Any]]]:
         """Describe metadata and attachments, each with the word for what it is."""
-        return [_extra(record) for record in McapFile(self._file.path).extras()]
-
-    def _add_indexed(self, summary: Summary | None) -> None:
-        """Take topics from the index, which lists those without any message, too."""
-        if summary is None:
-            return
-        for channel in summary.channels.values():
-            self._scan.topic(summary.schemas.get(channel.schema_id), channel)
+        is_mcap = isinstance(self._file, McapFile)
+        return [_extra(record) for record in McapFile(self._file.path).extras()] if is_mcap else []
 
     def _add(self, item: McapItem) -> None:
         topic = self._scan.inspect(item)
@@ -105,16 +101,20 @@ class McapSurvey:
         }
 
 
-def describe_mcap(path: Path) -> dict[str, Any]:
-    """Describe an MCAP file; what is cut off or damaged is in ``losses``."""
-    survey = McapSurvey(path)
+def describe_messages(path: Path) -> dict[str, Any]:
+    """Describe a file or folder of messages; what is cut off or damaged is in ``losses``."""
+    container = required_container(path)
+    survey = MessageSurvey(path)
     extras = survey.extras()
     several = survey.has_several_cameras() and not any(values["name"] == RUN_RECORD for _, values in extras)
-    rig, no_rig = opened(lambda: open_grey_mcap(path, {})) if several else (None, None)
+    rig, no_rig = opened(lambda: open_grey_messages(path, {})) if several else (None, None)
     return {
-        "name": shown_name(path.resolve()),
-        "kind": "mcap",
-        "bytes": path.stat().st_size,
+        "name": shown_name(placed_path(path)),
+        "kind": container.kind,
+        "container": container.words,
+        "bytes": sum(part.stat().st_size for part in parts_of(path))
+        if path.is_dir()
+        else path.stat().st_size,
         "complete": not survey.losses,
         "topics": survey.topics(),
         "cameras": survey.cameras(),

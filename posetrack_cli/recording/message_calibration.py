@@ -10,6 +10,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import NotCalibratedError, no_intrinsics
 
 MODEL_NAMES = {
+    "Brown Conrady": "plumb_bob",  # as RealSense calls it
     "kannala_brandt": "equidistant",
     "fisheye": "equidistant",
     "": "plumb_bob",
@@ -104,13 +105,18 @@ def _asked_for(wanted: str, calibrations: Mapping[str, str]) -> str:
 
 
 def _nearest_namespace(image_topic: str, topics: list[str]) -> list[str]:
-    """Return the topics that lie directly in the image's longest namespace that has any, else all."""
+    """Return the topics in the image's longest namespace that has any, else all.
+
+    What lies directly in it comes before what lies in one within: RealSense has both, .../image/data and
+    .../info/camera_info.
+    """
     namespace = image_topic
-    while len(topics) > 1 and "/" in namespace:
+    while len(topics) > 1 and "/" in namespace.strip("/"):
         namespace = namespace.rpartition("/")[0]
-        inside = [topic for topic in topics if topic.rpartition("/")[0] == namespace]
+        inside = [topic for topic in topics if topic.startswith(f"{namespace}/")]
+        directly = [topic for topic in inside if topic.rpartition("/")[0] == namespace]
         if inside:
-            return inside
+            return directly or inside
     return topics
 
 

@@ -10,15 +10,15 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
 from posetrack_cli.recording.base import TRUTH_PREFIX, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
-from posetrack_cli.recording.mcap_calibration import camera_from_message, choose_calibration
-from posetrack_cli.recording.mcap_extrinsics import camera_places, is_placed, rectification
-from posetrack_cli.recording.mcap_topics import FileTopics, Topic
+from posetrack_cli.recording.message_calibration import camera_from_message, choose_calibration
+from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, rectification
+from posetrack_cli.recording.message_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Pixels
 
 COMPRESSED = "/compressed"
@@ -84,7 +84,8 @@ def sources_of_rig(topics: FileTopics, rig: Rig) -> list[GreyTopic]:
     """Return the topic of each camera of a camera file, by topic, frame id or a part of the topic's name.
 
     Raises:
-        RecordingError: if not exactly one fits a camera.
+        RecordingError: if none fits a camera.
+        UsageError: if several do.
     """
     every = find_sources(topics)
     if len(rig.cameras) == 1 and len(every) == 1:
@@ -93,7 +94,7 @@ def sources_of_rig(topics: FileTopics, rig: Rig) -> list[GreyTopic]:
     for name in rig.cameras:
         fitting = [source for source in every if _is_called(source.topic, name)]
         if len(fitting) != 1:
-            raise RecordingError(
+            raise (UsageError if fitting else RecordingError)(
                 f"{'several topics fit' if fitting else 'no topic of'} camera '{name}' of {rig.path.name}",
                 where=topics.path,
                 found=", ".join(source.topic.label for source in fitting or every),
@@ -215,7 +216,7 @@ def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> GreyTopic:
     fitting = exact or [topic for topic in grey if _is_called(topic, name)]
     if len(fitting) == 1:
         return replace(_source(fitting[0]), name=fitting[0].frame_id if exact else name)
-    raise RecordingError(
+    raise (UsageError if fitting else RecordingError)(
         f"{'several topics' if fitting else 'no topic'} of camera '{name}'",
         where=path,
         found=", ".join(topic.label for topic in fitting or grey) or "no topic with grey or colour images",

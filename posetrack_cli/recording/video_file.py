@@ -1,0 +1,240 @@
+"""Video files, read by FFmpeg as PyAV brings it: which are opened, and their frames one by one."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from posetrack_cli import limits
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.files import open_input
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.frame import VideoFrame
+    from av.video.stream import VideoStream
+
+SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+BEGIN_BYTES = 189
+MATROSKA = b"\x1a\x45\xdf\xa3"
+CONTAINERS = (
+    (4, (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")),  # MP4 and QuickTime
+    (8, (b"AVI ",)),
+    (
+        0,
+        (
+            MATROSKA,  # and WebM
+            b"\x00\x00\x01\xba",  # MPEG program stream
+            b"\x00\x00\x01\xb3",  # MPEG video alone
+            b"\x30\x26\xb2\x75",  # ASF, of .wmv
+            b"OggS",
+            b"FLV\x01",
+        ),
+    ),
+    (188, (b"G",)),  # MPEG transport stream: its second packet, as its first byte is no sign
+)
+"""How videos begin: from this byte on, one of these."""
+FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,ogg,flv"
+"""What FFmpeg may take a file for."""
+OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "none"}
+"""It is handed an open file, so that a protocol would only be for what the file refers to."""
+SENSOR_FORMAT = "gray16be"
+DEPTH_TITLE, INFRARED_TITLE = "DEPTH", "IR"
+"""Of the streams of an Azure Kinect, whose codec Matroska calls b16g."""
+QUARTER_TURN = 90
+MICROSECONDS = 1_000_000
+"""FFmpeg's unit of durations."""
+FFMPEG_LOGGER = "libav"
+BUFFER_BYTES = 1 << 20
+MOST_FAILURES = 300
+"""Frames in a row at the beginning that cannot be decoded; after more of them it is no video."""
+NO_INDEX = "moov atom not found"
+"""What FFmpeg says of MP4 without its index, which recorders write last."""
+
+
+@contextmanager
+def opened_container(path: Path) -> Iterator[InputContainer]:
+    """Yield an open container of video.
+
+    FFmpeg also takes text for a video, which names other files, or hosts, to read. So it is asked only for
+    files that begin as videos do, told which kinds to take them for, and handed the open file.
+
+    Raises:
+        RecordingError: it cannot be read, or is none.
+    """
+    try:
+        file = open_input(path)
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+    with file, _container(file, path) as container:
+        yield container
+
+
+@dataclass(frozen=True)
+class OpenVideo:
+    """One stream of images of an open container.
+
+    Attributes:
+        container: that it is in.
+        stream: of FFmpeg.
+    """
+
+    container: InputContainer
+    stream: VideoStream
+
+    @property
+    def rate_hz(self) -> float:
+        """The rate that it states; 0 if it does not."""
+        return float(self.stream.average_rate or self.stream.guessed_rate or 0)
+
+    @property
+    def frame_count(self) -> int | None:
+        """How many frames it says that it has, or its duration does; None if neither."""
+        if self.stream.frames > 0:
+            return int(self.stream.frames)
+        duration = self.container.duration
+        count = round(duration / MICROSECONDS * self.rate_hz) if duration else 0
+        return count if count > 0 else None
+
+    def frames(self) -> Iterator[VideoFrame | None]:
+        """Yield the frames, None for each packet that cannot be decoded."""
+        from av.error import FFmpegError
+
+        packets = self.container.demux(self.stream)
+        while True:
+            try:
+                packet = next(packets, None)
+            except FFmpegError:
+                return  # the container is damaged from here on
+            if packet is None:
+                return
+            try:
+                frames = self.stream.codec_context.decode(packet)
+            except FFmpegError:
+                yield None
+                continue
+            yield from frames
+
+
+@contextmanager
+def opened_video(path: Path) -> Iterator[OpenVideo]:
+    """Yield the images of a video: those of colour or grey where a Kinect's file has depth, too.
+
+    No frame is decoded that is larger than any of a recording, also where the size changes later.
+
+    Raises:
+        RecordingError: it cannot be read, is none, or has larger frames than any that are read.
+    """
+    with opened_container(path) as container:
+        stream = _image_stream(container)
+        if stream is None and depth_stream(container) is not None:
+            hint = "posetrack hand run tracks hands in it"
+            raise RecordingError("holds depth, and no images of colour or grey", where=path, hint=hint)
+        yield opened_stream(container, stream, path)
+
+
+@contextmanager
+def opened_depth(path: Path) -> Iterator[OpenVideo]:
+    """Yield the depth of an Azure Kinect's recording.
+
+    Raises:
+        RecordingError: it cannot be read, or holds none.
+    """
+    with opened_container(path) as container:
+        stream = depth_stream(container)
+        if stream is None:
+            raise RecordingError(
+                "is a video without depth",
+                where=path,
+                expected="the depth of an Azure Kinect, or another recording of depth",
+                hint="posetrack head mono tracks heads in videos",
+            )
+        yield opened_stream(container, stream, path)
+
+
+def opened_stream(container: InputContainer, stream: VideoStream | None, path: Path) -> OpenVideo:
+    """Return a stream to be decoded within bounds.
+
+    Raises:
+        RecordingError: there is none, or it says that its frames are larger than any that are read.
+    """
+    if stream is None:
+        raise RecordingError("is no video that can be read", where=path, found="no stream of images")
+    if stream.width * stream.height > limits.IMAGE_PIXELS:
+        raise RecordingError(
+            "video is larger than any that is read",
+            where=path,
+            found=f"{stream.width}x{stream.height}",
+            expected=f"at most {limits.IMAGE_PIXELS} pixels",
+        )
+    stream.codec_context.options = {"max_pixels": str(limits.IMAGE_PIXELS)}
+    return OpenVideo(container, stream)
+
+
+def shown_image(frame: VideoFrame) -> ImageArray:
+    """Return a frame (height, width, 3), blue green red, turned as the container says that it is shown."""
+    image = frame.to_ndarray(format="bgr24")
+    quarters, rest = divmod(frame.rotation, QUARTER_TURN)
+    return image if rest or not quarters % 4 else np.ascontiguousarray(np.rot90(image, quarters))
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is named as a video or begins as one."""
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    with open_input(path) as file:
+        return _begins_as_video(file)
+
+
+def _begins_as_video(file: IO[bytes]) -> bool:
+    begin = file.read(BEGIN_BYTES)
+    file.seek(0)
+    return any(begin.startswith(sign, at) for at, signs in CONTAINERS for sign in signs)
+
+
+def _container(file: IO[bytes], path: Path) -> InputContainer:
+    """Open a container; what FFmpeg says of one that it cannot open is kept, not printed."""
+    import av
+
+    if not _begins_as_video(file):
+        raise RecordingError("is no video that can be read", where=path)
+    logging.getLogger(FFMPEG_LOGGER).addHandler(logging.NullHandler())
+    logging.getLogger(FFMPEG_LOGGER).propagate = False
+    av.logging.set_level(av.logging.ERROR)
+    try:
+        return av.open(file, "r", options=OPTIONS, buffer_size=BUFFER_BYTES, metadata_errors="replace")
+    except av.error.FFmpegError as error:
+        found = "an MP4 file that ends before its index" if NO_INDEX in str(error) else ""
+        raise RecordingError("is no video that can be read", where=path, found=found) from error
+    finally:
+        av.logging.set_level(None)
+
+
+def depth_stream(container: InputContainer) -> VideoStream | None:
+    """Return the stream of depth of an Azure Kinect, which has infrared of the same kind beside it."""
+    titled = (s for s in _decodable(container) if s.metadata.get("title") == DEPTH_TITLE)
+    return next(filter(_is_of_sensor, titled), None)
+
+
+def _image_stream(container: InputContainer) -> VideoStream | None:
+    """The stream that shows what people look at: not one of depth, and no picture of a cover."""
+    streams = [stream for stream in _decodable(container) if not _is_of_sensor(stream)]
+    best = container.streams.best("video")
+    return best if best in streams else next(iter(streams), None)
+
+
+def _decodable(container: InputContainer) -> list[VideoStream]:
+    """The streams whose codec FFmpeg knows."""
+    return [s for s in container.streams.video if getattr(s, "codec_context", None) is not None]
+
+
+def _is_of_sensor(stream: VideoStream) -> bool:
+    """Whether it is depth or infrared of an Azure Kinect, by its format and name."""
+    return stream.pix_fmt == SENSOR_FORMAT and stream.metadata.get("title") in (DEPTH_TITLE, INFRARED_TITLE)
