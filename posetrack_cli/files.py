@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -64,6 +65,18 @@ def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
 def real_path(path: Path) -> Path:
     """Return where a path leads; where links form a ring ``Path.resolve`` would raise RuntimeError."""
     return Path(os.path.realpath(path))
+
+
+def hint_of_missing(path: Path, of_pattern: str) -> str:
+    """Return what to do about a name that no file has, but that looks like something else.
+
+    Args:
+        path: as it was typed.
+        of_pattern: what to do if it is a pattern that no shell has filled in.
+    """
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):  # pathlib has made one slash of two
+        return "addresses are not read: download it first"
+    return of_pattern if any(sign in str(path) for sign in "*?[") else ""
 
 
 def placed_path(path: Path) -> Path:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @recording_options
 @volume_options
 def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
-    """Write IN, a folder of depth images or an MCAP file, as Foxglove MCAP without loss.
+    """Write IN, whatever recording of depth it is, as Foxglove MCAP without loss.
 
     Depth in whole millimetres is stored as 16-bit PNG, copied unchanged where IN has just that; other
     depth as 32-bit metres. Truth that IN carries goes along; --truth adds joints as /truth/hand/points, which

@@ -157,7 +157,7 @@ hand.add_command(hand_synth)
 @recording_options
 @volume_options
 def hand_run(recording: Path, **options: Any) -> None:
-    """Track the hand in RECORDING, an MCAP file or a folder of 16-bit depth images.
+    """Track the hand in RECORDING: MCAP, a bag of ROS, a folder of 16-bit depth images or a Kinect file.
 
     The result is MCAP with pose, velocity, their variances and the 21 joints of every frame. The same input,
     configuration and seed give the same bytes.

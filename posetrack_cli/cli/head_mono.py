@@ -116,7 +116,7 @@ OWN_CONFIGURED = {
 )
 @volume_options
 def head_mono(recording: Path, **options: Any) -> None:
-    """Track the head in RECORDING: a video, a folder of images or an MCAP file.
+    """Track the head in RECORDING: a video, a folder of images, MCAP or a bag of ROS.
 
     The face is found by itself, any person's; who it is and how it deforms is adjusted to the images within a
     model of faces. The result is MCAP with pose, velocity, ten points, deformation and identity. One camera
@@ -141,6 +141,7 @@ def head_mono(recording: Path, **options: Any) -> None:
 
 def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
     """Return the recording of one camera, which may be guessed."""
+    from posetrack_cli.recording.grey import PLAIN_BITS, Grey
     from posetrack_cli.recording.guess import Guess, guess_of_field
 
     fov = options["fov"]
@@ -153,6 +154,9 @@ def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
             found=_focal(source),
             hint="leave it out",
         )
+    if any(isinstance(pixels, Grey) and pixels.bits > PLAIN_BITS for pixels in source.pixels):
+        bits = "images of more than 8 bits are taken for light"
+        print_note(f"{recording}: {bits}; if they are depth, posetrack hand run tracks hands in them")
     return source
 
 

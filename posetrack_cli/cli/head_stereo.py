@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 @image_options
 @volume_options
 def head_stereo(recording: Path, **options: Any) -> None:
-    """Track the head in RECORDING: a folder with one folder of images per camera, or an MCAP file.
+    """Track the head in RECORDING: a folder with one folder of images per camera, MCAP or a bag of ROS.
 
     Two or more calibrated cameras are needed. The face is found by itself, any person's; how it deforms is
     learnt while it is tracked. The result is MCAP with pose, velocity, ten points, the deformation and the

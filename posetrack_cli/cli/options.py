@@ -330,13 +330,11 @@ _CAMERA = option(
 _MIRROR = option("--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.")
 
 recording_options = option_group(
-    option(
-        "--topic", metavar="TOPIC", help="MCAP topic of the depth images; found by itself if only one fits."
-    ),
+    option("--topic", metavar="TOPIC", help="Topic of the depth images.  [default: the likeliest]"),
     option(
         "--camera-topic",
         metavar="TOPIC",
-        help="MCAP topic of the calibration; found by frame id or namespace.",
+        help="Topic of the calibration.  [default: by frame id or namespace]",
     ),
     _CAMERA,
     fps_option("Of a folder of images, which may not tell it."),

@@ -3,12 +3,14 @@
 R = R_y(yaw) R_x(pitch) R_z(roll), intrinsic y-x'-z'': first yaw, then pitch about the turned x axis, then
 roll about the twice turned z axis. In camera axes (x right, y down, z forward) roll turns the image, yaw
 shakes the head and pitch nods. Angles are computed from the quaternion itself, as Bernardes and Viollet 2022
-("Quaternion to Euler angles conversion", PLOS ONE) do, so none loses digits near gimbal lock.
+("Quaternion to Euler angles conversion", PLOS ONE) do, so none loses digits near gimbal lock, where
+scipy only warns.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import canonical, conjugate, multiply
@@ -56,9 +58,9 @@ def roll_pitch_yaw(q: FloatArray) -> FloatArray:
 
 def quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
     """Return the canonical quaternions (..., 4) of roll, pitch and yaw (..., 3), rad."""
-    half = 0.5 * np.asarray(angles, dtype=np.float64)
-    about_z, about_x, about_y = (_turn_about(axis, half[..., i]) for i, axis in enumerate((2, 0, 1)))
-    return canonical(multiply(multiply(about_y, about_x), about_z))
+    angles = np.asarray(angles, dtype=np.float64)
+    turned = Rotation.from_euler("YXZ", angles[..., [2, 1, 0]].reshape(-1, 3))
+    return canonical(turned.as_quat()).reshape(*angles.shape[:-1], 4)
 
 
 def head_roll_pitch_yaw(q: FloatArray) -> FloatArray:
@@ -78,12 +80,6 @@ def head_roll_pitch_yaw(q: FloatArray) -> FloatArray:
 def head_quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
     """Return the rotations (..., 4) of ``camera_T_head``, canonical: what ``head_roll_pitch_yaw`` undoes."""
     return canonical(multiply(quaternion_from_roll_pitch_yaw(angles), np.array(FACING)))
-
-
-def _turn_about(axis: int, half_angle: FloatArray) -> FloatArray:
-    q = np.zeros((*np.shape(half_angle), 4))
-    q[..., axis], q[..., 3] = np.sin(half_angle), np.cos(half_angle)
-    return q
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

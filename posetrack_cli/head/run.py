@@ -21,7 +21,7 @@ from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, mo
 from posetrack_cli.head.smoothing.track import HeadMemory
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.grey import Grey
+from posetrack_cli.recording.grey import PLAIN_BITS, Grey
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.keypoints.use import KeypointUse
 from posetrack_cli.recording.recording import Recording
@@ -38,9 +38,6 @@ from posetrack_cli.tracking.two_pass import (
     NothingFoundError,
     TwoPassRun,
 )
-
-_PLAIN_BITS = 8
-"""Of an image that people look at."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +165,7 @@ class HeadRun(TwoPassRun):
 
 def _hint(recording: Recording) -> str:
     """What helps where no face is found; more than 8 bits are more often of depth than of infrared light."""
-    if any(isinstance(pixels, Grey) and pixels.bits > _PLAIN_BITS for pixels in recording.pixels):
+    if any(isinstance(pixels, Grey) and pixels.bits > PLAIN_BITS for pixels in recording.pixels):
         return "are these images of depth? posetrack hand run tracks hands in them"
     return "--init FILE begins with clicked points; --detector yunet finds faces that haar misses"
 

@@ -15,6 +15,8 @@ from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
 from posetrack_cli.recording.pixels import check_size, raw_values
 
+PLAIN_BITS = 8
+"""Of pictures; more are of cameras for measuring, or of depth."""
 BITS = (10, 12, 14, 16)
 """Significant bits that cameras deliver in 16-bit images."""
 GREY_FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION

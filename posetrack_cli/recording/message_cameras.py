@@ -76,7 +76,10 @@ def find_sources(topics: FileTopics, wanted: Sequence[str] | None = None) -> lis
     kept = [s for s in eight if s.topic.name.removesuffix(COMPRESSED) not in names - {s.topic.name}]
     if not kept:
         found = ", ".join(topic.label for topic in images) or "no image topics"
-        raise RecordingError("no topic holds grey or colour images", where=topics.path, found=found)
+        hint = "posetrack hand run tracks hands in depth" if topics.depth_topics else ""
+        raise RecordingError(
+            "no topic holds grey or colour images", where=topics.path, found=found, hint=hint
+        )
     return distinct_names(kept)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,6 +10,7 @@ from typing import Any, Unpack
 
 from posetrack_cli.bags.message_file import container_of
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.files import hint_of_missing
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
 from posetrack_cli.recording.folder_description import describe_folder
 from posetrack_cli.recording.kinect import open_kinect
@@ -20,6 +20,7 @@ from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import ReadingOptions, Recording
 from posetrack_cli.recording.video import describe_video, open_video
 
+MANY_RECORDINGS = "posetrack batch takes patterns of many recordings"
 ANY = frozenset({"camera_file", "mirror"})
 """Options that apply to every source."""
 CAMERAS = ANY | {"cameras", "guess", "in_colour"}
@@ -133,17 +134,10 @@ def describe(path: Path) -> dict[str, Any]:
 
 def _source_of(path: Path) -> Source:
     if not path.exists():
-        raise RecordingError("no such file or folder", where=path, hint=_what_it_may_be(str(path)))
+        raise RecordingError(
+            "no such file or folder", where=path, hint=hint_of_missing(path, MANY_RECORDINGS)
+        )
     return next(source for source in SOURCES if source.holds(path))
-
-
-def _what_it_may_be(text: str) -> str:
-    """What to do about a name that no file has, but that looks like something else."""
-    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", text):  # pathlib has made one slash of two
-        return "addresses are not read: download it first"
-    if any(sign in text for sign in "*?["):
-        return "posetrack batch takes patterns of many recordings"
-    return ""
 
 
 def _refuse_others(words: str, opener: Opener, options: Mapping[str, object]) -> None:

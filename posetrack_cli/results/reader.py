@@ -16,7 +16,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, ResultError, nearest_name
-from posetrack_cli.files import open_input
+from posetrack_cli.files import hint_of_missing, open_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog, loss_line
 from posetrack_cli.mcap.records import MAGIC
@@ -47,7 +47,9 @@ from posetrack_cli.results.records import (
 )
 from posetrack_cli.results.tracks import FILTERED, SMOOTHED, SMOOTHED_PREFIX, TRACKS, estimate_topic
 
+PATTERN = "a shell fills in patterns that are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
+NO_ESTIMATES = "there are none at all: it ends before the first, or was never begun"
 
 
 class ResultWarning(UserWarning):
@@ -144,9 +146,8 @@ class Result:
             return self.estimate_topic
         known = {c.topic for s, c in self.channels if s.name == ESTIMATE_SCHEMA_NAME}
         if topic not in known:
-            raise ResultError(
-                f"no estimates on topic '{topic}'", where=self.path, hint=nearest_name(topic, known)
-            )
+            hint = nearest_name(topic, known) if known else NO_ESTIMATES
+            raise ResultError(f"no estimates on topic '{topic}'", where=self.path, hint=hint)
         return topic
 
     def estimates(self, topic: str | None = None) -> Iterator[Estimate]:
@@ -343,7 +344,9 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
                 raise ResultError("is no MCAP file", where=path, hint="results are .mcap files")
             yield stream
     except OSError as error:
-        raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
+        hint = "" if path.exists() else hint_of_missing(path, PATTERN)
+        found = error.strerror or error
+        raise ResultError("cannot be read", where=path, found=found, hint=hint) from error
 
 
 def is_result(path: Path) -> bool:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
+import sqlite3
 import struct
 import zlib
+from collections.abc import Sequence
+from contextlib import closing
 from functools import cache
 
 import lz4.block
@@ -66,3 +70,59 @@ def npz_zeros(mebibytes: int, name: str) -> bytes:
     central = struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, *about, 0, 0, 0, 0, 0) + encoded
     end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 1, 1, len(central), len(local), 0)
     return local + central + end
+
+
+# Bags
+
+
+def bag() -> bytes:
+    """A bag of a kilobyte whose chunks are half a gigabyte of zeros, and say it, or that they are small."""
+    packer = bz2.BZ2Compressor()
+    zeros = bytes(1 << 26)
+    data = b"".join([*(packer.compress(zeros) for _ in range(8)), packer.flush()])
+    head = _record(3, b" ", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4))
+    small, large = (struct.pack("<I", size) for size in (1000, 1 << 29))
+    chunks = [_record(5, data, compression=b"bz2", size=size) for size in (small, large)]
+    return b"#ROSBAG V2.0\n" + head + b"".join(chunks)
+
+
+def _record(kind: int, data: bytes, **fields: bytes) -> bytes:
+    pairs = {"op": bytes([kind]), **fields}
+    contents = [name.encode() + b"=" + value for name, value in pairs.items()]
+    head = b"".join(struct.pack("<I", len(content)) + content for content in contents)
+    return struct.pack("<I", len(head)) + head + struct.pack("<I", len(data)) + data
+
+
+_TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+_TOPIC = "INSERT INTO topics VALUES (1, '/a', 'sensor_msgs/msg/Image', 'cdr')"
+_ROWS = "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3)"
+DATABASES = {
+    "an endless view": [
+        _TOPICS,
+        _TOPIC,
+        "CREATE VIEW messages AS WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) "
+        "SELECT 1 AS topic_id, n AS timestamp, x'00' AS data FROM c",
+    ],
+    "computed messages": [
+        _TOPICS,
+        _TOPIC,
+        "CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, data AS (hex(zeroblob(400000000))))",
+        _ROWS,
+    ],
+    "messages that take long": [
+        _TOPICS,
+        _TOPIC,
+        "CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, "
+        "data AS (length(hex(zeroblob(60000000)))))",
+        _ROWS,
+    ],
+}
+
+
+def database(statements: Sequence[str]) -> bytes:
+    """The file of a database of some statements."""
+    with closing(sqlite3.connect(":memory:")) as connection:
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+        return connection.serialize()

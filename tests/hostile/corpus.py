@@ -643,6 +643,17 @@ for _suffix, _code in ((".avi", "MJPG"), (".mp4", "mp4v")):
         )
 
 
+def bag_case(name: str, data: Callable[[], bytes], suffix: str) -> None:
+    for called, words in {"info": ("info",), "convert": ("convert", "-o", "out.mcap")}.items():
+        command = (words[0], f"r{suffix}", *words[1:])
+        add(f"{name}: {called}", command, lambda seeds: {f"r{suffix}": data()})
+
+
+bag_case("bag that is a bomb", bombs.bag, ".bag")
+for _called, _statements in bombs.DATABASES.items():
+    bag_case(f"database with {_called}", lambda statements=_statements: bombs.database(statements), ".db3")
+
+
 # All of them
 
 

@@ -321,6 +321,22 @@ def video(suffix: str, fourcc: str) -> bytes:
 
 
 @cache
+def bag(kind: str) -> bytes:
+    """Return a bag of a compression or a database, as rosbags writes them, or a file of a Kinect."""
+    import tempfile
+
+    from support.bags import write_bag, write_folder
+    from support.kinect import write_kinect
+
+    with tempfile.TemporaryDirectory() as folder:
+        if kind == "mkv":
+            return write_kinect(Path(folder) / "r.mkv").read_bytes()
+        if kind == "db3":
+            return (write_folder(Path(folder) / "r", "sqlite3") / "r.db3").read_bytes()
+        return write_bag(Path(folder) / "r.bag", kind).read_bytes()
+
+
+@cache
 def glb() -> bytes:
     """Return our own hand as GLB, of few vertices."""
     from posetrack_cli.hand.anatomy import make_anatomy

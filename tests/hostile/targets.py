@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 from hostile import messages as ros
 from hostile import seeds as of
 from hostile.case import Case, Content, Link, Pipe
-from hostile.file_cases import changed_glb, changed_image, changed_npz, changed_video, resigned
+from hostile.file_cases import (
+    changed_glb,
+    changed_image,
+    changed_npz,
+    changed_records,
+    changed_video,
+    resigned,
+)
 from hostile.mcap_bytes import CHUNK, METADATA, SCHEMA, Record, file_bytes, read_records
 from hostile.mcap_cases import changed_file
 from hostile.seeds import Seeds, messages
@@ -651,6 +658,26 @@ def videos(seeds: Seeds) -> Strategy:
     return st.one_of(*cases)
 
 
+def bags(seeds: Seeds) -> Strategy:
+    """Bags of ROS 1, databases and folders of ROS 2, a Kinect's file: their bytes changed, joined and cut."""
+    del seeds
+    cases = []
+    for kind, name in {
+        "none": "r.bag",
+        "bz2": "r.bag",
+        "lz4": "r.bag",
+        "db3": "r.db3",
+        "mkv": "r.mkv",
+    }.items():
+        data = of.bag(kind)
+        cases.append(made_of("bags", name, changed_bytes(data), of_recording(name)))
+        if kind in ("none", "db3"):
+            cases.append(made_of("bags", name, changed_records(data), of_recording(name)))
+    folder: dict[str, Content] = {"r/metadata.yaml": b"relative_file_paths:\n  - r_0.db3\n  - r_1.db3\n"}
+    cases.append(made_of("bags", "r/r_0.db3", changed_bytes(of.bag("db3")), of_recording("r"), **folder))
+    return st.one_of(*cases)
+
+
 def meshes(seeds: Seeds) -> Strategy:
     """Skinned hands as GLB."""
     words = ("hand", "run", "hand.mcap", "-o", "out.mcap", *HAND[:-1], "1", "--hand-mesh", "m.glb")
@@ -756,6 +783,7 @@ TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
     "batches": batches,
     "images": images,
     "videos": videos,
+    "bags": bags,
     "meshes": meshes,
     "names": names,
 }

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.options import NAMES
-from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.errors import RecordingError, ResultError, UsageError
 from posetrack_cli.recording.opening import SOURCES, describe, open_recording
 from posetrack_cli.recording.recording import ReadingOptions
+from posetrack_cli.results.reader import read_result
 
 OPENERS = [opener for source in SOURCES for opener in source.openers.values()]
 
@@ -47,6 +48,9 @@ def test_what_a_name_may_have_meant_is_told(name: str, hint: str) -> None:
     with pytest.raises(RecordingError, match="no such file or folder") as caught:
         open_recording(Path(name), "grey")
     assert str(caught.value).endswith(f"; {hint}")
+    with pytest.raises(ResultError) as of_result:
+        read_result(Path(name))
+    assert ("addresses" in hint) == str(of_result.value).endswith(f"; {hint}")
 
 
 def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path: Path) -> None:

@@ -243,6 +243,17 @@ def test_an_unknown_topic_is_an_error_that_names_the_near_one(path: Path) -> Non
         list(read_result(path).estimates("/hand/estimates"))
 
 
+def test_a_result_that_ends_before_its_first_estimate_says_so(path: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = path.read_bytes()
+    cut.write_bytes(data)
+    while read_result(cut).channels:  # until it ends before the chunk that tells them
+        data = data[: len(data) // 2]
+        cut.write_bytes(data)
+    with pytest.raises(ResultError, match="there are none at all"):
+        read_result(cut).topic_of_estimates("/hand/estimate")
+
+
 def test_a_missing_result_points_at_the_unfinished_one(tmp_path: Path) -> None:
     begin(tmp_path / "r.mcap").abort()
     with pytest.raises(ResultError, match=r"unfinished run left .*r\.mcap\.part"):
