@@ -72,13 +72,14 @@ def calibrate() -> None:
     ),
     title="Board",
 )
-@cameras_option("Names of folders, the reference first.  [default: all]")
+@cameras_option("Names of folders, the reference first.  [default: all]", "Cameras")
 @option(
     "--distortion",
     type=click.Choice(["none", "four", "five", "eight"]),
     default="four",
     show_default=True,
     help="Coefficients of the lens: k1 k2 p1 p2, and k3, and k4 k5 k6.",
+    group="Cameras",
 )
 @overwrite_option("The camera file")
 @volume_options

@@ -12,6 +12,8 @@ from posetrack_cli.cli.standard_output import QUIET, USUAL, VERBOSE, print_detai
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 OTHERS = "Other options"
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+"""Also where a command is called by itself: click keeps the option that it made first."""
 _VOLUME = "posetrack.volume"
 
 
@@ -42,6 +44,7 @@ class Command(click.Command):
         former: Mapping[str, str] | None = None,
         **attributes: Any,
     ) -> None:
+        attributes.setdefault("context_settings", HELP_NAMES)
         super().__init__(*arguments, **attributes)
         self.examples, self.former = tuple(examples), dict(former or {})
 

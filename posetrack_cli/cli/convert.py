@@ -10,6 +10,7 @@ import click
 from posetrack_cli.cli.command import Command, volume_options
 from posetrack_cli.cli.options import (
     FILE,
+    option_group,
     output_option,
     overwrite_option,
     recording_options,
@@ -35,7 +36,10 @@ if TYPE_CHECKING:
 @click.argument("recording", metavar="IN", type=FILE)
 @output_option("The recording, an MCAP file.", "OUT.mcap")
 @overwrite_option("The recording")
-@truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes.")
+@option_group(
+    truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes."),
+    title="Truth",
+)
 @recording_options
 @volume_options
 def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:

@@ -179,7 +179,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     ),
     junit_option("One test for each and each result."),
     markdown_option(),
-    overwrite_option("Reports"),
+    overwrite_option("Reports", "Reports"),
     title="Reports",
 )
 @gate_options

@@ -70,13 +70,13 @@ def export(
     """Write the estimates of RESULT, finished or not, for other tools.
 
     \b
-    csv   one row per frame, every column explained in comments above: mm, rad, deg
+    csv   a row per frame, columns explained in comments above: mm, rad, deg
     tum   timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
-    json  the columns of csv as lists, below a header with units and the run record
-    npz   one array per field of an estimate, for numpy; needs -o
-    bvh   a hand as an animated skeleton, for Blender and motion editors: m, y up, a fixed frame rate
-    c3d   joints or feature points as markers, for motion laboratories: mm, a fixed frame rate; needs -o
-    mcap  ROS 2 messages (tf2, nav_msgs, sensor_msgs), for RViz and ros2 bag; needs -o; also --schemas ros2
+    json  the columns of csv as lists, below units and the run record
+    npz   an array per field of an estimate, for numpy; needs -o
+    bvh   a hand's skeleton for Blender: m, y up, a fixed frame rate
+    c3d   joints or points as markers: mm, a fixed frame rate; needs -o
+    mcap  messages of ROS 2 (tf2, nav_msgs, sensor_msgs); needs -o
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are in, with their last pose;
     their status says so in all formats but tum and bvh: there leave them out with --no-lost. In c3d they are

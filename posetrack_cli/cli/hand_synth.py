@@ -112,7 +112,7 @@ shape_options = option_group(
     seed_option(),
     title="Motion",
 )
-@hand_side_option("right", "left", details="", default="right")
+@option_group(hand_side_option("right", "left", details="", default="right"), title="Hand")
 @shape_options
 @switch_options
 @volume_options

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     default=10,
     show_default=True,
     help="How many parameters say who a face is (S').",
+    group="Model",
 )
 @option(
     "--deformation-size",
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     default=5,
     show_default=True,
     help="How many parameters say what it does (A').",
+    group="Model",
 )
 @option(
     "--picture",

@@ -17,6 +17,7 @@ from posetrack_cli.cli.head_options import (
     track_head,
 )
 from posetrack_cli.cli.options import (
+    CONFIGURATION,
     FILE,
     READ,
     NameOrFile,
@@ -102,7 +103,7 @@ OWN_CONFIGURED = {
     ),
     title=START,
 )
-@particles_option(750)
+@option_group(particles_option(750), title=CONFIGURATION)
 @configuration_options("head-mono (the defaults), head-mono-paper", "adjustment.views=10")
 @frame_options
 @one_camera_options

@@ -18,6 +18,7 @@ from posetrack_cli.cli.head_options import (
     track_head,
 )
 from posetrack_cli.cli.options import (
+    CONFIGURATION,
     FILE,
     configuration_options,
     frame_options,
@@ -56,7 +57,7 @@ if TYPE_CHECKING:
 )
 @learning_options(passes=1)
 @option_group(start_options, title=START)
-@particles_option(1000)
+@option_group(particles_option(1000), title=CONFIGURATION)
 @configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
 @frame_options
 @image_options

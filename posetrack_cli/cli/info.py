@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from posetrack_cli.cli.command import Command
-from posetrack_cli.cli.options import FILE, json_option, overwrite_option
+from posetrack_cli.cli.options import FILE, WRITTEN, json_option, option_group, overwrite_option
 from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.text import printable_json
@@ -24,7 +24,7 @@ Values = Mapping[str, Any]
     short_help="Tell what a recording or a result holds.",
 )
 @click.argument("path", metavar="FILE", type=FILE)
-@json_option()
+@option_group(json_option(), title=WRITTEN)
 @overwrite_option("The file of --json")
 def info(path: Path, json: Path | None, overwrite: bool) -> None:
     """Tell what FILE holds: folders of images, a video, a recording or a result, also an unfinished one.

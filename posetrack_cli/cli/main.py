@@ -14,6 +14,7 @@ import click
 from posetrack_cli import __version__
 from posetrack_cli.cli.batch import batch
 from posetrack_cli.cli.calibrate import calibrate
+from posetrack_cli.cli.command import HELP_NAMES
 from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
 from posetrack_cli.cli.eval import evaluate
@@ -39,7 +40,7 @@ class _Group(click.Group):
             raise click.Abort from interruption
 
 
-@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=_Group, context_settings={**HELP_NAMES, "max_content_width": 100})
 @click.version_option(__version__, prog_name="posetrack")
 def cli() -> None:
     """Track hands in recorded depth: pose, velocity and shape with their uncertainty, from MCAP or folders.

@@ -74,6 +74,9 @@ class DrawingDevice(click.IntRange):
     def __init__(self) -> None:
         super().__init__(min=0)
 
+    def _describe_range(self) -> str:
+        return ""  # the help says what it is
+
     def convert(  # type: ignore[override]
         self, value: Any, parameter: click.Parameter | None, context: click.Context | None
     ) -> int | str:
@@ -133,6 +136,11 @@ def chosen_tracks(track: str | None) -> tuple[str, ...]:
 # everywhere (a test compares), the rest what is particular to a command.
 
 
+WRITTEN = "Output"
+READ = "Recording"
+CONFIGURATION = "Configuration"
+
+
 def _told(meaning: str, details: str) -> str:
     """What an option means, and what is particular to a command; a default stands a little apart."""
     return f"{meaning}{'  ' if details.startswith('[') else ' '}{details}".strip()
@@ -151,14 +159,10 @@ def output_option(what: str, metavar: str = "FILE", *, required: bool = True) ->
     )
 
 
-def overwrite_option(what: str) -> Adding:
+def overwrite_option(what: str, group: str = WRITTEN) -> Adding:
     """Return --overwrite of a command, told in words what it replaces."""
-    return option("--overwrite", is_flag=True, help=f"Replace existing files. {what}.", group=WRITTEN)
+    return option("--overwrite", is_flag=True, help=f"Replace existing files. {what}.", group=group)
 
-
-WRITTEN = "Output"
-READ = "Recording"
-CONFIGURATION = "Configuration"
 
 smooth_option = option(
     "--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.", group=WRITTEN
@@ -313,10 +317,10 @@ def json_option(details: str = "") -> Adding:
     )
 
 
-def cameras_option(details: str) -> Adding:
+def cameras_option(details: str, group: str = READ) -> Adding:
     """Return --cameras, which of a recording's cameras."""
     return option(
-        "--cameras", metavar="NAME,...", help=_told("Which of the recording's cameras.", details), group=READ
+        "--cameras", metavar="NAME,...", help=_told("Which of the recording's cameras.", details), group=group
     )
 
 

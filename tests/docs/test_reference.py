@@ -77,6 +77,13 @@ def test_examples_are_what_their_command_accepts(command: click.Command) -> None
             check(arguments)
 
 
+def test_help_fits_a_terminal_of_80_columns() -> None:
+    for command, context in commands_of(cli, "posetrack"):
+        context.terminal_width = 80
+        lines = command.get_help(context).splitlines()
+        assert max(map(len, lines)) <= 80, f"{context.command_path}: {max(lines, key=len)}"
+
+
 def test_every_command_has_its_options() -> None:
     page = reference.reference_pages()["cli.md"]
     for heading in ("posetrack batch head mono", "posetrack hand synth", "posetrack calibrate stereo"):

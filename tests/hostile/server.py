@@ -75,6 +75,7 @@ def prepare() -> None:
         importlib.import_module(module.name)
     for name in (
         "av",
+        "ezc3d",
         "encodings.idna",
         "multiprocessing.util",
         "http.client",

@@ -73,6 +73,9 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
         (2, ("export", name, "--format", "json")),
         (1, ("export", name, "-o", "out.npz")),
         (1, ("export", name, "--format", "tum")),
+        (1, ("export", name, "--format", "bvh")),
+        (1, ("export", name, "-o", "out.c3d")),
+        (1, ("export", name, "--schemas", "ros2", "-o", "out.mcap")),
     )
 
 
@@ -82,7 +85,7 @@ def made_of(
     """Cases of one changed file beside others."""
     return st.builds(
         lambda data, words: Case(
-            target, words, {name: data, **files}, (*OUT, "out.html", "out.npz", "v", "out.toml")
+            target, words, {name: data, **files}, (*OUT, "out.html", "out.npz", "out.c3d", "v", "out.toml")
         ),
         content,
         command,
