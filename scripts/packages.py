@@ -22,7 +22,7 @@ if __name__ == "__main__":
 
 from support.markdown import blocks  # type: ignore[import-not-found]  # noqa: E402
 
-FRAMES = 36
+FRAMES = 12
 """Of each recording."""
 KINDS = {"wheel": "*.whl", "sdist": "*.tar.gz"}
 FACE = """

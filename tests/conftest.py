@@ -21,12 +21,16 @@ LONGEST = (
     "tests/hostile/",
     "docs/test_snippets.py",
     "cli/test_batch.py",
-    "cli/test_hand_run.py",
     "hand/test_calibration.py",
+    "cli/test_hand_run.py",
     "cli/test_head_mono.py",
-    "hand/test_recovery.py",
+    "cli/test_head_stereo.py",
+    "evaluation/test_html_browser.py",
     "cli/test_hand_calibrate.py",
+    "cli/test_eval.py",
+    "cli/test_hand_keypoints.py",
     "recording/calibration/test_stereo.py",
+    "hand/test_recovery.py",
 )
 """Begun first, in this order; all others as they are found."""
 

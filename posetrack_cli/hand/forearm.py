@@ -33,15 +33,19 @@ _INSIDE = 0.92
 """Half axes of the first ring, inside the hand, as a share of the wrist's."""
 
 
-def with_forearm(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:
+def with_forearm(
+    hand: SkinnedMesh, smooth: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int
+) -> SkinnedMesh:
     """Return a hand's skin with a forearm's behind it, which is bound to a bone of its own, ``ARM_BONE``.
 
     Args:
         hand: bound to the 16 bones.
+        smooth: the hand's skin that tells where it ends, and the wrist's ellipse. It is the same for all
+            levels of detail: few vertices tell a wrist that is up to a third too narrow.
         anatomy: of the hand.
         sides, rings: how many points a ring has, and how many rings there are.
     """
-    return joined([hand, _tube(hand, anatomy, sides, rings)])
+    return joined([hand, _tube(smooth, anatomy, sides, rings)])
 
 
 def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:

@@ -98,12 +98,12 @@ class HandModel:
     @cached_property
     def lean_with_arm(self) -> SkinnedMesh:
         """The lean skin with a forearm's: what many poses are drawn with where arms are explained."""
-        return with_forearm(self.lean, self.anatomy, *_LEAN_ARM)
+        return with_forearm(self.lean, self.smooth, self.anatomy, *_LEAN_ARM)
 
     @cached_property
     def smooth_with_arm(self) -> SkinnedMesh:
         """The smooth skin with a forearm's."""
-        return with_forearm(self.smooth, self.anatomy, *_SMOOTH_ARM)
+        return with_forearm(self.smooth, self.smooth, self.anatomy, *_SMOOTH_ARM)
 
     def skin(self, level: str) -> SkinnedMesh:
         """The skin of a level: ``lean``, ``medium`` (the smooth one) or ``fine`` (the whole)."""

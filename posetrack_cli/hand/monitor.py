@@ -9,6 +9,11 @@ from posetrack_cli.hand.config import StatusSettings
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
 _ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
+_GOOD_SHARE, _GOOD_RISE_MM = 0.3, 0.03
+"""Share of a better frame in the level of good fits, and by how much that rises in a frame at most."""
+_RAISED_FACTOR, _RAISED_MM = 1.15, 0.5
+_WORSE_FACTOR, _WORSE_MM = 1.05, 0.5
+_MOST_LOOK_WAIT = 3  # frames
 _FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
 
 
@@ -26,6 +31,11 @@ class TrackMonitor:
         elsewhere: searches in a row that found a better hand at another place.
         fingers_mm: what fingers seen at this place are worth (``acquisition.fingers_bonus``), slowly
             forgotten.
+        good_mm: what good fits of this recording cost, 0 before the first: a level that falls quickly and
+            rises slowly, so that a few bad frames do not make it their own, as ``usual_mm`` does.
+        look_wait: frames to skip before the hand is looked for anew where it is (``is_raised``).
+        next_look_wait: frames to skip after the next look that does not help.
+        looked_mm: what the fit cost that the last such look did not better.
     """
 
     lost: bool = False
@@ -36,6 +46,10 @@ class TrackMonitor:
     next_wait: int = 1
     elsewhere: int = 0
     fingers_mm: float = 0.0
+    good_mm: float = 0.0
+    look_wait: int = 0
+    next_look_wait: int = 1
+    looked_mm: float = 0.0
 
     @property
     def is_believed(self) -> bool:
@@ -63,6 +77,25 @@ class TrackMonitor:
         difference decides.
         """
         return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
+
+    def is_raised(self, cost_mm: float) -> bool:
+        """Whether a fit costs more than good ones do, be it ever so little for a hand of another shape."""
+        return self.good_mm > 0.0 and cost_mm > _RAISED_FACTOR * self.good_mm + _RAISED_MM
+
+    def postpones_look(self, cost_mm: float) -> bool:
+        """Whether no look is worth it after one that did not help; a fit that costs more now is."""
+        return self.look_wait > 0 and cost_mm <= _WORSE_FACTOR * self.looked_mm + _WORSE_MM
+
+    def after_look_wait(self) -> TrackMonitor:
+        """Return the record after a frame without a look."""
+        return replace(self, look_wait=max(0, self.look_wait - 1))
+
+    def after_look(self, cost_mm: float, *, helped: bool) -> TrackMonitor:
+        """Return the record after a look at a frame whose fit costs so much."""
+        if helped:
+            return replace(self, look_wait=0, next_look_wait=1)
+        wait = self.next_look_wait
+        return replace(self, looked_mm=cost_mm, look_wait=wait, next_look_wait=min(2 * wait, _MOST_LOOK_WAIT))
 
     def after_fingers(self, bonus_mm: float) -> TrackMonitor:
         """Return the record after a frame that shows fingers worth so much at the hand's place."""
@@ -107,7 +140,11 @@ class TrackMonitor:
         if quality < settings.lost_below:
             return self.after_miss(settings)
         usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
-        back = replace(self, misses=0, lost=False)
+        good = cost_mm if self.good_mm == 0.0 else self.good_mm
+        good += min(_GOOD_RISE_MM, _GOOD_SHARE * (cost_mm - good))
+        back = replace(self, misses=0, lost=False, good_mm=good)
+        if not self.is_raised(cost_mm):
+            back = replace(back, look_wait=0, next_look_wait=1)
         if self.is_worse(cost_mm, settings):
             return back
         usual += _MEMORY * (cost_mm - usual)

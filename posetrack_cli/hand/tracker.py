@@ -15,6 +15,7 @@ from posetrack_cli.filtering.model import Dynamics, FilterModel, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
+from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGNS, probability, signs_of, with_model_error
@@ -41,6 +42,8 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
+_BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
+_FACES_ALIKE = np.cos(np.deg2rad(60.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,10 +296,13 @@ class HandTracker:
     ) -> FrameObservation:
         """Where the fit is bad, search for a hand that looks alike and fits far better, or is elsewhere."""
         state, settings, fits = seen.state, self.config.status, seen.fits
-        if fits is None or seen.observation is None or not state.monitor.is_doubtful(fits.cost, settings):
+        if fits is None or seen.observation is None:
             return seen
+        if not state.monitor.is_doubtful(fits.cost, settings):
+            return self._looked_again(finder, seen, frame, rng)
         if state.monitor.postpones_search(fits.cost, settings):
-            return seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
+            waited = seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
+            return self._looked_again(finder, waited, frame, rng)
         here, monitor = fits.modes.poses[0], state.monitor
         found = finder.reconsider(seen.observation, here)
         if found is None or monitor.is_doubtful(found.cost, settings):
@@ -312,6 +318,35 @@ class HandTracker:
             return self._refined(finder, found, seen, frame, rng)
         refused = monitor.after_failed_search(fits.cost, settings)
         return seen._replace(state=replace(seen.state, monitor=refused))
+
+    def _looked_again(
+        self, finder: Acquisition, seen: FrameObservation, frame: Frame, rng: np.random.Generator
+    ) -> FrameObservation:
+        """Where the fit costs more than good ones of this recording, look for the hand anew where it is.
+
+        A hand that turns or opens faster than expected leaves the reach of its prediction. On another
+        person's hand that costs little: two fingers on one of the image are 2 mm among 10. A fit that
+        faces the same way needs to be but a little better; palm and back are not exchanged for that.
+        """
+        state, fits = seen.state, seen.fits
+        if fits is None or seen.observation is None or not state.monitor.is_raised(fits.cost):
+            return seen
+        if state.monitor.postpones_look(fits.cost):
+            return seen._replace(state=replace(state, monitor=state.monitor.after_look_wait()))
+        here = fits.modes.poses[0]
+        found = finder.reconsider(seen.observation, here)
+        helped = found is not None and (
+            state.monitor.prefers(fits.cost, found.cost, self.config.status)
+            or (found.cost < fits.cost - _BETTER_MM and self._is_alike(found.pose, here))
+        )
+        monitor = state.monitor.after_look(fits.cost, helped=helped)
+        seen = seen._replace(state=replace(state, monitor=monitor))
+        return self._refined(finder, found, seen, frame, rng) if found is not None and helped else seen
+
+    def _is_alike(self, pose: FloatArray, other: FloatArray) -> bool:
+        """Whether two poses (22,) are of a hand at one place that faces one way."""
+        facing, there = (rotations.rotate(one[3:7], np.array([0.0, 0.0, 1.0])) for one in (pose, other))
+        return self._is_near(pose, other) and bool(facing @ there > _FACES_ALIKE)
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
         """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
@@ -483,6 +518,10 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         next_wait=whole(),
         elsewhere=whole(),
         fingers_mm=real(floats()),
+        good_mm=real(floats(least=0.0)),
+        look_wait=whole(),
+        next_look_wait=whole(),
+        looked_mm=real(floats(least=0.0)),
     )
     return Fields(
         HandState,

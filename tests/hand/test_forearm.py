@@ -17,7 +17,7 @@ from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.local_fits import without_arm
-from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.model import average_hand, hand_maker
 from posetrack_cli.hand.observation import IGNORED, NO_ARM, Observation, window_around
 from posetrack_cli.hand.shape import random_shape
 from posetrack_cli.rendering.mesh import is_closed
@@ -59,6 +59,21 @@ def seen(fitter: HandFitter, pose: FloatArray, arm: FloatArray, elbow_mm: float)
         beyond = (points - pose[:3]) @ arm[:3] > elbow_mm
     image[np.isfinite(z) & beyond] = IGNORED
     return Observation(window, image.astype(np.float32), int(np.count_nonzero(image > 0)), arm)
+
+
+INSCRIBED = 1.0 - np.cos(np.pi / 10.0)
+"""By how much a tube of ten sides is narrower than its ellipse, at most."""
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_all_levels_of_detail_have_one_forearm(seed: int) -> None:
+    """What particles are weighed by is where the fits have it, however few vertices a skin's end has."""
+    hand = hand_maker(None)("right" if seed % 2 else "left", random_shape(np.random.default_rng(seed)))
+    lean = hand.lean_with_arm.vertices[len(hand.lean.vertices) :]
+    smooth = hand.smooth_with_arm.vertices[len(hand.smooth.vertices) :]
+    assert np.ptp(lean[:, 1]) == pytest.approx(np.ptp(smooth[:, 1]))
+    for axis in (0, 2):
+        assert np.ptp(lean[:, axis]) == pytest.approx(np.ptp(smooth[:, axis]), rel=INSCRIBED)
 
 
 @each_hand

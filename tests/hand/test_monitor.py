@@ -165,3 +165,37 @@ def test_fingers_that_were_seen_are_forgotten_slowly() -> None:
     for _ in range(1000):
         monitor = monitor.after_fingers(-3.0)
     assert monitor.fingers_mm == -3.0
+
+
+@given(costs, st.lists(costs, min_size=1, max_size=30))
+def test_the_level_of_good_fits_is_none_that_no_fit_had(first: float, later: list[float]) -> None:
+    """It falls towards what is cheaper and rises by no more than a few hundredths a frame."""
+    monitor = TrackMonitor().after_fit(first, 1.0, SETTINGS)
+    assert monitor.good_mm == first
+    for cost in later:
+        before, monitor = monitor.good_mm, monitor.after_fit(cost, 1.0, SETTINGS)
+        assert min(cost, before) <= monitor.good_mm <= min(max(cost, before), before + 0.03 + 1e-12)
+
+
+def test_a_bad_second_stays_a_bad_second() -> None:
+    """The usual cost follows it within a second, so that nothing would be tried any more."""
+    monitor = TrackMonitor()
+    for cost in [8.0] * 30 + [12.0] * 30:
+        monitor = monitor.after_fit(cost, 1.0, SETTINGS)
+    assert monitor.is_raised(12.0)
+    assert not monitor.is_raised(8.5)
+    assert not monitor.is_worse(12.0, SETTINGS)
+
+
+def test_looks_that_do_not_help_come_seldom_and_one_is_due_when_fits_get_worse() -> None:
+    monitor, waits = TrackMonitor(good_mm=5.0), []
+    for _ in range(4):
+        monitor = monitor.after_look(7.0, helped=False)
+        waits.append(monitor.look_wait)
+        assert monitor.postpones_look(7.0)
+        assert not monitor.postpones_look(9.0)
+        for _ in range(monitor.look_wait):
+            monitor = monitor.after_look_wait()
+        assert not monitor.postpones_look(7.0)
+    assert waits == [1, 2, 3, 3]
+    assert monitor.after_look(7.0, helped=True).after_look(7.0, helped=False).look_wait == 1

@@ -55,5 +55,5 @@ def decide_side(trial: Trial, estimate: Callable[[str], Calibration | None]) -> 
     one, other = estimate(first), estimate(second)
     log_odds = trial.log_odds
     if one is not None and other is not None:
-        log_odds += _COUNTED * log_odds_of(other.costs_mm[1] - one.costs_mm[1])
+        log_odds += _COUNTED * log_odds_of(one.costs_mm[1], other.costs_mm[1])
     return SideFound(first, log_odds, one) if log_odds >= 0.0 else SideFound(second, -log_odds, other)

@@ -33,6 +33,9 @@ _COST_PER_LOG_ODDS, _MOST_A_FRAME = 0.9, 3.0
 
 Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the
 cheaper one in four of five; 0.7 mm would be likeliest if frames erred independently."""
+_USUAL_COST_MM = 6.0
+"""What the cheaper side cost in these; where it costs more, by hands less like the average one, a difference
+tells less in proportion."""
 WELL_KNOWN_MM = 2.2
 """A hand that costs no more is the configured one: its own model costs 1 to 2 mm, strangers 3 and more. One
 frame of such a hand may tell the side for certain, if its mirror image costs 3.6 mm more."""
@@ -187,7 +190,7 @@ class Trial:
         self._tried = [k for k in {*self._tried, self._best[1]} if abs(k - self._best[1]) <= 1]
         if len(self.sides) > 1:
             most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else _MOST_A_FRAME
-            self._log_odds += log_odds_of(float(costs[1].min() - costs[0].min()), most)
+            self._log_odds += log_odds_of(float(costs[0].min()), float(costs[1].min()), most)
 
     def _ask_keypoints(self, frame: Frame) -> None:
         """Add what the frame's keypoints tell of the side."""
@@ -270,9 +273,10 @@ class Trial:
         return self._finders[side, k, quick]
 
 
-def log_odds_of(dearer_mm: float, most: float = _MOST_A_FRAME) -> float:
-    """Return the log odds of a side in a frame in which the other one is dearer by so much."""
-    return float(np.clip(dearer_mm / _COST_PER_LOG_ODDS, -most, most))
+def log_odds_of(cost_mm: float, other_mm: float, most: float = _MOST_A_FRAME) -> float:
+    """Return the log odds of a side in a frame, by what it costs and what the other one does."""
+    strange = max(1.0, min(cost_mm, other_mm) / _USUAL_COST_MM)
+    return float(np.clip((other_mm - cost_mm) / _COST_PER_LOG_ODDS, -most, most)) / strange
 
 
 def _early_frames(recording: Recording, start: int) -> Iterator[Frame]:
