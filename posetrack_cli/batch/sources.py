@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from posetrack_cli import limits
+from posetrack_cli.bags.ros2_folder import is_ros2_folder
 from posetrack_cli.configuration import Settings, validated
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text
@@ -107,8 +108,11 @@ def _matched(pattern: str, base: Path | None, results: Path | None) -> list[tupl
         return [(path, _plain_name(path))]
     fixed = _fixed_part(path)
     found = [Path(one) for one in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207 ** of any root
+    whole = {one for one in found if is_ros2_folder(one)}
     recordings = [
-        one for one in found if one != fixed and _may_be_recording(one, found) and not _is_in(one, results)
+        one
+        for one in found
+        if one != fixed and _may_be_recording(one, found, whole) and not _is_in(one, results)
     ]
     if not recordings:
         raise UsageError(
@@ -127,8 +131,16 @@ def _fixed_part(pattern: Path) -> Path:
     return Path(*parts)
 
 
-def _may_be_recording(path: Path, found: Sequence[Path]) -> bool:
-    """Whether a path is no folder in which others were found: ``**`` finds folders, too."""
+def _may_be_recording(path: Path, found: Sequence[Path], whole: Set[Path]) -> bool:
+    """Whether a path is no folder in which others were found, unless it is one recording, and in none such.
+
+    Args:
+        path: one of those found.
+        found: by a pattern; ``**`` finds folders, too.
+        whole: the folders among them that are one recording each, of ROS 2.
+    """
+    if path in whole or not whole.isdisjoint(path.parents):
+        return path in whole
     return not path.is_dir() or not any(path in other.parents for other in found)
 
 

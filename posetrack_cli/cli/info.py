@@ -104,6 +104,11 @@ def _video_lines(report: Values) -> Iterator[str]:
         "as far as the video tells"
     )
     yield from _camera_lines(report)
+    if "depth" in report:
+        depth = report["depth"]
+        yield from (f"depth: {_intrinsics(camera)}" for camera in depth["cameras"])
+        if depth["no_camera"]:
+            yield f"depth: {depth['no_camera']}"
 
 
 def _camera_lines(report: Values) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -17,11 +17,12 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import no_intrinsics
 from posetrack_cli.recording.camera_file import camera_record, load_depth_camera
 from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.identity import file_digest, identity_record
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
-from posetrack_cli.recording.video import VideoImages
-from posetrack_cli.recording.video_file import is_video, opened_container, opened_depth
+from posetrack_cli.recording.video import VideoImages, describe_video
+from posetrack_cli.recording.video_file import depth_stream, is_video, opened_container, opened_depth
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -95,6 +96,24 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
         }
 
     return Recording(path, [stream], identity=identity, frame_count=video.count)
+
+
+def describe_kinect(path: Path) -> dict[str, Any]:
+    """Describe a video, and its depth if it is an Azure Kinect's recording.
+
+    Raises:
+        RecordingError: it is no video, or holds depth only.
+    """
+    described = describe_video(path)
+    if not _holds_depth(path):
+        return described
+    recording, no_camera = opened(lambda: open_kinect(path, {}))
+    return described | {"depth": {"cameras": described_cameras(recording), "no_camera": no_camera}}
+
+
+def _holds_depth(path: Path) -> bool:
+    with opened_container(path) as container:
+        return depth_stream(container) is not None
 
 
 def camera_of_calibration(data: bytes, width: int, height: int, where: object) -> Camera:

@@ -13,12 +13,12 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import hint_of_missing
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
 from posetrack_cli.recording.folder_description import describe_folder
-from posetrack_cli.recording.kinect import open_kinect
+from posetrack_cli.recording.kinect import describe_kinect, open_kinect
 from posetrack_cli.recording.message_description import describe_messages
 from posetrack_cli.recording.message_source import open_depth_messages, open_grey_messages
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import ReadingOptions, Recording
-from posetrack_cli.recording.video import describe_video, open_video
+from posetrack_cli.recording.video import open_video
 
 MANY_RECORDINGS = "posetrack batch takes patterns of many recordings"
 ANY = frozenset({"camera_file", "mirror"})
@@ -86,7 +86,7 @@ SOURCES = (
         "a video",
         lambda path: True,  # any other file; what is none is told when it is opened
         {"grey": Opener(open_video, CAMERAS | {"fps"}), "depth": Opener(open_kinect, ANY)},
-        describe_video,
+        describe_kinect,
     ),
 )
 """All of them; the first that holds a path counts."""

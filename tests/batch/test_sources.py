@@ -31,6 +31,14 @@ def test_patterns_name_results_by_what_is_below_them(folder: Path) -> None:
     assert names("in/ima*") == ["images"]
 
 
+def test_a_folder_of_ros_2_is_one_recording(folder: Path) -> None:
+    for name in ("in/bag/metadata.yaml", "in/bag/bag_0.mcap", "in/bag/bag_1.mcap"):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_bytes(b"")
+    assert names("in/b*") == ["bag"]
+    assert names("in/**") == ["a", "bag", "day1/b", "day2/b", "images/0", "notes"]
+
+
 def test_results_are_no_recordings(folder: Path) -> None:
     """A pattern of everything finds them, too, once there are some."""
     for name in ("out/a.mcap", "out/.batch/a.pieces/00000.mcap"):

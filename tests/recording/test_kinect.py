@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from posetrack_cli.cli.info import report_lines
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.kinect import camera_of_calibration
@@ -62,7 +63,11 @@ def test_heads_are_tracked_in_its_colour(tmp_path: Path) -> None:
     frames = list(open_recording(path, "grey", guess=Guess()).frames())
     assert [frame.images[0].shape for frame in frames] == [(96, 128)] * COUNT
     assert [abs(int(frame.images[0][5, 5]) - 40 * k) <= 2 for k, frame in enumerate(frames)] == [True] * COUNT
-    assert describe(path)["image"] == {"width": 128, "height": 96}
+    described = describe(path)
+    assert described["image"] == {"width": 128, "height": 96}
+    (depth,) = described["depth"]["cameras"]
+    assert (depth["width"], depth["height"]) == (320, 288)
+    assert any(line.startswith("depth: 320x288, fx 251.964") for line in report_lines(described))
 
 
 def test_a_recording_without_colour_or_depth_says_so(tmp_path: Path) -> None:
