@@ -264,7 +264,8 @@ class StatusSettings(Settings):
     ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and
     replaced by another one in the image if that costs less than ``better`` times as much, or ``better_mm``
     less. A share 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
-    hand is then searched for in the whole image. A track is left for a hand at another place once
+    hand is then searched for in the whole image. A fit that costs more than good ones of the recording, and
+    more than ``well_mm``, is looked for anew where it is. A track is left for a hand at another place once
     ``leave_after_frames`` searches in a row found that better.
     """
 
@@ -273,6 +274,7 @@ class StatusSettings(Settings):
     sure_mm: NotNegative = 6.0
     better: Fraction = 0.7
     better_mm: Positive = 2.0
+    well_mm: NotNegative = 0.0
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5
     leave_after_frames: Annotated[int, Field(ge=1)] = 5

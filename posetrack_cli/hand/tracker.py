@@ -329,7 +329,9 @@ class HandTracker:
         faces the same way needs to be but a little better; palm and back are not exchanged for that.
         """
         state, fits = seen.state, seen.fits
-        if fits is None or seen.observation is None or not state.monitor.is_raised(fits.cost):
+        if fits is None or seen.observation is None or fits.cost <= self.config.status.well_mm:
+            return seen
+        if not state.monitor.is_raised(fits.cost):
             return seen
         if state.monitor.postpones_look(fits.cost):
             return seen._replace(state=replace(state, monitor=state.monitor.after_look_wait()))

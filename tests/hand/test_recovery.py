@@ -189,13 +189,15 @@ def directions(anatomy: HandAnatomy, pose: FloatArray) -> FloatArray:
     return along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
+@pytest.mark.parametrize("well_mm", [0.0, 40.0])
 def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
-    device: RenderingDevice, tracking: HandTracker
+    device: RenderingDevice, well_mm: float
 ) -> None:
     """750 degrees a second in the image: fits that begin at the prediction lay one finger on another.
 
-    On a hand that costs 9 mm where it is right that is 13, not twice as much.
+    On a hand that costs 9 mm where it is right that is 13, not twice as much: not looked for anew, it stays.
     """
+    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": well_mm}}))
     stranger = hand_maker(None)("right", random_shape(np.random.default_rng(5)))
     scene, poses = Stage(device, stranger), []
     for k in range(18):
@@ -210,7 +212,7 @@ def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
         there = directions(tracking.anatomy, pose_of(estimate)), directions(stranger.anatomy, pose)
         off.append(np.rad2deg(np.arccos(np.clip(np.einsum("ij,ij->i", *there), -1.0, 1.0))).max())
     assert not any(state.monitor.lost for state in states)
-    assert max(off[8:]) < max(off[4:8]) + 5.0
+    assert (max(off[8:]) < max(off[4:8]) + 5.0) == (well_mm == 0.0)
 
 
 def same(first: Estimate, second: Estimate) -> None:
