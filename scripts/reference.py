@@ -151,15 +151,23 @@ def options_page() -> str:
 def _row(uses: Sequence[Use]) -> str:
     """A line of the table."""
     names = ", ".join(f"`{name}`" for name in dict.fromkeys(name for use in uses for name in use.names))
-    metavars = [f"`{metavar}`" for metavar in dict.fromkeys(use.metavar for use in uses) if metavar]
+    metavars = [_code(metavar) for metavar in dict.fromkeys(use.metavar for use in uses) if metavar]
     value = f"{uses[0].kind}: {', '.join(metavars)}" if metavars else uses[0].kind
     commands = {use.command or "posetrack" for use in uses}
     own = {one for one in commands if not one.startswith("batch ")}
     shown = own | {"batch" for one in commands - own if one.removeprefix("batch ") not in own}
     is_everywhere = {"posetrack", "batch"} < shown
     told = "all" if is_everywhere else ", ".join(f"`{one}`" for one in sorted(shown))
-    line = f"| {names} | {value} | {_one_line(uses[0].meaning)} | {told} |"
-    return re.sub(r"(?<=[\w\]])\|(?=[\w\[-])", r"\\|", line) + "\n"
+    meaning = _one_line(uses[0].meaning).replace("|", _BAR)
+    return f"| {names} | {value} | {meaning} | {told} |\n"
+
+
+_BAR = "&#124;"
+"""A bar that ends no cell of a table: a backslash before it is shown inside of code, but not everywhere."""
+
+
+def _code(text: str) -> str:
+    return f"<code>{escape(text).replace('|', _BAR)}</code>" if "|" in text else f"`{text}`"
 
 
 def main() -> None:
