@@ -139,8 +139,7 @@ def options_page() -> str:
     """All options of all commands by name, each with its one meaning."""
     top = (
         "# Options\n\nEvery option of every command. A name means the same wherever it is used, and takes "
-        "the "
-        "same kind of value (a test sees to it); what is particular to a command is in the "
+        "the same kind of value (a test sees to it); what is particular to a command is in the "
         "[command line reference](cli.md). `batch` stands for options of batches alone: a batch has those of "
         "the command that it runs, too.\n\n"
         "| option | value | meaning | commands |\n|---|---|---|---|\n"

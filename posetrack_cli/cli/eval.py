@@ -101,8 +101,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         "--joint-offsets",
         type=click.Choice(["bone", "palm", "camera"]),
         help="Of a hand, also remove each joint's constant offset, a median, for a truth whose joints are "
-        "marked "
-        "by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
+        "marked by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
     ),
     title="Truth",
 )

@@ -90,9 +90,8 @@ hand.add_command(hand_synth)
         metavar="auto|average|FILE",
         type=NameOrFile("auto", "average"),
         help="Size and shape of the hand: auto estimates them from the recording unless they are told, "
-        "average "
-        "is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of hand "
-        "calibrate, or a result of hand run: its side and shape.  [default: auto]",
+        "average is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of "
+        "hand calibrate, or a result of hand run: its side and shape.  [default: auto]",
     ),
     scale_option,
     hand_mesh_option,
@@ -110,8 +109,7 @@ hand.add_command(hand_synth)
         metavar="FILE",
         type=FILE,
         help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md): further "
-        "starts "
-        "and evidence for side and place.",
+        "starts and evidence for side and place.",
     ),
     option(
         "--keypoints-unit",

@@ -85,8 +85,7 @@ OWN_CONFIGURED = {
         "--adjust",
         type=click.Choice(["always", "start", "never"]),
         help="When the person's face is adjusted to the images: after every frame that allows it, only at "
-        "the "
-        "start, or never (an average face).  [default: always]",
+        "the start, or never (an average face).  [default: always]",
     ),
     title="Person",
 )
