@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -112,8 +113,27 @@ def states(folder: Path) -> dict[str, str]:
 
 
 def run_batch(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """A batch as a user starts it."""
     line = [*POSETRACK, "batch", "hand", "run", *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+@dataclass(frozen=True)
+class BatchHere:
+    """A batch in this process, which need not start; its jobs have processes of their own as ever."""
+
+    capsys: pytest.CaptureFixture[str]
+
+    def __call__(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        line = ["batch", "hand", "run", *map(str, arguments)]
+        self.capsys.readouterr()
+        code = run(line)
+        return subprocess.CompletedProcess(line, code, *self.capsys.readouterr())
+
+
+@pytest.fixture
+def run_here(capsys: pytest.CaptureFixture[str]) -> BatchHere:
+    return BatchHere(capsys)
 
 
 def single(recording: Path, output: Path, *options: str) -> Path:
@@ -168,13 +188,15 @@ def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return synth(path, 5, "--frames", str(LONG_FRAMES), "--fps", str(LONG_RATE_HZ), "--speed", "0.5")
 
 
-def test_pieces_give_equal_bytes_for_any_number_of_workers(long_recording: Path, tmp_path: Path) -> None:
+def test_pieces_give_equal_bytes_for_any_number_of_workers(
+    long_recording: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     """And nothing shows where they meet: the error changes there as it does elsewhere."""
     results = []
     for jobs in (1, 2, 4):
         out = tmp_path / str(jobs)
         pieces = ["--chunk-s", str(CHUNK_S), "--overlap-s", str(OVERLAP_S), "--jobs", str(jobs), "--smooth"]
-        done = run_batch(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)
+        done = run_here(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)
         assert done.returncode == 0, done.stderr
         results.append(out / "long.mcap")
         assert not (out / ".batch" / "long.pieces").exists()
@@ -226,9 +248,11 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(
     assert states(out) == {"long": "done", "a1": "done"}
 
 
-def test_a_page_has_a_row_for_each_and_links_to_theirs(recordings: Path, tmp_path: Path) -> None:
+def test_a_page_has_a_row_for_each_and_links_to_theirs(
+    recordings: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     out = tmp_path / "out"
-    done = run_batch(
+    done = run_here(
         recordings / "a1.mcap",
         recordings / "damaged.mcap",
         "-o",
@@ -245,21 +269,23 @@ def test_a_page_has_a_row_for_each_and_links_to_theirs(recordings: Path, tmp_pat
     assert "Recordings without a result (1)" in page
     report = json.loads((out / "summary.json").read_text())
     assert [one["name"] for one in report["recordings"]] == ["damaged", "a1"]
-    again = run_batch(
+    again = run_here(
         recordings / "a1.mcap", "-o", out, *KNOWN, "--baseline", out / "summary.json", "--markdown", "-"
     )
     assert again.returncode == 0, again.stderr  # it is as good as before
     assert "posetrack eval" in again.stdout
 
 
-def test_memory_that_is_not_there_fails_one_recording(recordings: Path, tmp_path: Path) -> None:
+def test_memory_that_is_not_there_fails_one_recording(
+    recordings: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     """Numbers of particles that no window of memory holds fail alone, by a line."""
     manifest = tmp_path / "set.toml"
     a1, a2 = recordings / "a1.mcap", recordings / "a2.mcap"
     manifest.write_text(
         f'[[recordings]]\npath = "{a1}"\noptions = {{ particles = 400000 }}\n[[recordings]]\npath = "{a2}"\n'
     )
-    done = run_batch(manifest, "-o", tmp_path / "out", "--no-reports", "--memory-limit", "700M", *KNOWN)
+    done = run_here(manifest, "-o", tmp_path / "out", "--no-reports", "--memory-limit", "700M", *KNOWN)
     assert done.returncode == 3, done.stderr
     assert states(tmp_path / "out") == {"a1": "failed", "a2": "done"}
     assert "memory" in done.stderr
@@ -325,14 +351,16 @@ def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: 
     assert "pip install 'posetrack[batch]'" in done.stderr
 
 
-def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path) -> None:
+def test_two_batches_do_not_share_a_folder(
+    recordings: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     from posetrack_cli.files import open_output
     from posetrack_cli.outputs import lock
 
     (tmp_path / "out" / ".batch").mkdir(parents=True)
     with open_output(tmp_path / "out" / ".batch" / "lock") as stream:
         lock(stream)
-        done = run_batch(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
+        done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
     assert done.returncode == 2
     assert "another batch writes there" in done.stderr
 
