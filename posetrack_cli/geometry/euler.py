@@ -57,7 +57,7 @@ def roll_pitch_yaw(q: FloatArray) -> FloatArray:
 
 def quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
     """Return the canonical quaternions (..., 4) of roll, pitch and yaw (..., 3), rad."""
-    from scipy.spatial.transform import Rotation  # a third of a second that no other command waits for
+    from scipy.spatial.transform import Rotation  # half of the time that `info` takes to start
 
     angles = np.asarray(angles, dtype=np.float64)
     turned = Rotation.from_euler("YXZ", angles[..., [2, 1, 0]].reshape(-1, 3))
