@@ -351,9 +351,7 @@ def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: 
     assert "pip install 'posetrack[batch]'" in done.stderr
 
 
-def test_two_batches_do_not_share_a_folder(
-    recordings: Path, tmp_path: Path, run_here: BatchHere
-) -> None:
+def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path, run_here: BatchHere) -> None:
     from posetrack_cli.files import open_output
     from posetrack_cli.outputs import lock
 
