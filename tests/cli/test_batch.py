@@ -142,7 +142,7 @@ def single(recording: Path, output: Path, *options: str) -> Path:
 
 
 def test_a_cluster_in_which_things_go_wrong(
-    recordings: Path, tmp_path: Path, cluster: Path, hooked: Path
+    recordings: Path, tmp_path: Path, cluster: Path, hooked: Path, run_here: BatchHere
 ) -> None:
     out, junit = tmp_path / "out", tmp_path / "junit.xml"
     common = [f"{recordings}/**/*.mcap", "-o", out, "--no-reports", *KNOWN]
@@ -174,7 +174,7 @@ def test_a_cluster_in_which_things_go_wrong(
 
     (hooked / "active").unlink()
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")}
-    again = run_batch(*common, "--timeout", "600")
+    again = run_here(*common, "--timeout", "600")
     found = states(out)
     assert {name for name, state in found.items() if state == "done"} == {"day/aborts", "0-sleeps"}
     assert {name for name, state in found.items() if state == "failed"} == {"damaged"}
