@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from posetrack_cli.batch.jobs import Outcome
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 from posetrack_cli.cli.main import run
@@ -349,6 +351,28 @@ def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: 
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "pip install 'posetrack[batch]'" in done.stderr
+
+
+def test_batches_on_one_machine_do_not_meet_and_nobody_else_reaches_them() -> None:
+    """Their ports are not those of each other, which Dask would warn of, and not open to the network."""
+    from posetrack_cli.batch.engine import Where, open_engine
+
+    def unreachable(*_: object) -> Outcome:
+        raise AssertionError
+
+    with open_engine(Where(), unreachable), open_engine(Where(jobs=2), unreachable):
+        addresses = listening_addresses()
+    assert addresses == {"127.0.0.1"}
+
+
+def listening_addresses() -> set[str]:
+    """Of all sockets on which this process waits for others."""
+    found = set()
+    for path in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
+        with socket.socket(fileno=os.dup(int(path.name))) as one:
+            if one.family != socket.AF_UNIX and one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                found.add(one.getsockname()[0])
+    return found
 
 
 def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path, run_here: BatchHere) -> None:
