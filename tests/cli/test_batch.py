@@ -329,6 +329,20 @@ def test_bad_input_is_one_line(
     assert said.count("\n") == 1
 
 
+def test_a_recording_called_index_keeps_its_page_from_the_batchs_own(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "day").mkdir()
+    for place in (tmp_path, tmp_path / "day"):
+        shutil.copy(recordings / "a1.mcap", place / "index.mcap")
+    dry = ["batch", "hand", "run", "-o", str(tmp_path / "out"), "--dry-run"]
+    assert run([*dry, str(tmp_path / "index.mcap")]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'index.mcap'}: its page would be the batch's own, found index.html" in said
+    assert run([*dry, str(tmp_path / "index.mcap"), "--no-reports"]) == 0
+    assert run([*dry, f"{tmp_path}/*/index.mcap"]) == 0  # below a folder it is another page
+
+
 def test_a_scheduler_that_is_not_there_is_one_line(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
