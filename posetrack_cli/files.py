@@ -34,6 +34,16 @@ def open_input(path: Path) -> BufferedReader:
     return os.fdopen(_opened(path, os.O_RDONLY), "rb")
 
 
+def begins_with(path: Path, magic: bytes) -> bool:
+    """Whether the first bytes of a regular file are these, by which formats are told.
+
+    Raises:
+        OSError: it cannot be read, or is no regular file.
+    """
+    with open_input(path) as stream:
+        return stream.read(len(magic)) == magic
+
+
 def read_input(path: Path, most: int) -> bytes:
     """Return the bytes of a regular file.
 

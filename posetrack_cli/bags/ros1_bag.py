@@ -16,7 +16,7 @@ from typing import IO
 from mcap.records import Channel, Message, Schema
 
 from posetrack_cli import limits
-from posetrack_cli.files import open_input
+from posetrack_cli.files import begins_with, open_input
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.chunks import (
     ChunkLimitError,
@@ -74,8 +74,7 @@ def is_ros1_bag(path: Path) -> bool:
     Raises:
         OSError: it cannot be read.
     """
-    with open_input(path) as stream:
-        return stream.read(len(MAGIC)) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 class Ros1Bag:

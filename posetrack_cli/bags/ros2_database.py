@@ -21,7 +21,7 @@ from mcap.records import Channel, Message, Schema
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.files import open_input
+from posetrack_cli.files import begins_with
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.chunks import ExpansionBudget, bounded_content, check_size
 from posetrack_cli.mcap.decoding import NO_DEFINITION
@@ -54,8 +54,7 @@ def is_database(path: Path) -> bool:
     Raises:
         OSError: it cannot be read.
     """
-    with open_input(path) as stream:
-        return stream.read(len(MAGIC)) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 class Ros2Database:

@@ -36,6 +36,9 @@ except ModuleNotFoundError as missing:  # the extra is not installed
 CONNECT_S = 15.0
 _CHECKED_EVERY_S = 1.0
 """So often a job on a worker asks whether it shall stop."""
+_NOBODYS_PORT = "127.0.0.1:0"
+"""Dask serves its state over HTTP, wanted or not: on any free port, for this machine alone. Left to itself it
+takes the same port for every batch, and any network's."""
 _TOLD_EVERY_S = 1.0
 _TOPIC = "posetrack-batch"
 _SETTINGS = {
@@ -179,6 +182,8 @@ def _started(jobs: int) -> Iterator[Client]:
             threads_per_worker=jobs,
             processes=False,
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": _NOBODYS_PORT},
+            worker_dashboard_address=_NOBODYS_PORT,
             memory_limit=0,
         ) as cluster,
         Client(cluster) as client,

@@ -17,7 +17,7 @@ from posetrack_cli.batch.jobs import Job, Outcome
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input, read_text, write_output
 from posetrack_cli.outputs import whole_or_nothing
-from posetrack_cli.recording.identity import file_digest, files_digest
+from posetrack_cli.recording.identity import file_digest, files_digest, files_state
 
 FORMAT = "posetrack.batch.job/1"
 _STAMPED_BYTES = 1 << 16
@@ -32,7 +32,7 @@ class JobRecord:
     Attributes:
         key: of the job that began last (``job_key``).
         page: key of the page about its result (``page_key``); empty without one.
-        input: size, time and digest of the recording's files as they were then (``input_digest``).
+        input: state and digest of the recording's files as they were then (``input_digest``).
         output: the finished result (``output_stamp``), also one that is about to be replaced; empty if there
             is none.
         state: ``RUNNING``, or what came of it (``jobs.State``).
@@ -94,30 +94,24 @@ def page_key(job: Job) -> str:
 
 
 def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the digest of a recording's files, with their number, sizes and the latest time of change.
+    """Return the digest of a recording's files, and the state in which they had it.
 
     Args:
         path: the file or folder.
-        known: of an earlier call; where number, sizes and times are as then nothing is read.
+        known: of an earlier call; where the files' state is as then nothing is read.
 
     Raises:
         RecordingError: it cannot be read.
     """
     try:
         files = list(_files_of(path))
-        stats = [file.stat() for _, file in files]
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    seen = {
-        "files": len(files),
-        "bytes": sum(one.st_size for one in stats),
-        "changed_ns": max((one.st_mtime_ns for one in stats), default=0),
-        "names": _digest_of([name for name, _ in files]),
-    }
-    if all(known.get(name) == value for name, value in seen.items()) and "sha256" in known:
+    state = files_state(files)
+    if known.get("state") == state and "sha256" in known:
         return dict(known)
     alone = len(files) == 1 and files[0][1] == path
-    return {**seen, "sha256": (file_digest(path) if alone else files_digest(files))[1]}
+    return {"state": state, "sha256": (file_digest(path) if alone else files_digest(files))[1]}
 
 
 def output_stamp(path: Path) -> tuple[int, str] | tuple[()]:

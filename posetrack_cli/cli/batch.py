@@ -265,6 +265,7 @@ def _planned(
 ) -> _Plan:
     """The jobs; everything that can be refused is refused here."""
     from posetrack_cli.batch.jobs import RECORDS_FOLDER, Job, Limits
+    from posetrack_cli.batch.summary import PAGE
     from posetrack_cli.evaluation.gates import parse_gate
 
     folder, chunk_s = options["results"], options["chunk_s"]
@@ -276,6 +277,10 @@ def _planned(
         for gate in source.gates:
             parse_gate(gate)
         output = folder / f"{source.name}.mcap"
+        page = folder / f"{source.name}.html" if options["reports"] else None
+        if page == folder / PAGE:
+            hint = "give it another name in a manifest, or --no-reports"
+            raise UsageError("its page would be the batch's own", where=source.path, found=PAGE, hint=hint)
         jobs.append(
             Job(
                 source.name,
@@ -286,7 +291,7 @@ def _planned(
                 folder / RECORDS_FOLDER / f"{source.name}.json",
                 source.truth,
                 source.gates,
-                folder / f"{source.name}.html" if options["reports"] else None,
+                page,
                 chunk_s=chunk_s or 0.0,
                 overlap_s=options["overlap_s"] if chunk_s else 0.0,
             )

@@ -1,9 +1,8 @@
 """The process of one job of a batch: does it, writes a page about the result, and tells whoever started it.
 
 What is to be done comes as one line of JSON on standard input, which then stays open as long as somebody
-waits
-for this process: where it ends, so does the process. What is told goes to the descriptor that the command
-line names, one line of JSON each: progress, and in the end what came of it.
+waits for this process: where it ends, so does the process. What is told goes to the descriptor that the
+command line names, one line of JSON each: progress, and in the end what came of it.
 """
 
 from __future__ import annotations

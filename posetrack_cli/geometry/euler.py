@@ -10,7 +10,6 @@ scipy only warns.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import canonical, conjugate, multiply
@@ -58,6 +57,8 @@ def roll_pitch_yaw(q: FloatArray) -> FloatArray:
 
 def quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
     """Return the canonical quaternions (..., 4) of roll, pitch and yaw (..., 3), rad."""
+    from scipy.spatial.transform import Rotation  # half of the time that `info` takes to start
+
     angles = np.asarray(angles, dtype=np.float64)
     turned = Rotation.from_euler("YXZ", angles[..., [2, 1, 0]].reshape(-1, 3))
     return canonical(turned.as_quat()).reshape(*angles.shape[:-1], 4)

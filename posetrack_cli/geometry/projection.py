@@ -36,11 +36,24 @@ def pixels_from_points(camera: Camera, points: FloatArray) -> tuple[FloatArray, 
         (..., 2) pixels, and (...) whether the point lies in front of the camera and within the angle up to
         which the distortion grows outwards; beyond it polynomials fold back into the image.
     """
-    in_front = points[..., 2] > 0.0
-    z = np.where(in_front, points[..., 2], 1.0)
-    x, y = points[..., 0] / z, points[..., 1] / z
-    valid = in_front & (np.hypot(x, y) < largest_radius(camera))
-    return pixels_from_normalised(camera, np.stack([x, y], axis=-1)), valid
+    normalised = _normalised(points)
+    radius = np.hypot(normalised[..., 0], normalised[..., 1])
+    valid = (points[..., 2] > 0.0) & (radius < largest_radius(camera))
+    return pixels_from_normalised(camera, normalised), valid
+
+
+def pixels_wherever(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return the pixels (..., 2) of ``pixels_from_points``, not asking whether the camera can see them.
+
+    For many cameras: how far the distortion of each grows takes longer than to project a few points.
+    """
+    return pixels_from_normalised(camera, _normalised(points))
+
+
+def _normalised(points: FloatArray) -> FloatArray:
+    """Normalised coordinates (..., 2) of points (..., 3); finite behind the camera, too."""
+    z = np.where(points[..., 2] > 0.0, points[..., 2], 1.0)
+    return np.stack([points[..., 0] / z, points[..., 1] / z], axis=-1)
 
 
 def pixels_and_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:

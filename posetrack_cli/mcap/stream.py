@@ -15,7 +15,7 @@ from mcap.summary import Summary
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.files import open_input
+from posetrack_cli.files import begins_with, open_input
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.chunks import ChunkLimitError, ExpansionBudget
 from posetrack_cli.mcap.records import (
@@ -53,8 +53,7 @@ def is_mcap(path: Path) -> bool:
         RecordingError: if it cannot be read.
     """
     try:
-        with open_input(path) as stream:
-            return stream.read(len(MAGIC)) == MAGIC
+        return begins_with(path, MAGIC)
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
 

@@ -12,7 +12,7 @@ from posetrack_cli.files import open_input, placed_path
 
 READ_BYTES = 1024 * 1024
 Digests = dict[str, tuple[int, str]]
-"""Size and SHA-256 by what tells a state of files: names, sizes and times of change."""
+"""Size and SHA-256 by the state of the files (``files_state``)."""
 _known: Digests = {}
 _MOST_KNOWN = 10_000
 
@@ -56,19 +56,31 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
     return _once(files, compute)
 
 
-def _once(files: Sequence[tuple[str, Path]], compute: Callable[[], tuple[int, str]]) -> tuple[int, str]:
-    """Compute what is not known of the files as they are now."""
+def files_state(files: Sequence[tuple[str, Path]]) -> str:
+    """Return what tells a state of files from another without reading them: names, sizes, times of change.
+
+    Args:
+        files: pairs of the name that enters a digest and the path.
+
+    Raises:
+        RecordingError: one of them is not there.
+    """
     state = hashlib.sha256()
     for name, path in files:
         stat = _stat(path)
         state.update(os.fsencode(name) + b"\0" + os.fsencode(path.absolute()))
         state.update(f"\0{stat.st_size}\0{stat.st_mtime_ns}\0".encode())
-    key = f"{len(files)}-{state.hexdigest()}"
-    if key not in _known:
+    return f"{len(files)}-{state.hexdigest()}"
+
+
+def _once(files: Sequence[tuple[str, Path]], compute: Callable[[], tuple[int, str]]) -> tuple[int, str]:
+    """Compute what is not known of the files as they are now."""
+    state = files_state(files)
+    if state not in _known:
         if len(_known) >= _MOST_KNOWN:
             _known.clear()
-        _known[key] = compute()
-    return _known[key]
+        _known[state] = compute()
+    return _known[state]
 
 
 def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[str, str]:

@@ -13,7 +13,6 @@ from resource import RUSAGE_SELF, getrusage
 from benchmarking.commands import POSETRACK, usage_of
 from benchmarking.lengths import Lengths
 from benchmarking.rows import Row
-from posetrack_cli.batch.engine import Where, open_engine
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
 from posetrack_cli.batch.running import run_batch
 
@@ -138,6 +137,8 @@ def _scheduled(folder: Path, file: Path, count: int) -> Iterator[Row]:
         for number in range(count)
     ]
     peaks: list[int] = []
+    from posetrack_cli.batch.engine import Where, open_engine  # Dask takes half a second
+
     with open_engine(Where(scheduler_file=file), stand_in) as engine:
         while engine.places() < WORKERS:
             time.sleep(0.5)

@@ -8,16 +8,19 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
+from posetrack_cli.batch.jobs import Outcome
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 from posetrack_cli.cli.main import run
@@ -28,13 +31,13 @@ from posetrack_cli.results import load_arrays, read_result
 POSETRACK = [sys.executable, "-m", "posetrack_cli.cli.main"]
 KNOWN = ["--hand-side", "right", "--shape", "average", "--particles", "32", "--set", "output.flush_frames=2"]
 """What need not be found out of a hand: runs start at once."""
-FRAMES = 8
-RATE_HZ = 30.0
-CHUNK_S = 1.0
-TIMEOUT_S = "25"
-"""One worker waits for what takes too long while the other does the rest, for about as long."""
-LONG_FRAMES = 50
+FRAMES = 4
+CHUNK_S, OVERLAP_S = 1.0, 0.6
+LONG_RATE_HZ, LONG_FRAMES = 15.0, 30
 """Two pieces of the shortest that there are."""
+TIMEOUT_S = "20"
+"""One worker waits for what takes too long, which is begun first, while the other does the rest, for about as
+long. What does not takes two seconds, on two busy cores three."""
 
 HOOK = '''
 """Makes things go wrong in the processes of jobs, by the names of recordings, while a file says so."""
@@ -46,7 +49,7 @@ def hooked(text, *more, **options):
         name = pathlib.Path(value["recording"]).stem
         if name == "aborts":
             os.abort()
-        if name == "sleeps":
+        if name == "0-sleeps":
             time.sleep(600)
         if name == "kills" and not (here / "killed").exists():
             (here / "killed").touch()
@@ -57,9 +60,9 @@ json.loads = hooked
 '''
 
 
-def synth(path: Path, seed: int, frames: int = FRAMES) -> Path:
-    options = ["--motion", "C", "--frames", str(frames), "--seed", str(seed), "--no-drops", "-o", str(path)]
-    assert run(["hand", "synth", *options]) == 0
+def synth(path: Path, seed: int, *options: str) -> Path:
+    told = ["--motion", "C", "--frames", str(FRAMES), "--seed", str(seed), "--no-drops", "-o", str(path)]
+    assert run(["hand", "synth", *told, *options]) == 0
     return path
 
 
@@ -68,8 +71,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve, of which one is damaged; the others are of three motions."""
     folder = tmp_path_factory.mktemp("in")
     made = [synth(folder / f"a{seed}.mcap", seed) for seed in (1, 2, 3)]
-    for k, name in enumerate(("b1", "b2", "b3", "b4", "b5", "aborts", "sleeps", "kills")):
-        (folder / "day").mkdir(exist_ok=True)
+    shutil.copy(made[0], folder / "0-sleeps.mcap")
+    (folder / "day").mkdir()
+    for k, name in enumerate(("b1", "b2", "b3", "aborts", "kills", "b4", "b5")):
         shutil.copy(made[k % 3], folder / "day" / f"{name}.mcap")
     (folder / "damaged.mcap").write_bytes(made[0].read_bytes()[:20_000])
     return folder
@@ -111,8 +115,27 @@ def states(folder: Path) -> dict[str, str]:
 
 
 def run_batch(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """A batch as a user starts it."""
     line = [*POSETRACK, "batch", "hand", "run", *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+@dataclass(frozen=True)
+class BatchHere:
+    """A batch in this process, which need not start; its jobs have processes of their own as ever."""
+
+    capsys: pytest.CaptureFixture[str]
+
+    def __call__(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        line = ["batch", "hand", "run", *map(str, arguments)]
+        self.capsys.readouterr()
+        code = run(line)
+        return subprocess.CompletedProcess(line, code, *self.capsys.readouterr())
+
+
+@pytest.fixture
+def run_here(capsys: pytest.CaptureFixture[str]) -> BatchHere:
+    return BatchHere(capsys)
 
 
 def single(recording: Path, output: Path, *options: str) -> Path:
@@ -121,19 +144,19 @@ def single(recording: Path, output: Path, *options: str) -> Path:
 
 
 def test_a_cluster_in_which_things_go_wrong(
-    recordings: Path, tmp_path: Path, cluster: Path, hooked: Path
+    recordings: Path, tmp_path: Path, cluster: Path, hooked: Path, run_here: BatchHere
 ) -> None:
     out, junit = tmp_path / "out", tmp_path / "junit.xml"
     common = [f"{recordings}/**/*.mcap", "-o", out, "--no-reports", *KNOWN]
     done = run_batch(*common, "--scheduler-file", cluster, "--timeout", TIMEOUT_S, "--junit", junit)
-    wrong = {"day/aborts", "day/sleeps", "damaged"}
+    wrong = {"day/aborts", "0-sleeps", "damaged"}
     found = states(out)
     assert len(found) == 12
     assert {name for name, state in found.items() if state != "done"} == wrong, done.stderr
     assert (hooked / "killed").exists()  # a worker died, and another one did its job
     assert done.returncode == 3
     assert "failed: day/aborts: its process was killed by SIGABRT" in done.stderr
-    assert f"failed: day/sleeps: took longer than --timeout {TIMEOUT_S} s" in done.stderr
+    assert f"failed: 0-sleeps: took longer than --timeout {TIMEOUT_S} s" in done.stderr
     assert "failed: damaged: " in done.stderr
     failures = {
         case.get("classname") for case in ET.parse(junit).iter("testcase") if case.find("failure") is not None
@@ -153,9 +176,9 @@ def test_a_cluster_in_which_things_go_wrong(
 
     (hooked / "active").unlink()
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")}
-    again = run_batch(*common, "--timeout", "600")
+    again = run_here(*common, "--timeout", "600")
     found = states(out)
-    assert {name for name, state in found.items() if state == "done"} == {"day/aborts", "day/sleeps"}
+    assert {name for name, state in found.items() if state == "done"} == {"day/aborts", "0-sleeps"}
     assert {name for name, state in found.items() if state == "failed"} == {"damaged"}
     assert again.returncode == 3
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in times.items())
@@ -163,16 +186,19 @@ def test_a_cluster_in_which_things_go_wrong(
 
 @pytest.fixture(scope="module")
 def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return synth(tmp_path_factory.mktemp("long") / "long.mcap", 5, frames=LONG_FRAMES)
+    path = tmp_path_factory.mktemp("long") / "long.mcap"
+    return synth(path, 5, "--frames", str(LONG_FRAMES), "--fps", str(LONG_RATE_HZ), "--speed", "0.5")
 
 
-def test_pieces_give_equal_bytes_for_any_number_of_workers(long_recording: Path, tmp_path: Path) -> None:
+def test_pieces_give_equal_bytes_for_any_number_of_workers(
+    long_recording: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     """And nothing shows where they meet: the error changes there as it does elsewhere."""
     results = []
     for jobs in (1, 2, 4):
         out = tmp_path / str(jobs)
-        pieces = ["--chunk-s", str(CHUNK_S), "--overlap-s", "0.3", "--jobs", str(jobs), "--smooth"]
-        done = run_batch(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)
+        pieces = ["--chunk-s", str(CHUNK_S), "--overlap-s", str(OVERLAP_S), "--jobs", str(jobs), "--smooth"]
+        done = run_here(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)
         assert done.returncode == 0, done.stderr
         results.append(out / "long.mcap")
         assert not (out / ".batch" / "long.pieces").exists()
@@ -187,7 +213,7 @@ def test_pieces_give_equal_bytes_for_any_number_of_workers(long_recording: Path,
     found = load_arrays(results[0])
     errors = found["points"] - truth["points"]
     steps = np.linalg.norm(np.diff(errors, axis=0), axis=2).mean(axis=1)
-    seam = round(CHUNK_S * RATE_HZ) - 1
+    seam = round(CHUNK_S * LONG_RATE_HZ) - 1
     assert steps[seam] <= np.delete(steps, seam).max()
 
     whole = single(long_recording, tmp_path / "whole.mcap")
@@ -211,7 +237,7 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(
     line = [*POSETRACK, "batch", "hand", "run", *arguments, *KNOWN, "--particles", "96"]
     with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as process:
         end_s = time.monotonic() + 120.0
-        while not (out / "long.mcap.part").exists() or (out / "long.mcap.part").stat().st_size < 30_000:
+        while not (out / "long.mcap.part").exists() or (out / "long.mcap.part").stat().st_size < 15_000:
             assert time.monotonic() < end_s
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
@@ -224,9 +250,11 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(
     assert states(out) == {"long": "done", "a1": "done"}
 
 
-def test_a_page_has_a_row_for_each_and_links_to_theirs(recordings: Path, tmp_path: Path) -> None:
+def test_a_page_has_a_row_for_each_and_links_to_theirs(
+    recordings: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     out = tmp_path / "out"
-    done = run_batch(
+    done = run_here(
         recordings / "a1.mcap",
         recordings / "damaged.mcap",
         "-o",
@@ -243,21 +271,23 @@ def test_a_page_has_a_row_for_each_and_links_to_theirs(recordings: Path, tmp_pat
     assert "Recordings without a result (1)" in page
     report = json.loads((out / "summary.json").read_text())
     assert [one["name"] for one in report["recordings"]] == ["damaged", "a1"]
-    again = run_batch(
+    again = run_here(
         recordings / "a1.mcap", "-o", out, *KNOWN, "--baseline", out / "summary.json", "--markdown", "-"
     )
     assert again.returncode == 0, again.stderr  # it is as good as before
     assert "posetrack eval" in again.stdout
 
 
-def test_memory_that_is_not_there_fails_one_recording(recordings: Path, tmp_path: Path) -> None:
+def test_memory_that_is_not_there_fails_one_recording(
+    recordings: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
     """Numbers of particles that no window of memory holds fail alone, by a line."""
     manifest = tmp_path / "set.toml"
     a1, a2 = recordings / "a1.mcap", recordings / "a2.mcap"
     manifest.write_text(
         f'[[recordings]]\npath = "{a1}"\noptions = {{ particles = 400000 }}\n[[recordings]]\npath = "{a2}"\n'
     )
-    done = run_batch(manifest, "-o", tmp_path / "out", "--no-reports", "--memory-limit", "700M", *KNOWN)
+    done = run_here(manifest, "-o", tmp_path / "out", "--no-reports", "--memory-limit", "700M", *KNOWN)
     assert done.returncode == 3, done.stderr
     assert states(tmp_path / "out") == {"a1": "failed", "a2": "done"}
     assert "memory" in done.stderr
@@ -299,6 +329,20 @@ def test_bad_input_is_one_line(
     assert said.count("\n") == 1
 
 
+def test_a_recording_called_index_keeps_its_page_from_the_batchs_own(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "day").mkdir()
+    for place in (tmp_path, tmp_path / "day"):
+        shutil.copy(recordings / "a1.mcap", place / "index.mcap")
+    dry = ["batch", "hand", "run", "-o", str(tmp_path / "out"), "--dry-run"]
+    assert run([*dry, str(tmp_path / "index.mcap")]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'index.mcap'}: its page would be the batch's own, found index.html" in said
+    assert run([*dry, str(tmp_path / "index.mcap"), "--no-reports"]) == 0
+    assert run([*dry, f"{tmp_path}/*/index.mcap"]) == 0  # below a folder it is another page
+
+
 def test_a_scheduler_that_is_not_there_is_one_line(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -323,14 +367,36 @@ def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: 
     assert "pip install 'posetrack[batch]'" in done.stderr
 
 
-def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path) -> None:
+def test_batches_on_one_machine_do_not_meet_and_nobody_else_reaches_them() -> None:
+    """Their ports are not those of each other, which Dask would warn of, and not open to the network."""
+    from posetrack_cli.batch.engine import Where, open_engine
+
+    def unreachable(*_: object) -> Outcome:
+        raise AssertionError
+
+    with open_engine(Where(), unreachable), open_engine(Where(jobs=2), unreachable):
+        addresses = listening_addresses()
+    assert addresses == {"127.0.0.1"}
+
+
+def listening_addresses() -> set[str]:
+    """Of all sockets on which this process waits for others."""
+    found = set()
+    for path in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
+        with socket.socket(fileno=os.dup(int(path.name))) as one:
+            if one.family != socket.AF_UNIX and one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                found.add(one.getsockname()[0])
+    return found
+
+
+def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path, run_here: BatchHere) -> None:
     from posetrack_cli.files import open_output
     from posetrack_cli.outputs import lock
 
     (tmp_path / "out" / ".batch").mkdir(parents=True)
     with open_output(tmp_path / "out" / ".batch" / "lock") as stream:
         lock(stream)
-        done = run_batch(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
+        done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
     assert done.returncode == 2
     assert "another batch writes there" in done.stderr
 

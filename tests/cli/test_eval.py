@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -616,12 +617,19 @@ HONESTY = (
 )
 
 
-def people(folder: Path, *, knows: bool = True) -> list[Path]:
-    """Results of three recordings, about half of whose frames are wrong."""
-    return [
-        write_result(folder / f"p{k}.mcap", error_mm=12.0, recording=f"r{k}", seed=k, knows=knows)
-        for k in range(3)
-    ]
+People = Mapping[bool, list[Path]]
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory: pytest.TempPathFactory) -> People:
+    """Results of three recordings, about half of whose frames are wrong, by whether they know which."""
+    return {
+        knows: [
+            write_result(folder / f"p{k}.mcap", error_mm=12.0, recording=f"r{k}", seed=k, knows=knows)
+            for k in range(3)
+        ]
+        for knows, folder in ((knows, tmp_path_factory.mktemp("people")) for knows in (True, False))
+    }
 
 
 def errors_of(seed: int) -> np.ndarray:
@@ -629,8 +637,10 @@ def errors_of(seed: int) -> np.ndarray:
     return np.linalg.norm(track.points - truth.points, axis=2).mean(axis=1)
 
 
-def test_what_a_track_says_of_itself_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = people(tmp_path)[0]
+def test_what_a_track_says_of_itself_is_measured(
+    people: People, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = people[True][0]
     assert evaluate(path, "--json", tmp_path / "r.json") == 0
     table = shown(capsys.readouterr().out)
     assert set(HONESTY) <= set(table)
@@ -648,9 +658,9 @@ def test_what_a_track_says_of_itself_is_measured(tmp_path: Path, capsys: pytest.
 
 
 def test_confidence_of_every_tenth_is_shown_on_request(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    people: People, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    paths = people(tmp_path)
+    paths = people[True]
     assert evaluate(paths[0]) == 0
     assert "share right" not in capsys.readouterr().out
     assert evaluate(paths[0], "--honesty") == 0
@@ -676,9 +686,9 @@ def test_confidence_of_every_tenth_is_shown_on_request(
     ],
 )
 def test_gates_on_honesty(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], gate: str, knows: bool, code: int
+    people: People, capsys: pytest.CaptureFixture[str], gate: str, knows: bool, code: int
 ) -> None:
-    assert evaluate(*people(tmp_path, knows=knows), "--fail-if", gate) == code
+    assert evaluate(*people[knows], "--fail-if", gate) == code
     told = lines(capsys.readouterr().err)
     assert len(told) == (0 if not code else 1 if gate.startswith("pooled.") else 3)
     if not knows:
@@ -686,8 +696,8 @@ def test_gates_on_honesty(
         assert told[0].endswith("confidence_roc_area is 0.5")  # it always says 0.8
 
 
-def test_the_pooled_figure_is_that_of_all_frames(tmp_path: Path) -> None:
-    evaluate(*people(tmp_path), "--json", tmp_path / "r.json", "--csv", tmp_path / "r.csv")
+def test_the_pooled_figure_is_that_of_all_frames(people: People, tmp_path: Path) -> None:
+    evaluate(*people[True], "--json", tmp_path / "r.json", "--csv", tmp_path / "r.csv")
     (pooled,) = json.loads((tmp_path / "r.json").read_text())["pooled"]
     wrong = np.concatenate([errors_of(seed) for seed in range(3)]) > 20.0
     assert pooled["metrics"]["frames_wrong"]["value"] == pytest.approx(wrong.mean())
@@ -697,11 +707,9 @@ def test_the_pooled_figure_is_that_of_all_frames(tmp_path: Path) -> None:
     assert float(found["pooled", "confidence_roc_area"]) == pooled["metrics"]["confidence_roc_area"]["value"]
 
 
-def test_groups_are_pooled_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    people(tmp_path)
-    (tmp_path / "sure").mkdir()
-    people(tmp_path / "sure", knows=False)
-    groups = ("--group", f"knows={tmp_path}/p*.mcap", "--group", f"sure={tmp_path}/sure/p*.mcap")
+def test_groups_are_pooled_each(people: People, capsys: pytest.CaptureFixture[str]) -> None:
+    knows, sure = (people[knows][0].parent for knows in (True, False))
+    groups = ("--group", f"knows={knows}/p*.mcap", "--group", f"sure={sure}/p*.mcap")
     assert evaluate(*groups, "--fail-if", "pooled.confidence_brier_score > 0.2") == 1
     (line,) = lines(capsys.readouterr().err)
     assert line.startswith("pooled sure: gate 'pooled.confidence_brier_score > 0.2' failed: ")
@@ -717,9 +725,9 @@ def test_results_of_one_recording_have_no_pooled_figure(
     assert err.startswith(f"pooled: gate 'pooled.frames_wrong > 1' cannot be judged: {reason}")
 
 
-def test_a_page_has_the_diagram_and_the_curve(tmp_path: Path) -> None:
+def test_a_page_has_the_diagram_and_the_curve(people: People, tmp_path: Path) -> None:
     page = tmp_path / "r.html"
-    evaluate(*people(tmp_path), "--html", page)
+    evaluate(*people[True], "--html", page)
     text = page.read_text()
     assert 'id="reliability-plot"' in text and 'id="roc-plot"' in text
     assert "Right: mean joint error at most 20 mm; far off: mean joint error above 40 mm." in text

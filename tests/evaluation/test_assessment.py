@@ -157,7 +157,7 @@ def kept_bytes(results: int, frames: int) -> int:
 
 def test_what_rows_hold_does_not_grow_with_their_frames() -> None:
     """Per frame only what says whether it was right, a float and three flags; its joints take 504 bytes."""
-    results, frames = 30, 2000
+    results, frames = 12, 2000
     more = kept_bytes(results, frames) - kept_bytes(results, frames // 2)
     per_frame = more / (results * frames / 2)
     assert per_frame < 64.0  # twice 11 bytes, of each and pooled, and the bins that more values fill

@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.gates import GateOutcome, check_gates, parse_gate
 from posetrack_cli.evaluation.html import assets, rows_page
 from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
 from support.html import NASTY
-from support.rows import Before, result, result_set
+from support.rows import Before, many_results, result, result_set
 
 MANY = 2000
 LARGEST_ROW = 3000
@@ -97,7 +97,7 @@ def test_the_policy_allows_the_pages_own_script_alone() -> None:
 
 
 def test_two_thousand_rows_are_one_page(tmp_path: Path) -> None:
-    members = [result(f"recording-{place:04d}", 1.0 + place % 97) for place in range(MANY)]
+    members = many_results(MANY)
     found = result_set(members, check_gates([parse_gate("joint_error_mm.mean > 90")], members))
     path = tmp_path / "page.html"
     write_rows_html(path, RowsPage([found]))

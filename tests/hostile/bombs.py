@@ -6,7 +6,6 @@ import bz2
 import sqlite3
 import struct
 import zlib
-from collections.abc import Sequence
 from contextlib import closing
 from functools import cache
 
@@ -55,16 +54,35 @@ def png_zeros(side: int, depth: int) -> bytes:
     return png_file(side, side, depth, 0, packed + struct.pack(">I", adler))
 
 
+def bz2_zeros(mebibytes: int) -> bytes:
+    """Return a bz2 stream of zeros: one block of a mebibyte, repeated bit by bit, and the sum over all."""
+    one = bz2.compress(bytes(MIB))
+    bits = f"{int.from_bytes(one, 'big'):0{8 * len(one)}b}"
+    end = bits.rindex(f"{0x177245385090:048b}")  # what the stream ends with
+    head, block, crc, total = bits[:32], bits[32:end], int(bits[80:112], 2), 0
+    for _ in range(mebibytes):
+        total = (total << 1 & 0xFFFFFFFF | total >> 31) ^ crc
+    whole = head + block * mebibytes + bits[end : end + 48] + f"{total:032b}"
+    whole += "0" * (-len(whole) % 8)
+    return int(whole, 2).to_bytes(len(whole) // 8, "big")
+
+
+@cache
+def _sum_before_zeros(head: bytes, mebibytes: int) -> int:
+    """The CRC-32 of bytes and so many zeros behind them."""
+    crc, block = zlib.crc32(head), bytes(MIB)
+    for _ in range(mebibytes):
+        crc = zlib.crc32(block, crc)
+    return crc
+
+
 @cache
 def npz_zeros(mebibytes: int, name: str) -> bytes:
     """Return an npz file of one array of zeros."""
     head = npy_bytes(str({"descr": "|u1", "fortran_order": False, "shape": (mebibytes * MIB,)}), b"")
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
     packed = packer.compress(head) + packer.flush(zlib.Z_FULL_FLUSH) + _deflated_zeros(mebibytes)
-    crc, block = zlib.crc32(head), bytes(MIB)
-    for _ in range(mebibytes):
-        crc = zlib.crc32(block, crc)
-    encoded = name.encode()
+    crc, encoded = _sum_before_zeros(head, mebibytes), name.encode()
     about = (20, 0, 8, 0, 33, crc, len(packed), len(head) + mebibytes * MIB, len(encoded), 0)
     local = struct.pack("<4s5H3I2H", b"PK\3\4", *about) + encoded + packed
     central = struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, *about, 0, 0, 0, 0, 0) + encoded
@@ -76,10 +94,8 @@ def npz_zeros(mebibytes: int, name: str) -> bytes:
 
 
 def bag() -> bytes:
-    """A bag of a kilobyte whose chunks are half a gigabyte of zeros, and say it, or that they are small."""
-    packer = bz2.BZ2Compressor()
-    zeros = bytes(1 << 26)
-    data = b"".join([*(packer.compress(zeros) for _ in range(8)), packer.flush()])
+    """A small bag whose chunks are half a gigabyte of zeros, and say it, or that they are small."""
+    data = bz2_zeros(512)
     head = _record(3, b" ", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4))
     small, large = (struct.pack("<I", size) for size in (1000, 1 << 29))
     chunks = [_record(5, data, compression=b"bz2", size=size) for size in (small, large)]
@@ -97,29 +113,30 @@ _TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, ser
 _TOPIC = "INSERT INTO topics VALUES (1, '/a', 'sensor_msgs/msg/Image', 'cdr')"
 _ROWS = "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3)"
 DATABASES = {
-    "an endless view": [
+    "an endless view": (
         _TOPICS,
         _TOPIC,
         "CREATE VIEW messages AS WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) "
         "SELECT 1 AS topic_id, n AS timestamp, x'00' AS data FROM c",
-    ],
-    "computed messages": [
+    ),
+    "computed messages": (
         _TOPICS,
         _TOPIC,
         "CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, data AS (hex(zeroblob(400000000))))",
         _ROWS,
-    ],
-    "messages that take long": [
+    ),
+    "messages that take long": (
         _TOPICS,
         _TOPIC,
         "CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, "
         "data AS (length(hex(zeroblob(60000000)))))",
         _ROWS,
-    ],
+    ),
 }
 
 
-def database(statements: Sequence[str]) -> bytes:
+@cache
+def database(statements: tuple[str, ...]) -> bytes:
     """The file of a database of some statements."""
     with closing(sqlite3.connect(":memory:")) as connection:
         for statement in statements:

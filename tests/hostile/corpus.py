@@ -6,6 +6,7 @@ import json
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -657,12 +658,18 @@ for _called, _statements in bombs.DATABASES.items():
 # All of them
 
 
-def damaged_states(seeds: Seeds, kind: str) -> list[tuple[str, bytes]]:
-    """Return damaged states of an interrupted run, with digests that fit and without."""
+def damaged_states(seeds: Seeds, kind: str) -> list[tuple[str, Callable[[], bytes]]]:
+    """Return what makes damaged states of an interrupted run, with digests that fit and without.
+
+    Few of them are asked for in ``scripts/test``, and to sign all takes seconds.
+    """
     state = seeds.interrupted[kind][1]
     unsigned = list(damaged_json(state, "json.npy"))
     signed = [*damaged_npz(state), *unsigned]
-    return unsigned + [(f"{name}, signed", resigned(data)) for name, data in signed]
+    return [
+        *((name, partial(bytes, data)) for name, data in unsigned),
+        *((f"{name}, signed", partial(resigned, data)) for name, data in signed),
+    ]
 
 
 def state_case(seeds: Seeds, kind: str, state: bytes) -> Case:
@@ -694,7 +701,7 @@ def every_case(seeds: Seeds) -> Iterator[Case]:
     for build in CORPUS.values():
         yield build(seeds)
     for kind in seeds.interrupted:
-        for _, state in damaged_states(seeds, kind):
-            yield state_case(seeds, kind, state)
+        for _, make in damaged_states(seeds, kind):
+            yield state_case(seeds, kind, make())
     for _, case in model_cases(seeds):
         yield case

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 import pytest
@@ -98,8 +98,9 @@ def test_damaged_states(kind: str, pool: Pool, seeds: Seeds) -> None:
     With a digest that fits it is met by the checks behind that, which know only what cannot be.
     """
 
-    def attempt(harness: Harness, damaged: tuple[str, bytes]) -> list[str]:
-        return resumed(harness, seeds, kind, *damaged, same="signed" not in damaged[0])
+    def attempt(harness: Harness, damaged: tuple[str, Callable[[], bytes]]) -> list[str]:
+        name, make = damaged
+        return resumed(harness, seeds, kind, name, make(), same="signed" not in name)
 
     chosen = some(damaged_states(seeds, kind), STATES[kind])
     assert [line for found in pool.map(attempt, chosen) for line in found] == []

@@ -7,6 +7,7 @@ its own: ``main()`` with these arguments, as the installed command does it.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import signal
@@ -27,6 +28,8 @@ TIMEOUT_S = 600.0
 """Where nothing is compiled yet, and much else is done beside."""
 OWN = ("POSETRACK_", "_POSETRACK_")
 """How the variables begin that a command reads, and that are handed over."""
+ON_DEMAND = ("scipy.interpolate", "scipy.optimize", "scipy.stats", "rich.table")
+"""What commands import only where they need it; here each would do so anew."""
 BROKEN = 70
 """Exit code of a command whose process crashed."""
 
@@ -85,6 +88,8 @@ def served_command(path: Path) -> Iterator[Warm]:
 def serve(address: str) -> None:
     """Run command lines, side by side, until this process is ended."""
     prepare()
+    for name in ON_DEMAND:
+        importlib.import_module(name)
     from posetrack_cli.cli.main import run
 
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the children

@@ -22,7 +22,7 @@ from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.fields import check_estimate
-from support.textured_face import SHAPE, TexturedFace, pose_at, stereo, textured_face
+from support.textured_face import SHAPE, TexturedFace, moving, pose_at, stereo, textured_face
 
 FRAME_NS = 33_333_333
 (CAMERA,) = stereo(1)
@@ -82,8 +82,8 @@ class Scene:
             self.tracker = mono.HeadTracker(people)
 
     def frame(self, index: int, blank: bool = False) -> Frame:
-        (image,) = self.face.render((CAMERA,), pose_at(index), SHAPE, noise=NOISE, seed=index)
-        return Frame(index, index * FRAME_NS, (np.full_like(image, 110) if blank else image,))
+        (image,) = moving(self.face, (CAMERA,), index, NOISE)
+        return Frame(index, index * FRAME_NS, (np.full_like(image, 110) if blank else image.copy(),))
 
     def step(self, index: int, blank: bool = False) -> Estimate:
         frame = self.frame(index, blank)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,19 @@ def result(name: str, error_mm: float, **changes: Any) -> Evaluation:
         "judged": None,
     }
     return hand_evaluation(name, 4, **{**made, **changes})
+
+
+def many_results(count: int, different: int = 97) -> list[Evaluation]:
+    """So many results, ``recording-0000`` and on; after every ``different`` of them only names differ.
+
+    Their errors are 1 mm, 2 mm and so on.
+    """
+    made = [result(f"recording-{place:04d}", 1.0 + place) for place in range(min(count, different))]
+    names = [f"recording-{place:04d}" for place in range(count)]
+    return [
+        replace(made[place % different], name=name, path=Path(f"{name}.mcap"), run={"input.sha256": name})
+        for place, name in enumerate(names)
+    ]
 
 
 def result_set(

@@ -16,7 +16,7 @@ from posetrack_cli.head.tracker.stereo import StereoFace, StereoTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.fields import check_estimate
-from support.textured_face import SHAPE, TexturedFace, pose_at, stereo, textured_face
+from support.textured_face import SHAPE, TexturedFace, moving, pose_at, stereo, textured_face
 
 FRAME_NS = 33_333_333
 CAMERAS = stereo()
@@ -65,7 +65,7 @@ class Scene:
         self.tracker = HeadTracker(StereoFace(self.config, CAMERAS, self.told))
 
     def frame(self, index: int, seen: tuple[bool, ...] = (True, True), blank: bool = False) -> Frame:
-        images = self.face.render(CAMERAS, pose_at(index), SHAPE, noise=NOISE, seed=index)
+        images = [image.copy() for image in moving(self.face, tuple(CAMERAS), index, NOISE)]
         if blank:
             images = [np.full_like(image, 110) for image in images]
         kept = tuple(image if there else None for image, there in zip(images, seen, strict=True))

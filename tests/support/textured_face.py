@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -109,3 +110,11 @@ def textured_face(seed: int = 3) -> TexturedFace:
     lengths, directions = rng.uniform(8.0, 20.0, count), rng.uniform(0.0, np.pi, count)
     waves = 2 * np.pi / lengths[..., None] * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
     return TexturedFace(waves, rng.uniform(0.0, 2 * np.pi, count), rng.uniform(5.0, 20.0, count))
+
+
+@lru_cache(maxsize=128)
+def moving(
+    face: TexturedFace, cameras: tuple[Camera, ...], index: int, noise: float
+) -> tuple[np.ndarray, ...]:
+    """Return the images of a frame with a face at ``pose_at``: many tests go through the same frames."""
+    return tuple(face.render(cameras, pose_at(index), SHAPE, noise=noise, seed=index))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from posetrack_cli.evaluation.assessment import Assessment, stated_options
 from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.html import write_rows_html
 from posetrack_cli.evaluation.html.rows_page import RowsPage
 from posetrack_cli.evaluation.reports.junit import junit_report
 from posetrack_cli.evaluation.reports.markdown import markdown_report
@@ -17,7 +16,6 @@ from posetrack_cli.evaluation.reports.report_files import (
     csv_rows,
     curve_report,
     json_report,
-    write_report,
 )
 from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN
 from posetrack_cli.evaluation.rows import worst_first
@@ -68,27 +66,6 @@ def report_texts(
         yield reports.junit, junit_report(found.outcomes)
     if reports.markdown is not None:
         yield reports.markdown, markdown_report(found.sets, found.outcomes, found.notes, most)
-
-
-def write_reports(
-    found: Assessment,
-    options: EvalOptions,
-    reports: Reports,
-    html: Path | None = None,
-    most: int = MOST_SHOWN,
-) -> None:
-    """Write files: the texts, and a page with a row for each result. Existing ones are replaced.
-
-    Whoever asks for them calls ``report_files.check_reports`` before the work.
-
-    Raises:
-        UsageError: a curve is asked for, and no result has one; the page is not named as one.
-        ResultError: a file cannot be written.
-    """
-    for path, text in report_texts(found, options, reports, most):
-        write_report(path, text)
-    if html is not None:
-        write_rows_html(html, rows_page_of(found))
 
 
 def rows_page_of(found: Assessment) -> RowsPage:

@@ -18,7 +18,6 @@ from posetrack_cli.rendering.window import Window
 _APART_MM, _MOST_ACROSS = 3.5, 240
 """Least distance of pixels on the nearest surface, and the most pixels across the shorter side."""
 _NEAREST_PERCENT, _SPARSE = 10.0, 4
-_FORESHORTENED = 0.2
 _MOST_SHARED = 0.2
 _AS_LIKELY = 0.85
 _STEPS_OUTWARDS = 3
@@ -57,17 +56,6 @@ class Detection:
     extent_mm: float
     score: float
     fingers_mm2: float
-
-    @property
-    def arm_in_image(self) -> FloatArray | None:
-        """(2,) unit vector from the elbow to the wrist in the image, x right and y down; None without one.
-
-        None also for an arm that points at the camera.
-        """
-        if self.arm is None:
-            return None
-        length = float(np.hypot(self.arm[0], self.arm[1]))
-        return self.arm[:2] / length if length > _FORESHORTENED else None
 
     def enlarged(self, factor: float) -> Detection:
         """The same where all lengths are larger; areas of fingers stay those of a hand of usual size."""

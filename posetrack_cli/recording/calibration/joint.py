@@ -14,7 +14,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.geometry.projection import in_camera_axes, pixels_wherever
 from posetrack_cli.geometry.rigid import composed, inverse, placed
 from posetrack_cli.recording.calibration.views import CameraViews
 
@@ -122,8 +122,7 @@ class _Problem:
         projected = np.empty_like(self._pixels)
         for c, camera in enumerate(self.cameras(x)):
             own = self.camera == c
-            transform = np.array(camera.camera_T_reference)
-            projected[own] = pixels_from_points(camera, points[own] @ transform[:, :3].T + transform[:, 3])[0]
+            projected[own] = pixels_wherever(camera, in_camera_axes(camera, points[own]))
         residuals: FloatArray = (projected - self._pixels).ravel()
         return residuals
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -143,7 +142,8 @@ def export_file(
 def save_text(pieces: Iterable[str], source: ExportSource, out: Path, *, overwrite: bool = False) -> None:
     """Write pieces of text to a file as ``export_file`` does."""
     with _whole(source, out, overwrite=overwrite) as part, open_output(part) as stream:
-        _write_pieces(pieces, stream)
+        for piece in pieces:
+            stream.write(piece.encode("utf-8", "backslashreplace"))
 
 
 @contextmanager
@@ -152,16 +152,6 @@ def _whole(source: ExportSource, out: Path, *, overwrite: bool) -> Iterator[Path
     check_target(out, overwrite=overwrite, source=source.result.path, source_name="result")
     with whole_or_nothing(out) as part:
         yield part
-
-
-def export_text(source: ExportSource, format_name: str, stream: IO[bytes]) -> None:
-    """Write one of ``TEXT_FORMATS`` to an open stream, as UTF-8; see ``text_pieces``."""
-    _write_pieces(text_pieces(source, format_name), stream)
-
-
-def _write_pieces(pieces: Iterable[str], stream: IO[bytes]) -> None:
-    for piece in pieces:
-        stream.write(piece.encode("utf-8", "backslashreplace"))
 
 
 def text_pieces(source: ExportSource, format_name: str) -> Iterator[str]:

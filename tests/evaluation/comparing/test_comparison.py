@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 from scipy.stats import norm
 
 import posetrack_cli.evaluation.comparing.paired as paired_module
@@ -69,6 +68,8 @@ def walks(count: int, frames: int, phi: float, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     noise = rng.normal(size=(count, frames)) * np.sqrt(1 - phi**2)
     noise[:, 0] = rng.normal(size=count)
+    from scipy.signal import lfilter  # a third of a second that every process would take to read the tests
+
     return np.asarray(lfilter([1.0], [1.0, -phi], noise))
 
 

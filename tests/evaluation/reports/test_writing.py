@@ -14,7 +14,9 @@ from posetrack_cli.evaluation.assessment import Request, assess
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.gates import parse_gate
-from posetrack_cli.evaluation.reports.writing import Reports, report_texts, write_reports
+from posetrack_cli.evaluation.html import write_rows_html
+from posetrack_cli.evaluation.reports.report_files import write_report
+from posetrack_cli.evaluation.reports.writing import Reports, report_texts, rows_page_of
 from support.rows import result
 
 NAMES = ("a", "b", "c", "d", "e", "f")
@@ -37,7 +39,10 @@ def test_every_report_tells_of_the_same_results(tmp_path: Path) -> None:
     kinds = ("json", "csv", "junit", "markdown")
     places = {kind: tmp_path / f"r.{kind}" for kind in kinds}
     asked = request(*NAMES)
-    write_reports(assess(asked), asked.options, Reports(**places), tmp_path / "r.html", most=2)
+    found = assess(asked)
+    for path, text in report_texts(found, asked.options, Reports(**places), most=2):
+        write_report(path, text)
+    write_rows_html(tmp_path / "r.html", rows_page_of(found))
     worst_first = list(reversed(NAMES))
     report = json.loads(places["json"].read_text())
     assert [one["name"] for one in report["results"]] == worst_first
