@@ -193,7 +193,7 @@ def directions(anatomy: HandAnatomy, pose: FloatArray) -> FloatArray:
 
 
 def off_while_turning(device: RenderingDevice, tracking: HandTracker) -> list[float]:
-    """Degrees that a finger of a stranger's open hand is off at most, in each frame; it turns from frame 8 on.
+    """Degrees that a finger of a stranger's open hand is off at most, by frame; it turns from frame 8 on.
 
     750 degrees a second in the image: fits that begin at the prediction lay one finger on another. On a
     hand that costs 9 mm where it is right that is 13, not twice as much.
