@@ -70,7 +70,7 @@ class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md)."""
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
-    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 64
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 128
     proposal: Literal["guided", "annealed", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
@@ -274,7 +274,7 @@ class StatusSettings(Settings):
     sure_mm: NotNegative = 6.0
     better: Fraction = 0.7
     better_mm: Positive = 2.0
-    well_mm: NotNegative = 0.0
+    well_mm: NotNegative = 2.2
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5
     leave_after_frames: Annotated[int, Field(ge=1)] = 5

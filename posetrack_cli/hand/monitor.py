@@ -11,7 +11,7 @@ _ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
 _GOOD_SHARE, _GOOD_RISE_MM = 0.3, 0.03
 """Share of a better frame in the level of good fits, and by how much that rises in a frame at most."""
-_RAISED_FACTOR, _RAISED_MM = 1.15, 0.5
+_RAISED_FACTOR, _FAR_RAISED_FACTOR, _RAISED_MM = 1.15, 1.25, 0.5
 _WORSE_FACTOR, _WORSE_MM = 1.05, 0.5
 _MOST_LOOK_WAIT = 3  # frames
 _FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
@@ -81,6 +81,10 @@ class TrackMonitor:
     def is_raised(self, cost_mm: float) -> bool:
         """Whether a fit costs more than good ones do, be it ever so little for a hand of another shape."""
         return self.good_mm > 0.0 and cost_mm > _RAISED_FACTOR * self.good_mm + _RAISED_MM
+
+    def is_far_raised(self, cost_mm: float) -> bool:
+        """Whether a fit costs so much more than good ones that the window about it may mislead, too."""
+        return self.good_mm > 0.0 and cost_mm > _FAR_RAISED_FACTOR * self.good_mm + _RAISED_MM
 
     def postpones_look(self, cost_mm: float) -> bool:
         """Whether no look is worth it after one that did not help; a fit that costs more now is."""

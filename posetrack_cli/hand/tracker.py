@@ -327,6 +327,8 @@ class HandTracker:
         A hand that turns or opens faster than expected leaves the reach of its prediction. On another
         person's hand that costs little: two fingers on one of the image are 2 mm among 10. A fit that
         faces the same way needs to be but a little better; palm and back are not exchanged for that.
+        The window about a wrong prediction may have cut fingers off, so it is laid about the fit, and where
+        the fit costs far more than good ones the whole image is searched, too.
         """
         state, fits = seen.state, seen.fits
         if fits is None or seen.observation is None or fits.cost <= self.config.status.well_mm:
@@ -336,7 +338,11 @@ class HandTracker:
         if state.monitor.postpones_look(fits.cost):
             return seen._replace(state=replace(state, monitor=state.monitor.after_look_wait()))
         here = fits.modes.poses[0]
-        found = finder.reconsider(seen.observation, here)
+        found = finder.reconsider(self._observer.observe(frame.depth, here), here)
+        if state.monitor.is_far_raised(fits.cost):
+            there = finder.search(frame.depth)
+            if there is not None and self._is_alike(there.pose, here):
+                found = better_of(found, there)
         helped = found is not None and (
             state.monitor.prefers(fits.cost, found.cost, self.config.status)
             or (found.cost < fits.cost - _BETTER_MM and self._is_alike(found.pose, here))

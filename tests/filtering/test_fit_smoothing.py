@@ -155,14 +155,15 @@ def assert_equal(smoothed: Smoothed, belief: Gaussian) -> None:
 
 
 def test_first_frame_has_the_particles_moments(make_world) -> None:
-    """Of 4 the two heaviest are cut to half of all, over sqrt(4): 4 : 4 : 1 : 1 becomes 2.5 : 2.5 : 1 : 1."""
-    weights = np.array([0.4, 0.4, 0.1, 0.1])
-    poses = np.array([[0.0], [2.0], [3.0], [9.0]])
-    state = MarginalState(poses, np.full((4, 1), 5.0), np.array([0.7]), np.log(weights))
+    """Of 8 the two heaviest are cut to 1 / 8 + 0.06 / 2: 0.3 and 0.3 become 0.155."""
+    weights = np.array([0.3, 0.3, 0.1, 0.1, 0.05, 0.05, 0.05, 0.05])
+    poses = np.array([[0.0], [2.0], [3.0], [9.0], [1.0], [1.0], [4.0], [5.0]])
+    state = MarginalState(poses, np.full((8, 1), 5.0), np.array([0.7]), np.log(weights))
     step = steps_of(make_world(STEPS[:1]), np.zeros((1, 1)), special=False)[0]
     found = smoother(Dynamics(np.ones(1), np.ones(1))).remember(state, step)
-    mean = (2.5 * (0.0 + 2.0) + 3.0 + 9.0) / 7.0
-    variance = (2.5 * (mean**2 + (2.0 - mean) ** 2) + (3.0 - mean) ** 2 + (9.0 - mean) ** 2) / 7.0
+    cut = np.array([0.155, 0.155, 0.1, 0.1, 0.05, 0.05, 0.05, 0.05]) / 0.71
+    mean = cut @ poses[:, 0]
+    variance = cut @ np.square(poses[:, 0] - mean)
     np.testing.assert_allclose(found["pose"], [mean])
     np.testing.assert_allclose(found["velocity"], [5.0])
     np.testing.assert_allclose(found["covariance"], [[variance, 0.0], [0.0, 0.7]], atol=1e-12)

@@ -112,7 +112,7 @@ def test_truncated_weights_sum_to_one_and_keep_their_order(values: np.ndarray) -
 def test_truncated_weights_are_equal_at_the_limit_and_in_proportion_below(values: np.ndarray) -> None:
     """After scaling by 1 / s the limit is limit / s, where s is what the cut left."""
     weights = normalise(values)[0]
-    limit = TRUNCATION / np.sqrt(weights.size)
+    limit = (1.0 + TRUNCATION * weights.size ** (2.0 / 3.0)) * weights.mean()
     cut, over = truncated(weights), weights > limit
     left = limit * over.sum() + weights[~over].sum()
     np.testing.assert_allclose(cut[~over] * left, weights[~over], rtol=ROUNDING)
@@ -131,6 +131,7 @@ def test_equal_weights_stay_as_they_are(count: int) -> None:
     np.testing.assert_allclose(truncated(np.full(count, 1.0 / count)), 1.0 / count, rtol=ROUNDING)
 
 
-def test_truncated_weights_of_four() -> None:
-    """The limit is 0.5 / sqrt(4) = 0.25 before scaling: 0.7 becomes 0.25, and the sum 0.55."""
-    np.testing.assert_allclose(truncated(np.array([0.7, 0.1, 0.2, 0.0])), np.array([5, 2, 4, 0]) / 11.0)
+def test_truncated_weights_of_eight() -> None:
+    """The limit is 1 / 8 + 0.06 / 2 = 0.155 before scaling: 0.7 becomes 0.155, and the sum 0.455."""
+    found = truncated(np.array([0.7, 0.1, 0.15, 0.05, 0.0, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(found, np.array([155, 100, 150, 50, 0, 0, 0, 0]) / 455.0)

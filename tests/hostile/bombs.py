@@ -7,7 +7,8 @@ import sqlite3
 import struct
 import zlib
 from contextlib import closing
-from functools import cache
+from functools import cache, reduce
+from operator import xor
 
 import lz4.block
 
@@ -67,12 +68,14 @@ def bz2_zeros(mebibytes: int) -> bytes:
     return int(whole, 2).to_bytes(len(whole) // 8, "big")
 
 
-@cache
 def _sum_before_zeros(head: bytes, mebibytes: int) -> int:
-    """The CRC-32 of bytes and so many zeros behind them."""
-    crc, block = zlib.crc32(head), bytes(MIB)
+    """The CRC-32 of bytes and zeros behind them; what a mebibyte makes of each bit of it adds up."""
+    block = bytes(MIB)
+    of_nothing = zlib.crc32(block, 0)
+    of_bits = [zlib.crc32(block, 1 << bit) ^ of_nothing for bit in range(32)]
+    crc = zlib.crc32(head)
     for _ in range(mebibytes):
-        crc = zlib.crc32(block, crc)
+        crc = reduce(xor, (changed for bit, changed in enumerate(of_bits) if crc >> bit & 1), of_nothing)
     return crc
 
 
