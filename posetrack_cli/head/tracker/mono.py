@@ -65,8 +65,6 @@ STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
 WHOLE_FACE_LIKE = 0.4
 """Mean correlation of a face's windows from which on it is the same face a moment later."""
-ASTRAY_BELOW, ASTRAY = 0.6, 0.1
-"""A fit with a lower score that is so many eye distances from where the whole face went has lost it."""
 KEPT = 0.98
 """What is left of a score after a frame that only looks like the one before, were they equal."""
 CLEARLY_BETTER = 0.03
@@ -181,21 +179,20 @@ class MonoPeople:
     def _or_followed(
         self, state: MonoState, track: TrackState, frame: SeededFrame, fit: FrameFit
     ) -> FrameFit:
-        """Return a fit, or one that begins where the whole face went: where it is none, or astray **[ours]**.
+        """Return a fit, or where it is none one that begins where the whole face went **[ours]**.
 
         A face that is blurred, or looks where it never was seen to, then looks like no template but as a
         moment ago: the score is that of the frame before times how alike they are; what slides is soon
         doubted.
         """
-        least = self.least_score(state)
-        if fit.score >= max(least, ASTRAY_BELOW) or track.templates is None:
+        if fit.score >= self.least_score(state) or track.templates is None:
             return fit
         (image,), fitter = frame.frame.images, self._at(state).fitter
         there = None if image is None else self._moved_as_a_whole(state, track, image)
-        if there is None or (fit.score >= least and not self._is_astray(state, fit, there)):
+        if there is None:
             return fit
         again = fitter.fit_from(state.person, track, there, frame)
-        best = again if again.score > fit.score + (CLEARLY_BETTER if fit.score >= least else 0.0) else fit
+        best = again if again.score > fit.score else fit
         if best.score >= self.least_score(state):
             return best
         as_before = replace(state.person, templates=(track.templates,))
@@ -205,16 +202,6 @@ class MonoPeople:
             return best
         weights = np.minimum(followed.weights, best.weights)  # a moment ago it may have been wrong already
         return replace(followed, score=score, weights=weights, is_anchored=True)
-
-    def _is_astray(self, state: MonoState, fit: FrameFit, there: HeadPose) -> bool:
-        """Whether a fit is elsewhere in the image than a pose, as far as the points' middle tells."""
-        camera = self._at(state).adjuster.camera
-        found, expected = (
-            project((camera,), pose.points(fit.track.shape)).pixels[0].mean(axis=0)
-            for pose in (fit.track.pose, there)
-        )
-        away = float(np.linalg.norm(found - expected))
-        return away >= ASTRAY * eye_distance_px(there, camera)
 
     def _moved_as_a_whole(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
         """Return a track's pose where its whole face went in an image, None where that is not seen."""
