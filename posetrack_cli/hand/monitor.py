@@ -82,9 +82,13 @@ class TrackMonitor:
         """Whether a fit costs more than good ones do, be it ever so little for a hand of another shape."""
         return self.good_mm > 0.0 and cost_mm > _RAISED_FACTOR * self.good_mm + _RAISED_MM
 
-    def is_far_raised(self, cost_mm: float) -> bool:
-        """Whether a fit costs so much more than good ones that the window about it may mislead, too."""
-        return self.good_mm > 0.0 and cost_mm > _FAR_RAISED_FACTOR * self.good_mm + _RAISED_MM
+    def is_far_raised(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Whether a fit costs so much more than good ones that the window about it may mislead, too.
+
+        A search takes as long as ten frames, so none is made for hands whose shape is known.
+        """
+        limit = max(settings.sure_mm, _FAR_RAISED_FACTOR * self.good_mm + _RAISED_MM)
+        return self.good_mm > 0.0 and cost_mm > limit
 
     def postpones_look(self, cost_mm: float) -> bool:
         """Whether no look is worth it after one that did not help; a fit that costs more now is."""

@@ -328,7 +328,7 @@ class HandTracker:
         person's hand that costs little: two fingers on one of the image are 2 mm among 10. A fit that
         faces the same way needs to be but a little better; palm and back are not exchanged for that.
         The window about a wrong prediction may have cut fingers off, so it is laid about the fit, and where
-        the fit costs far more than good ones the whole image is searched, too.
+        a doubtful fit costs far more than good ones the whole image is searched at once, too.
         """
         state, fits = seen.state, seen.fits
         if fits is None or seen.observation is None or fits.cost <= self.config.status.well_mm:
@@ -339,7 +339,7 @@ class HandTracker:
             return seen._replace(state=replace(state, monitor=state.monitor.after_look_wait()))
         here = fits.modes.poses[0]
         found = finder.reconsider(self._observer.observe(frame.depth, here), here)
-        if state.monitor.is_far_raised(fits.cost):
+        if state.monitor.is_far_raised(fits.cost, self.config.status):
             there = finder.search(frame.depth)
             if there is not None and self._is_alike(there.pose, here):
                 found = better_of(found, there)

@@ -183,9 +183,10 @@ def test_a_bad_second_stays_a_bad_second() -> None:
     for cost in [8.0] * 30 + [12.0] * 30:
         monitor = monitor.after_fit(cost, 1.0, SETTINGS)
     assert monitor.is_raised(12.0)
-    assert monitor.is_far_raised(12.0)
+    assert monitor.is_far_raised(12.0, SETTINGS)
     assert monitor.is_raised(10.8)  # a little above what good fits cost
-    assert not monitor.is_far_raised(10.8)
+    assert not monitor.is_far_raised(10.8, SETTINGS)
+    assert not TrackMonitor(good_mm=2.0).is_far_raised(5.9, SETTINGS)  # of a hand whose shape is known
     assert not monitor.is_raised(8.5)
     assert not monitor.is_worse(12.0, SETTINGS)
 

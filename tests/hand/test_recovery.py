@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -233,10 +234,11 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
     device: RenderingDevice, stage: Stage, monkeypatch: pytest.MonkeyPatch, far: bool, turned: bool
 ) -> None:
     """A window that is laid about a wrong pose may cut fingers off: what is found in it is then no better."""
-    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": 0.0}}))
+    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": 0.0, "sure_mm": 0.01}}))
     pose = relaxed()
     frames = frames_of([stage.depth(pose)] * 4)
     states, _ = run(tracking, frames[:3])
+    waiting = replace(states[-1], monitor=replace(states[-1].monitor, wait=2))  # the next search is not due
     there = turned_about_its_length(pose, np.pi) if turned else pose
     searched: list[np.ndarray] = []
 
@@ -256,7 +258,7 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
     monkeypatch.setattr(HandTracker, "_refined", refine)
     monkeypatch.setattr(TrackMonitor, "is_raised", lambda *_: True)
     monkeypatch.setattr(TrackMonitor, "is_far_raised", lambda *_: far)
-    tracking.step(states[-1], frames[3], np.random.default_rng(3))
+    tracking.step(waiting, frames[3], np.random.default_rng(3))
     assert len(searched) == far
     assert [candidate.pose is there for candidate in refined] == [True] * (far and not turned)
 
