@@ -32,8 +32,8 @@ POSETRACK = [sys.executable, "-m", "posetrack_cli.cli.main"]
 KNOWN = ["--hand-side", "right", "--shape", "average", "--particles", "32", "--set", "output.flush_frames=2"]
 """What need not be found out of a hand: runs start at once."""
 FRAMES = 4
-CHUNK_S, OVERLAP_S = 1.0, 0.6
-LONG_RATE_HZ, LONG_FRAMES = 15.0, 30
+CHUNK_S, OVERLAP_S = 1.0, 0.3
+LONG_RATE_HZ, LONG_FRAMES = 30.0, 50
 """Two pieces of the shortest that there are."""
 TIMEOUT_S = "20"
 """One worker waits for what takes too long, which is begun first, while the other does the rest, for about as
@@ -187,7 +187,7 @@ def test_a_cluster_in_which_things_go_wrong(
 @pytest.fixture(scope="module")
 def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("long") / "long.mcap"
-    return synth(path, 5, "--frames", str(LONG_FRAMES), "--fps", str(LONG_RATE_HZ), "--speed", "0.5")
+    return synth(path, 5, "--frames", str(LONG_FRAMES), "--fps", str(LONG_RATE_HZ))
 
 
 def test_pieces_give_equal_bytes_for_any_number_of_workers(
