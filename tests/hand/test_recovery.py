@@ -16,6 +16,8 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.monitor import TrackMonitor
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.shape import random_shape
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.tracker import HandState, HandTracker
@@ -226,6 +228,26 @@ def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
 ) -> None:
     tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": well_mm}}))
     assert keeps_its_fingers(off_while_turning(device, tracking)) == (well_mm == 0.0)
+
+
+def test_a_look_is_at_the_window_about_the_fit(
+    device: RenderingDevice, stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a hand that went elsewhere the window about the prediction may have cut fingers off."""
+    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": 0.0, "sure_mm": 40.0}}))
+    before, after = relaxed(), relaxed()
+    after[0] += 30.0
+    frames = frames_of([stage.depth(before)] * 3 + [stage.depth(after)])
+    states, _ = run(tracking, frames[:3])
+    looks: list[tuple[Observation, FloatArray]] = []
+    monkeypatch.setattr(Acquisition, "reconsider", lambda _, *look: looks.append(look))
+    monkeypatch.setattr(TrackMonitor, "is_raised", lambda *_: True)
+    tracking.step(states[-1], frames[3], np.random.default_rng(3))
+    ((seen, fit),) = looks
+    assert stage.error(fit, after) < TRACKED_MM
+    observer = Observer(tracking.config, HAND.anatomy, KINECT, segment=True, with_arm=True, follows=True)
+    assert seen.window == observer.observe(frames[3].depth, fit).window
+    assert seen.window != observer.observe(frames[3].depth, before).window
 
 
 @pytest.mark.parametrize("far", [True, False])
