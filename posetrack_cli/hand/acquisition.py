@@ -13,6 +13,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.extended_fingers import poses_of_fingers
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
 from posetrack_cli.hand.fitting.gauss_newton import Fit
 from posetrack_cli.hand.fitting.terms import Tile
@@ -158,6 +159,10 @@ class Candidate:
     doubt: float = np.inf
 
 
+_OF_FINGERS = 2
+"""Hands that fingers tell of which a frame's fits begin at: palm and back of an open hand."""
+
+
 _ROUGH_STEP, _LEAST_TILE_PX = 2, 48
 """A search looks at every second pixel in both directions, but at all of a small observation."""
 
@@ -257,13 +262,24 @@ class Acquisition:
         """Return the best fit to an observation among hands that look much like a pose (22,)."""
         if observation.target_pixels == 0:
             return None
-        return self._best(observation, turned_poses(pose, self._hand.anatomy))
+        hypotheses = turned_poses(pose, self._hand.anatomy), self._of_fingers(observation)
+        return self._best(observation, np.concatenate(hypotheses))
+
+    def starts_of_fingers(self, observation: Observation) -> FloatArray:
+        """Return the likeliest poses (K, 22) that extended fingers tell of: starts of a frame's fits."""
+        poses, fitter = self._of_fingers(observation), self.local_fitter.fitter
+        costs = fitter.costs(fitter.tile(observation), poses)
+        return poses[np.argsort(costs, kind="stable")[:_OF_FINGERS]]
+
+    def _of_fingers(self, observation: Observation) -> FloatArray:
+        return poses_of_fingers(observation, self._hand.anatomy, self._camera)
 
     def _fitted(self, depth: ImageArray, detection: Detection) -> Candidate | None:
         observation = self.observer.observe_detection(depth, detection)
         if observation.target_pixels == 0:
             return None
-        first = self._roughly(observation, detected_poses(detection, self._hand.anatomy))
+        hypotheses = detected_poses(detection, self._hand.anatomy), self._of_fingers(observation)
+        first = self._roughly(observation, np.concatenate(hypotheses))
         again = self.observer.observe(depth, first[0].pose)  # with the wrist where the fit has it
         if again.target_pixels == 0:
             return self._finished(observation, first)

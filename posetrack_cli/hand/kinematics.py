@@ -109,6 +109,18 @@ def mean_joint_distances(anatomy: HandAnatomy, pose: FloatArray, others: FloatAr
     return distances
 
 
+def joint_set_distance(anatomy: HandAnatomy, pose: FloatArray, other: FloatArray) -> float:
+    """How far apart the joints of two poses (22,) lie, whichever joints these are, mm.
+
+    The mean distance from a joint of one to the nearest of the other, the larger one of both ways. A hand
+    that is explained with its palm pulled back to the elbow and its fingers open, or with another finger
+    than the one that points, lies where it does; its joints do not.
+    """
+    first, second = joint_positions(anatomy, np.stack([pose, other]))
+    apart = np.linalg.norm(first[:, None] - second, axis=2)
+    return float(max(apart.min(axis=0).mean(), apart.min(axis=1).mean()))
+
+
 def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
     """Derivative of the joints by the tangent vector, (N, 22) -> (N, 21, 3, 21).
 

@@ -22,7 +22,7 @@ from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGNS, probability, signs
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import forearm_numbers
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
-from posetrack_cli.hand.kinematics import mean_joint_distances
+from posetrack_cli.hand.kinematics import joint_set_distance, mean_joint_distances
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
 from posetrack_cli.hand.monitor import TrackMonitor
@@ -41,7 +41,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
-NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
+NEAR_MM = 30.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
 _BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
 _FACES_ALIKE = np.cos(np.deg2rad(60.0))
 
@@ -233,6 +233,8 @@ class HandTracker:
         state = replace(state, monitor=state.monitor.after_fingers(fingers))
         enough = state.monitor.sufficient_mm
         near, elsewhere = split(told, predicted, self.anatomy)
+        if state.monitor.usual_mm > self.config.status.well_mm:  # a hand that fits well needs no more starts
+            near = np.concatenate([near, self._finder.starts_of_fingers(observation)])
         fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough, near)
         seen = FrameObservation(state, dt, replace(observation, arm=fits.arm), fits)
         there = self._told_elsewhere(self._finder, seen, elsewhere, frame, rng)
@@ -357,8 +359,8 @@ class HandTracker:
         return self._is_near(pose, other) and bool(facing @ there > _FACES_ALIKE)
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
-        """Whether two poses (22,) are of a hand at one place: another fold of fingers, not another hand."""
-        return bool(mean_joint_distances(self.anatomy, pose, other[None])[0] < NEAR_MM)
+        """Whether two poses (22,) are of a hand at one place, folded otherwise, not of two."""
+        return joint_set_distance(self.anatomy, pose, other) < NEAR_MM
 
     def _refined(
         self,
