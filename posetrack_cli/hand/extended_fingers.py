@@ -197,7 +197,7 @@ def _hypotheses(
 def _places(
     fingers: Sequence[ExtendedFinger], which: tuple[int, ...], observation: Observation, anatomy: HandAnatomy
 ) -> PlacesToFit:
-    """Where joints are if these are the extended fingers: along each, as deep as it is thick; and the wrist."""
+    """Where joints are if these are the extended fingers: along each, as deep as it is thick; the wrist."""
     places, precision = np.zeros((21, 3)), np.zeros((21, 3))
     for finger, f in zip(fingers, which, strict=True):
         reach = float(np.linalg.norm(finger.base - finger.tip))
