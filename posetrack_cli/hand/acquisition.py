@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -16,6 +16,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
 from posetrack_cli.hand.fitting.gauss_newton import Fit
 from posetrack_cli.hand.fitting.terms import Tile
+from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.local_fits import LocalFitter, fit_terms
 from posetrack_cli.hand.model import HandModel
@@ -151,11 +152,13 @@ class Candidate:
         pose: (22,).
         cost: union cost D of the smooth skin, mm.
         doubt: the cost and what else speaks against a hand at this place, mm.
+        inner: (6,) its inner numbers (``hand.inner``).
     """
 
     pose: FloatArray
     cost: float
     doubt: float = np.inf
+    inner: FloatArray = field(default_factory=NO_INNER.copy)
 
 
 _ROUGH_STEP, _LEAST_TILE_PX = 2, 48
@@ -293,7 +296,7 @@ class Acquisition:
         fitter = self.local_fitter.fitter
         fits = self._descended(fitter, fitter.tile(observation), np.array([fit.pose for fit in rough]))
         best = min(fits, key=_cost)
-        return Candidate(best.pose.copy(), _cost(best))
+        return Candidate(best.pose.copy(), _cost(best), inner=best.inner.copy())
 
     def _descended(self, fitter: HandFitter, tile: Tile, starts: FloatArray) -> list[Fit]:
         """Fits from starts (K, 22), and from the best of them with fingers of the others."""

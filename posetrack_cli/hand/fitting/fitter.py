@@ -205,11 +205,11 @@ class HandFitter:
         assess(self.hand, tile, pose, self._terms, self._free[0], fit)
         return fit
 
-    def anatomy(self, pose: FloatArray) -> NormalEquations:
-        """Return gradient and information of exp(-U) at a pose (22,), U the anatomical potential."""
+    def anatomy(self, fit: Fit) -> NormalEquations:
+        """Return gradient and information of exp(-U) where a fit is, U the anatomical potential."""
         equations, workspace = empty_equations(), self._free[0]
-        pose_bones(self.hand.skeleton, pose, workspace.posed)
-        add_anatomy(self.hand.plausibility, pose, workspace.posed, workspace.spheres, equations)
+        pose_bones(self.hand.skeleton, fit.pose, fit.inner, workspace.posed)
+        add_anatomy(self.hand.plausibility, fit.pose, workspace.posed, workspace.spheres, equations)
         return equations
 
     def costs(self, tile: Tile, poses: FloatArray) -> FloatArray:
@@ -220,13 +220,19 @@ class HandFitter:
 
         return np.array(self._each(one, poses))
 
-    def potentials(self, poses: FloatArray) -> FloatArray:
-        """Return the anatomical potential U (N,) of poses (N, 22); exp(-U) is a factor of the likelihood."""
+    def potentials(self, poses: FloatArray, inner: FloatArray) -> FloatArray:
+        """Return the anatomical potential U (N,); exp(-U) is a factor of the likelihood.
+
+        Args:
+            poses: (N, 22).
+            inner: (6,) inner numbers of all.
+        """
         out, workspace = np.empty(len(poses)), self._free[0]
         potentials(
             self.hand.plausibility,
             self.hand.skeleton,
             poses,
+            inner,
             workspace.posed,
             workspace.spheres,
             workspace.whole,
@@ -253,7 +259,8 @@ def tile_of(observation: Observation, camera: Camera) -> Tile:
     """Return an observation by a camera as fits read it."""
     image = observation.image.astype(np.float64)
     view = View(*observation.window.tile_projection(camera))
-    return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
+    nearest, inner = nearest_pixels(image > 0), observation.inner
+    return Tile(image, nearest, observation.target_pixels, view, inner, inner)
 
 
 def nearest_pixels(mask: BoolArray) -> FloatArray:
