@@ -14,7 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
-from posetrack_cli.hand.fitting.gauss_newton import Fit
+from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, Fit
 from posetrack_cli.hand.fitting.terms import Tile
 from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.hand.kinematics import joint_positions
@@ -172,6 +172,7 @@ class Acquisition:
         config: parameters.
         hand: the model.
         camera: of the depth images.
+        thumb: (2,) precisions of its thumb's inner angles, 1 / rad^2.
 
     Attributes:
         observer: cuts out and segments windows.
@@ -179,16 +180,18 @@ class Acquisition:
         accept_mm: what a hand costs at most.
     """
 
-    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
+    def __init__(
+        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: FloatArray = FREE_THUMB
+    ) -> None:
         self._config, self._settings = config, config.acquisition
         self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, BodySpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
-        self.local_fitter = LocalFitter(config, hand, camera)
+        self.local_fitter = LocalFitter(config, hand, camera, thumb)
         size = config.observation.tile_px
         self._step = _ROUGH_STEP if size >= _LEAST_TILE_PX else 1
         rough_px, terms = -(-size // self._step), fit_terms(config)
-        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm)
+        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
 
     def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.

@@ -24,7 +24,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
-from posetrack_cli.hand.fitting.gauss_newton import ABDUCTION_SD, GIRTH_SD, IP_SD, SWING_SD, Fit
+from posetrack_cli.hand.fitting.gauss_newton import ABDUCTION_SD, FREE_THUMB, GIRTH_SD, IP_SD, SWING_SD, Fit
 from posetrack_cli.hand.fitting.normal_equations import THUMB_PLACE, NormalEquations
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.inner import NO_INNER, THUMB
@@ -90,14 +90,17 @@ class LocalFitter:
         config: parameters.
         hand: the model.
         camera: of the depth images.
+        thumb: (2,) precisions of its inner angles, 1 / rad^2.
     """
 
-    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
+    def __init__(
+        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: FloatArray = FREE_THUMB
+    ) -> None:
         self._config, self._settings, self._camera = config, config.fit, camera
         self._anatomy, self._space = hand.anatomy, BodySpace()
         terms = fit_terms(config)
         self.sigma_mm = terms.sigma_mm
-        self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms)
+        self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms, thumb=thumb)
         self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
 
     def fit(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
+from posetrack_cli.hand.fitting.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.inner import (
     INNER_NUMBERS,
     NO_INNER,
@@ -34,6 +35,7 @@ FREE = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
 BENT, ASIDE = np.array([0.4, 0.0]), np.array([0.0, 0.35])
 THUMBS = pytest.mark.parametrize("thumb", [BENT, ASIDE, -ASIDE], ids=["bent", "aside", "inwards"])
 FRAME_NS = 33_333_333
+FEW = HandConfig.model_validate({"filter": {"particles": 64}})
 each_hand = pytest.mark.parametrize("name", list(HANDS))
 
 
@@ -50,6 +52,15 @@ def shown_thumb(name: str) -> FloatArray:
     return pose if name == "right" else mirrored_poses(pose[None])[0]
 
 
+def depth_of(device: RenderingDevice, pose: FloatArray, thumb: FloatArray) -> Float32Array:
+    """What a perfect sensor sees of the right hand before a wall (424, 512), mm."""
+    hand = HANDS["right"]
+    renderer = device.depth_renderer(hand.smooth, (KINECT.width, KINECT.height), 1)
+    transforms = skinning_transforms(hand.anatomy, pose[None], thumb)
+    drawn = renderer.depth(transforms, KINECT, Window.whole(KINECT))[0]
+    return np.where(drawn > 0, drawn, np.float32(WALL_MM))
+
+
 @each_hand
 @THUMBS
 def test_a_thumb_that_no_pose_has_is_found(name: str, thumb: FloatArray) -> None:
@@ -64,6 +75,36 @@ def test_a_thumb_that_no_pose_has_is_found(name: str, thumb: FloatArray) -> None
     still = joint_positions(hand.anatomy, truth[None])[0]
     assert np.linalg.norm(still[4] - true[4]) > 6.0
     assert np.linalg.norm(joints[2:5] - true[2:5], axis=1).max() < 2.5
+
+
+def test_a_stiff_thumb_keeps_what_is_expected_of_it() -> None:
+    """A hand whose side and size are in question has no inner angles; its fits are those of 22 numbers."""
+    hand, truth = HANDS["right"], shown_thumb("right")
+    fitter = HandFitter(hand, KINECT, TILE_PX, thumb=STIFF_THUMB)
+    tile = fitter.tile(observed(hand, fitter, truth, inner=with_thumb(ASIDE)))
+    found = fitter.descend(tile, truth[None], [PosePrior(truth, FREE)], 20)[0]
+    np.testing.assert_allclose(found.inner[THUMB], 0.0, atol=1e-5)
+    free = HandFitter(hand, KINECT, TILE_PX).descend(tile, truth[None], [PosePrior(truth, FREE)], 20)[0]
+    assert free.cost[0] < 0.8 * found.cost[0]
+
+
+def test_what_is_expected_of_a_thumb_is_a_running_mean(device: RenderingDevice) -> None:
+    """It nears what frames show, and stays where nothing is seen; the estimate then has what is expected."""
+    hand, truth = HANDS["right"], shown_thumb("right")
+    tracker, rng = make_tracker(FEW, hand, KINECT, device), np.random.default_rng(0)
+    state = tracker.start(truth, FRAME_NS, rng)
+    np.testing.assert_array_equal(state.expected, NO_INNER)
+    seen = depth_of(device, truth, ASIDE)
+    before = state.expected
+    for k in range(1, 4):
+        state, estimate = tracker.step(state, Frame(k, (k + 1) * FRAME_NS, (seen,)), rng)
+        found = inner_of(estimate.numbers)[THUMB]
+        np.testing.assert_allclose(state.expected[THUMB], 0.9 * before[THUMB] + 0.1 * found)
+        before = state.expected
+    nothing = np.zeros_like(seen)
+    state, estimate = tracker.step(state, Frame(4, 5 * FRAME_NS, (nothing,)), rng)
+    np.testing.assert_array_equal(state.expected, before)
+    np.testing.assert_array_equal(inner_of(estimate.numbers)[THUMB], before[THUMB])
 
 
 def test_a_left_hand_is_a_right_one_in_a_mirror() -> None:
@@ -106,12 +147,8 @@ def test_inner_numbers_are_read_as_they_are_written() -> None:
 def test_a_tracker_states_the_thumb_that_it_sees(device: RenderingDevice) -> None:
     """Its joints are those of pose and inner angles together."""
     hand, truth = HANDS["right"], shown_thumb("right")
-    config = HandConfig.model_validate({"filter": {"particles": 64}})
-    renderer = device.depth_renderer(hand.smooth, (KINECT.width, KINECT.height), 1)
-    transforms = skinning_transforms(hand.anatomy, truth[None], ASIDE)
-    drawn = renderer.depth(transforms, KINECT, Window.whole(KINECT))[0]
-    depth = np.where(drawn > 0, drawn, WALL_MM).astype(np.float32)
-    tracker, rng = make_tracker(config, hand, KINECT, device), np.random.default_rng(0)
+    depth = depth_of(device, truth, ASIDE)
+    tracker, rng = make_tracker(FEW, hand, KINECT, device), np.random.default_rng(0)
     state = tracker.start(truth, FRAME_NS, rng)
     for k in range(1, 5):
         state, estimate = tracker.step(state, Frame(k, k * FRAME_NS + FRAME_NS, (depth,)), rng)

@@ -18,7 +18,7 @@ from posetrack_cli.hand.space import inside_limits
 from posetrack_cli.tracking.body_space import BodySpace
 
 Observe = Callable[[int, FloatArray, FloatArray, HandModel], Tile]
-"""Gives the tile of a frame (its place among the chosen ones) for a pose, a thumb's inner angles and a hand."""
+"""Gives the tile of a frame (its place among the chosen ones) for a pose, a thumb (2,) and a hand."""
 
 CORRELATED = 64.0
 """Residuals per independent one: neighbouring pixels err alike, as noise, skin and segmentation do."""

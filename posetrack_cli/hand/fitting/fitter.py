@@ -17,6 +17,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
 from posetrack_cli.hand.fitting.gauss_newton import (
+    FREE_THUMB,
     Fit,
     Hand,
     Steps,
@@ -135,6 +136,7 @@ class HandFitter:
         terms: weights of the residuals.
         steps: largest steps.
         skin: of the hand and its forearm, by default the smooth one.
+        thumb: (2,) precisions of its inner angles, 1 / rad^2.
     """
 
     def __init__(
@@ -145,9 +147,10 @@ class HandFitter:
         terms: Terms | None = None,
         steps: Steps | None = None,
         skin: SkinnedMesh | None = None,
+        thumb: FloatArray = FREE_THUMB,
     ) -> None:
         anatomy, skin = model.anatomy, skin or model.smooth_with_arm
-        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy))
+        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy), thumb)
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]
         self._threads = ThreadPoolExecutor(len(self._free))

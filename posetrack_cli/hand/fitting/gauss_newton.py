@@ -34,17 +34,26 @@ SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
 IP_SD, ABDUCTION_SD = np.deg2rad(10.0), np.deg2rad(15.0)
 """Of the thumb's inner angles about what is expected of them, rad."""
+FREE_THUMB: FloatArray = 1.0 / np.square([IP_SD, ABDUCTION_SD])
+STIFF_THUMB: FloatArray = np.full(2, 1e9)
+"""(2,) 1 / rad^2 of a thumb with its inner angles, and of one without."""
 MOST_GIRTH, MOST_THUMB = 0.5, np.deg2rad(40.0)
 FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
 """Up to where a wrist bends freely, rad, and the weight beyond, 1 / rad^2."""
 
 
 class Hand(NamedTuple):
-    """A hand as the kernels read it."""
+    """A hand as the kernels read it.
+
+    Attributes:
+        skeleton, skin, plausibility: its parts.
+        thumb: (2,) precisions of its thumb's inner angles about what is expected of them, 1 / rad^2.
+    """
 
     skeleton: Skeleton
     skin: Skin
     plausibility: Plausibility
+    thumb: FloatArray
 
 
 class Steps(NamedTuple):
@@ -136,12 +145,11 @@ def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
 
 @kernel
 def add_inner_prior(
-    expected: FloatArray, inner: FloatArray, posed: Posed, equations: NormalEquations
+    expected: FloatArray, inner: FloatArray, thumb: FloatArray, posed: Posed, equations: NormalEquations
 ) -> None:
     """Pull inner numbers (6,) to what is expected, and the wrist back from where it cannot bend to."""
-    sds = (IP_SD, ABDUCTION_SD)
     for k in range(2):
-        i, precision = THUMB_PLACE + k, 1.0 / (sds[k] * sds[k])
+        i, precision = THUMB_PLACE + k, thumb[k]
         equations.matrix[i, i] += precision
         equations.vector[i] += precision * (expected[IP_OFFSET + k] - inner[IP_OFFSET + k])
     _add_arm_prior(expected, inner, posed, equations)
@@ -227,7 +235,7 @@ def _solve(
         whole.matrix[i, i] += precision[i]
         whole.vector[i] += precision[i] * delta[i]
     add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
-    add_inner_prior(tile.expected, inner, workspace.posed, whole)
+    add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, whole)
     step = np.linalg.solve(whole.matrix, whole.vector)
     for i in range(UNKNOWNS):
         delta[i] = step[i]
