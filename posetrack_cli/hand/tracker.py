@@ -40,7 +40,8 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
-_INNER_MEMORY = 0.1  # share of a new frame in the running means of the forearm's girth and the thumb's angles
+_GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
+THUMB_MEMORY = 0.7  # share of a thumb's inner angles that is expected of the next frame
 NEAR_MM = 40.0  # mean distance of the joints, up to which a better fit is of the hand that is tracked
 _BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
 _FACES_ALIKE = np.cos(np.deg2rad(60.0))
@@ -496,16 +497,17 @@ def _doubt_here(fits: LocalFits, monitor: TrackMonitor) -> float:
 
 
 def _expected_after(seen: FrameObservation) -> FloatArray:
-    """Running means (6,) of the inner numbers after a frame, but for the forearm's direction.
+    """The inner numbers (6,) that are expected after a frame, but for the forearm's direction.
 
-    A person's thumb bends in a way of its own, which is about the same from frame to frame.
+    A thumb's are a share of the last: a running mean of what hidden thumbs were taken for wanders off.
     """
     expected = seen.state.expected.copy()
     if seen.fits is None:
         return expected
     found = seen.fits.inner
-    known = slice(LOG_GIRTH, None) if found[:3].any() else THUMB
-    expected[known] += _INNER_MEMORY * (found[known] - expected[known])
+    if found[:3].any():
+        expected[LOG_GIRTH] += _GIRTH_MEMORY * (found[LOG_GIRTH] - expected[LOG_GIRTH])
+    expected[THUMB] = THUMB_MEMORY * found[THUMB]
     return expected
 
 
