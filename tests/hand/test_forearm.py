@@ -26,7 +26,7 @@ from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
 from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.local_fits import without_inner
+from posetrack_cli.hand.local_fits import THUMB_LEFT, without_inner
 from posetrack_cli.hand.model import average_hand, hand_maker
 from posetrack_cli.hand.observation import IGNORED, Observation, window_around
 from posetrack_cli.hand.shape import random_shape
@@ -236,9 +236,9 @@ def test_inner_numbers_are_integrated_out_of_what_a_fit_tells() -> None:
     expected = np.array([0.05, 0.1])
     gradient, information = without_inner(fit, 0.7, empty_equations(), expected)
     H, g = 0.7 * equations.matrix, 0.7 * equations.vector
-    prior = np.array([SWING_SD, SWING_SD, GIRTH_SD, IP_SD, ABDUCTION_SD]) ** -2.0
-    H[range(21, 26), range(21, 26)] += prior
-    g[24:] += 0.7 * prior[3:] * (expected - fit.inner[4:])
+    left = THUMB_LEFT * np.array([IP_SD, ABDUCTION_SD])
+    H[range(21, 26), range(21, 26)] += np.array([SWING_SD, SWING_SD, GIRTH_SD, *left]) ** -2.0
+    g[24:] += 0.7 * np.array([IP_SD, ABDUCTION_SD]) ** -2.0 * (expected - fit.inner[4:])
     joint = H + np.diag([1e-3] * 21 + [0.0] * 5)  # a weak prior of the pose makes it a distribution
     marginal = np.linalg.inv(np.linalg.inv(joint)[:21, :21]) - 1e-3 * np.eye(21)
     np.testing.assert_allclose(information, marginal, rtol=1e-6, atol=1e-6 * np.abs(marginal).max())

@@ -10,7 +10,7 @@ from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.gauss_newton import ABDUCTION_SD, IP_SD
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.local_fits import LocalFits, LocalFitter, motion_precision
+from posetrack_cli.hand.local_fits import THUMB_LEFT, LocalFits, LocalFitter, motion_precision
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.rendering.port import RenderingDevice
@@ -151,7 +151,9 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
         p, a = [*range(21)], [24, 25]
         precision = np.array([IP_SD, ABDUCTION_SD]) ** -2.0
         pull = vector[a] - scale * precision * found.inner[4:]
-        carried = matrix[np.ix_(p, a)] @ np.linalg.inv(matrix[np.ix_(a, a)] + np.diag(precision))
+        carried = matrix[np.ix_(p, a)] @ np.linalg.inv(
+            matrix[np.ix_(a, a)] + np.diag(precision / THUMB_LEFT**2)
+        )
         np.testing.assert_allclose(
             modes.information[k], matrix[np.ix_(p, p)] - carried @ matrix[np.ix_(a, p)], atol=1e-9
         )
