@@ -21,6 +21,7 @@ from posetrack_cli.evaluation.association import Pairs
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.hand.anatomy import JOINT_NAMES, HandAnatomy
+from posetrack_cli.hand.inner import thumbs_of
 from posetrack_cli.hand.kinematics import skinning_transforms
 
 OffsetFrame: TypeAlias = Literal["bone", "palm", "camera"]
@@ -130,10 +131,11 @@ def _turns(track: Track, anatomy: HandAnatomy, frame: OffsetFrame) -> Turns:
     poses = np.hstack([track.position, track.quaternion, track.shape])
     joints = len(track.point_names)
     bones = bone_of_joints(track.point_names)
+    thumbs = thumbs_of(track.numbers, len(poses))
 
     def turns(rows: slice) -> FloatArray:
         if frame == "bone":
-            return skinning_transforms(anatomy, poses[rows])[:, bones, :, :3].astype(np.float64)
+            return skinning_transforms(anatomy, poses[rows], thumbs[rows])[:, bones, :, :3].astype(np.float64)
         count = len(poses[rows])
         palm = matrices_from_quaternions(poses[rows, 3:7]) if frame == "palm" else np.eye(3)[None]
         return np.broadcast_to(palm[:, None], (count, joints, 3, 3))

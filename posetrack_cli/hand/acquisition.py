@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -15,8 +15,9 @@ from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.extended_fingers import poses_of_fingers
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
-from posetrack_cli.hand.fitting.gauss_newton import Fit
+from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, Fit
 from posetrack_cli.hand.fitting.terms import Tile
+from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.local_fits import LocalFitter, fit_terms
 from posetrack_cli.hand.model import HandModel
@@ -152,11 +153,13 @@ class Candidate:
         pose: (22,).
         cost: union cost D of the smooth skin, mm.
         doubt: the cost and what else speaks against a hand at this place, mm.
+        inner: (6,) its inner numbers (``hand.inner``).
     """
 
     pose: FloatArray
     cost: float
     doubt: float = np.inf
+    inner: FloatArray = field(default_factory=NO_INNER.copy)
 
 
 _OF_FINGERS = 2
@@ -174,6 +177,7 @@ class Acquisition:
         config: parameters.
         hand: the model.
         camera: of the depth images.
+        thumb: (2,) precisions of its thumb's inner angles, 1 / rad^2.
 
     Attributes:
         observer: cuts out and segments windows.
@@ -181,16 +185,18 @@ class Acquisition:
         accept_mm: what a hand costs at most.
     """
 
-    def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
+    def __init__(
+        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: FloatArray = FREE_THUMB
+    ) -> None:
         self._config, self._settings = config, config.acquisition
         self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, BodySpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
-        self.local_fitter = LocalFitter(config, hand, camera)
+        self.local_fitter = LocalFitter(config, hand, camera, thumb)
         size = config.observation.tile_px
         self._step = _ROUGH_STEP if size >= _LEAST_TILE_PX else 1
         rough_px, terms = -(-size // self._step), fit_terms(config)
-        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm)
+        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
 
     def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.
@@ -309,7 +315,7 @@ class Acquisition:
         fitter = self.local_fitter.fitter
         fits = self._descended(fitter, fitter.tile(observation), np.array([fit.pose for fit in rough]))
         best = min(fits, key=_cost)
-        return Candidate(best.pose.copy(), _cost(best))
+        return Candidate(best.pose.copy(), _cost(best), inner=best.inner.copy())
 
     def _descended(self, fitter: HandFitter, tile: Tile, starts: FloatArray) -> list[Fit]:
         """Fits from starts (K, 22), and from the best of them with fingers of the others."""

@@ -28,14 +28,17 @@ from posetrack_cli.hand.anatomy import (
     POSE_SIZE,
     HandAnatomy,
 )
+from posetrack_cli.hand.inner import thumbs_of
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.export.fixed_rate import FixedRate, fixed_rate
 from posetrack_cli.results.export.source import ExportSource
+from posetrack_cli.results.fields import NUMBERS
 from posetrack_cli.units import METRES_PER_MM
 
 SUBJECT = "hand"
 FIELDS = ("stamp_ns", "position", "quaternion", "shape", "points")
+"""Those that are needed, with the inner numbers of a result that has them."""
 Y_UP: FloatArray = np.array([1.0, -1.0, -1.0])
 """Half a turn about x, from camera axes to y up, z towards the viewer."""
 SAME_HAND_MM = 0.01
@@ -61,16 +64,19 @@ def bvh_text(source: ExportSource, anatomy: HandAnatomy) -> tuple[FixedRate, Ite
     """
     check_hand(source)
     where = f"{source.result.path}, {source.topic}"
-    columns = source.columns(FIELDS)
+    further = (NUMBERS,) if source.result.subject.number_names else ()
+    columns = source.columns(FIELDS + further)
     rate = fixed_rate(columns["stamp_ns"], where)
     poses = _poses(columns)
-    off = np.abs(joint_positions(anatomy, poses) - columns["points"]).max(initial=0.0)
+    thumbs = thumbs_of(columns.get(NUMBERS), len(poses))
+    off = np.abs(joint_positions(anatomy, poses, thumbs) - columns["points"]).max(initial=0.0)
     if not off <= SAME_HAND_MM:
         expected = "the joints of the hand that the run tracked"
         raise ResultError(
             "is of another hand", where=where, found=f"joints {off:.3g} mm off", expected=expected
         )
-    return rate, _pieces(anatomy, rate, _filled(poses, rate))
+    poses = _filled(poses, rate)
+    return rate, _pieces(anatomy, rate, poses, _interpolated(thumbs, rate))
 
 
 def check_hand(source: ExportSource) -> None:
@@ -95,15 +101,21 @@ def _filled(poses: FloatArray, rate: FixedRate) -> FloatArray:
     stated = poses[rate.rows[known]]
     if len(known) == len(frames):
         return stated
-    out = np.stack([np.interp(frames, known, column) for column in stated.T], axis=1)
+    out = _interpolated(poses, rate)
     out[:, 3:7] = Slerp(known, Rotation.from_quat(stated[:, 3:7]))(frames).as_quat()
     return out
 
 
-def _pieces(anatomy: HandAnatomy, rate: FixedRate, poses: FloatArray) -> Iterator[str]:
+def _interpolated(numbers: FloatArray, rate: FixedRate) -> FloatArray:
+    """Numbers (N, K) of estimates at each frame (F, K); without an estimate between the neighbours'."""
+    known, frames = np.flatnonzero(rate.known), np.arange(len(rate.rows))
+    return np.stack([np.interp(frames, known, column) for column in numbers[rate.rows[known]].T], axis=1)
+
+
+def _pieces(anatomy: HandAnatomy, rate: FixedRate, poses: FloatArray, thumbs: FloatArray) -> Iterator[str]:
     yield "HIERARCHY\n" + "\n".join(_joint(_offsets(anatomy), 0, "")) + "\n"
     yield f"MOTION\nFrames: {len(poses)}\nFrame Time: {1.0 / rate.rate_hz:.9f}\n"
-    channels = _channels(anatomy, poses)
+    channels = _channels(anatomy, poses, thumbs)
     for first in range(0, len(poses), _FRAMES_AT_ONCE):
         yield "".join(f"{_numbers(row)}\n" for row in channels[first : first + _FRAMES_AT_ONCE])
 
@@ -140,9 +152,9 @@ def _joint(offsets: FloatArray, joint: int, indent: str) -> Iterator[str]:
     yield f"{indent}}}"
 
 
-def _channels(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
+def _channels(anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray) -> FloatArray:
     """Numbers (F, 51), as the skeleton lists them: where the wrist is, then every bone's angles, deg."""
-    turns = skinning_transforms(anatomy, poses)[..., :3].astype(np.float64)
+    turns = skinning_transforms(anatomy, poses, thumbs)[..., :3].astype(np.float64)
     turns *= Y_UP[:, None] * Y_UP  # the same rotation in the other axes
     local = turns.copy()
     for bone in range(1, BONE_COUNT):

@@ -112,7 +112,7 @@ def extended_fingers(observation: Observation, scale: float, camera: Camera) -> 
         scale: of the hand.
         camera: of the depth image.
     """
-    image, window, arm = observation.image, observation.window, observation.arm[:3]
+    image, window, arm = observation.image, observation.window, observation.inner[:3]
     target = image > 0
     apart = float(pixel_mm(float(np.median(image[target])), window, camera))
     points = points_of(image, window, camera).astype(np.float64)
@@ -208,7 +208,7 @@ def _places(
         rows = slice(1 + 4 * f, 5 + 4 * f)
         places[rows] = _behind(skin, depths)
         precision[rows] = 1.0 / np.square(np.where(seen, _SEEN_SD_MM, _UNSEEN_SD_MM) * anatomy.scale)[:, None]
-    if observation.arm[:3].any():
+    if observation.inner[:3].any():
         places[:1] = _behind(observation.wrist[None], np.array([_WRIST_DEEP_MM * anatomy.scale]))
         precision[0] = 1.0 / (_WRIST_SD_MM * anatomy.scale) ** 2
     return PlacesToFit(places, np.tile(np.eye(3), (21, 1, 1)), precision, np.ones(21))

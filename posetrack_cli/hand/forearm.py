@@ -14,12 +14,10 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import HandAnatomy
+from posetrack_cli.hand.inner import FOREARM, THUMB
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
 
-FOREARM_NUMBERS = ("forearm_x", "forearm_y", "forearm_z", "forearm_girth")
-"""What estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a
-factor on that which the hand's wrist lets expect; not known where none is explained."""
 SEEN_MM = 80.0
 """How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
 _LENGTH_MM = 160.0
@@ -80,20 +78,16 @@ def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:
     return ends.min(axis=0), ends.max(axis=0)
 
 
-def forearm_numbers(arm: FloatArray) -> FloatArray:
-    """What ``FOREARM_NUMBERS`` name (4,) of a forearm (4,) of ``Observation``; NaN where there is none."""
-    return np.append(arm[:3], np.exp(arm[3])) if arm[:3].any() else np.full(4, np.nan)
+def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, inner: FloatArray) -> Float32Array:
+    """camera_T_rest (N, 17, 3, 4) of hands in poses (N, 22), and of a forearm behind them.
 
-
-def forearm_of(numbers: FloatArray) -> FloatArray:
-    """The forearm (4,) as in ``Observation`` that numbers (4,) of ``forearm_numbers`` tell."""
-    known = bool(np.isfinite(numbers).all()) and numbers[3] > 0.0
-    return np.append(numbers[:3], np.log(numbers[3])) if known else np.zeros(4)
-
-
-def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, arm: FloatArray) -> Float32Array:
-    """camera_T_rest (N, 17, 3, 4) of hands in poses (N, 22), and of a forearm (4,) behind them."""
-    return np.concatenate([skinning_transforms(anatomy, poses), forearm_transforms(poses, arm)], axis=1)
+    Args:
+        anatomy: the hand.
+        poses: (N, 22).
+        inner: (6,) the same for all (``hand.inner``).
+    """
+    hands = skinning_transforms(anatomy, poses, inner[THUMB])
+    return np.concatenate([hands, forearm_transforms(poses, inner[FOREARM])], axis=1)
 
 
 def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:
@@ -101,7 +95,7 @@ def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:
 
     Args:
         poses: (N, 22).
-        arm: (4,) of ``Observation``.
+        arm: (4,) of the inner numbers.
     """
     out = np.zeros((len(poses), 1, 3, 4), dtype=np.float32)
     out[:, 0, :, 3] = poses[:, :3]

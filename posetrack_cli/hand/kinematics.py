@@ -11,21 +11,24 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.inner import NO_THUMB
 
 HALF_RULE = 0.5  # joint 1 bends half as far as joint 2 (paper, appendix A.1)
 
 
-def _chain_turns(angles: FloatArray, sign: float) -> FloatArray:
+def _chain_turns(angles: FloatArray, inner: FloatArray, sign: float) -> FloatArray:
     """Turns of all finger bones from rest in their finger's frame, (N, 15) -> (5, 3, N, 9).
 
     A finger bends about one axis behind its abduction: Rz(abduction) Rx(sum of flexions). The thumb
-    bends at the CMC first: Rx(CMC) Rz(abduction), then Rx(flexion) from the MCP on.
+    bends at the CMC first: Rx(CMC) Rz(abduction), then Rz(its MCP's abduction) Rx(flexion) from the MCP on.
+    The thumb's inner angles (``hand.inner``) are (2,) or (N, 2).
     """
     by_angle = angles.T.reshape(5, 3, -1)
     thumb, fingers = by_angle[0], by_angle[1:]
     a, t = np.zeros_like(by_angle), np.zeros_like(by_angle)
     a[0] = sign * thumb[2]
-    t[0, 1], t[0, 2] = thumb[1], (1.0 + HALF_RULE) * thumb[1]
+    a[0, 1:] += sign * inner[..., 1]
+    t[0, 1], t[0, 2] = thumb[1], (1.0 + HALF_RULE) * thumb[1] + inner[..., 0]
     a[1:] = sign * fingers[:, 1:2]
     t[1:, 0] = fingers[:, 0]
     t[1:, 1] = fingers[:, 0] + fingers[:, 2]
@@ -53,25 +56,30 @@ def _bend_base(turns: FloatArray, s: FloatArray) -> None:
     turns[..., 6:9] = ss * middle + cs * last
 
 
-def _finger_chain(anatomy: HandAnatomy, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _finger_chain(
+    anatomy: HandAnatomy, angles: FloatArray, thumb: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """In hand coordinates: chain values (5, 3, N, 15), see chain_matrix, and bone ends (5, 3, N, 3)."""
     sign = -1.0 if anatomy.is_left else 1.0
-    values = _chain_turns(angles, sign) @ anatomy.chain_matrix
+    values = _chain_turns(angles, thumb, sign) @ anatomy.chain_matrix
     ends = anatomy.base_positions[:, None, None] - np.cumsum(values[..., 9:12], axis=1)
     return values, ends
 
 
-def skinning_transforms(anatomy: HandAnatomy, poses: FloatArray) -> Float32Array:
+def skinning_transforms(
+    anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB
+) -> Float32Array:
     """camera_T_rest of every bone: takes a vertex of the rest mesh to camera coordinates.
 
     Args:
         anatomy: the hand.
         poses: (N, 22).
+        thumb: (2,) or (N, 2) its inner angles (``hand.inner``), rad.
 
     Returns:
         (N, 16, 3, 4), translations in mm: the palm, then three bones a finger, thumb first.
     """
-    values, ends = _finger_chain(anatomy, poses[:, 7:])
+    values, ends = _finger_chain(anatomy, poses[:, 7:], thumb)
     n = poses.shape[0]
     bones = np.empty((n, 3, 5, 3, 4))
     bones[..., :3] = values[..., :9].reshape(5, 3, n, 3, 3).transpose(2, 3, 0, 1, 4)
@@ -88,9 +96,12 @@ def skinning_transforms(anatomy: HandAnatomy, poses: FloatArray) -> Float32Array
     return out
 
 
-def joint_positions(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
-    """The 21 joints in camera coordinates, mm: (N, 22) -> (N, 21, 3), in the order of JOINT_NAMES."""
-    _, ends = _finger_chain(anatomy, poses[:, 7:])
+def joint_positions(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
+    """The 21 joints in camera coordinates, mm: (N, 22) -> (N, 21, 3), in the order of JOINT_NAMES.
+
+    The thumb's inner angles (``hand.inner``) are (2,) or (N, 2), rad.
+    """
+    _, ends = _finger_chain(anatomy, poses[:, 7:], thumb)
     n = poses.shape[0]
     local = np.empty((n, 5, 4, 3))
     local[:, :, 0] = anatomy.base_positions
@@ -121,21 +132,22 @@ def joint_set_distance(anatomy: HandAnatomy, pose: FloatArray, other: FloatArray
     return float(max(apart.min(axis=0).mean(), apart.min(axis=1).mean()))
 
 
-def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
+def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
     """Derivative of the joints by the tangent vector, (N, 22) -> (N, 21, 3, 21).
 
     Translation moves every joint alike; a body rotation w moves R p by R (w x p); an angle about the
-    camera-frame axis u through the joint at c moves a point p beyond it by u x (p - c).
+    camera-frame axis u through the joint at c moves a point p beyond it by u x (p - c). The thumb's inner
+    angles are (2,) or (N, 2), rad.
     """
     n = poses.shape[0]
     palm = rotations.matrices_from_quaternions(poses[:, 3:7])
-    joints = joint_positions(anatomy, poses)
+    joints = joint_positions(anatomy, poses, thumb)
     jacobian = np.zeros((n, 21, 3, 21))
     jacobian[..., 0:3] = np.eye(3)
     lever = joints - poses[:, None, :3]
     for k in range(3):
         jacobian[..., 3 + k] = np.cross(palm[:, None, :, k], lever)
-    for column, axis, finger, joint, rate in _hinges(anatomy, poses[:, 7:]):
+    for column, axis, finger, joint, rate in _hinges(anatomy, poses[:, 7:], thumb):
         first = 1 + 4 * finger + joint
         beyond = slice(first + 1, 5 + 4 * finger)
         turned = np.einsum("nij,nj->ni", palm, axis)
@@ -144,7 +156,9 @@ def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
     return jacobian
 
 
-def _hinges(anatomy: HandAnatomy, angles: FloatArray) -> list[tuple[int, FloatArray, int, int, float]]:
+def _hinges(
+    anatomy: HandAnatomy, angles: FloatArray, thumb: FloatArray
+) -> list[tuple[int, FloatArray, int, int, float]]:
     """All hinges: (angle index, axis in hand coordinates (N, 3), finger, joint 0..2, rate)."""
     sign = -1.0 if anatomy.is_left else 1.0
     base = anatomy.base_rotations
@@ -153,7 +167,8 @@ def _hinges(anatomy: HandAnatomy, angles: FloatArray) -> list[tuple[int, FloatAr
     for f in range(5):
         k = 3 * f
         cmc, abduction = (angles[:, 0], angles[:, 2]) if f == 0 else (zero, angles[:, k + 1])
-        turn = _spread_and_bend(np.stack([sign * abduction, zero]), np.zeros((2, len(zero))))
+        spread_here = abduction + thumb[..., 1] if f == 0 else abduction  # where it flexes: at the MCP
+        turn = _spread_and_bend(np.stack([sign * spread_here, zero]), np.zeros((2, len(zero))))
         _bend_base(turn, cmc)
         flexion = turn[0, :, 0::3] @ base[f].T  # the x axis after the abduction
         spread = sign * (turn[1, :, 2::3] @ base[f].T)  # the z axis before it

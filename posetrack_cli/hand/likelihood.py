@@ -189,7 +189,7 @@ class RenderedCosts:
 
     def _sums(self, poses: FloatArray, observation: Observation) -> TileSums:
         renderer = self._one if len(poses) == 1 else self._many
-        transforms = transforms_with_forearm(self._anatomy, poses, observation.arm)
+        transforms = transforms_with_forearm(self._anatomy, poses, observation.inner)
         clamp = self._settings.clamp_mm
         return renderer.sums(
             transforms, self._camera, observation.window, Comparison(observation.image, clamp, self._model)

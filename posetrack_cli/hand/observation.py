@@ -11,6 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings
+from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.rendering.window import Window
 
 _LEAST_SHARE = 0.8
@@ -21,7 +22,6 @@ _MARGIN_MM = 12.0
 
 IGNORED = -1.0
 """What an image holds where nothing counts: a reading so near that it hides whatever may be there."""
-NO_ARM: FloatArray = np.zeros(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class Observation:
         image: (tile, tile) float32: depth of target pixels, mm: the hand's, and its forearm's where one is
             explained; negative: reading of something else, ``IGNORED`` where nothing counts; 0: no reading.
         target_pixels: how many there are.
-        arm: (4,) the forearm as it is expected to go on behind the wrist: unit direction towards the elbow,
-            camera axes, and the logarithm of its girth's factor; direction 0 where none is explained.
+        inner: (6,) as expected of the frame, or as fits found them (``hand.inner``); the direction of a
+            forearm is 0 where none is explained.
         wrist: (3,) where hand and forearm are expected to meet, mm.
         reversed: whether the limb goes on where fingers are expected, and ends where the forearm is.
     """
@@ -42,8 +42,8 @@ class Observation:
     window: Window
     image: Float32Array
     target_pixels: int
-    arm: FloatArray = field(default_factory=NO_ARM.copy)
-    wrist: FloatArray = field(default_factory=NO_ARM[:3].copy)
+    inner: FloatArray = field(default_factory=NO_INNER.copy)
+    wrist: FloatArray = field(default_factory=NO_INNER[:3].copy)
     reversed: bool = False
 
     def every(self, step: int) -> Observation:

@@ -16,6 +16,7 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig, ObservationSettings
+from posetrack_cli.hand.inner import NO_INNER, NO_THUMB, THUMB
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
 from posetrack_cli.hand.segmentation import Detection, Label, Segmentation
 from posetrack_cli.hand.segmentation import segment as segment_hand
@@ -146,15 +147,17 @@ class Observer:
         self._segment, self._with_arm, self._follows = segment, with_arm, follows
         self.sampler = PixelSampler(camera)
 
-    def observe(self, depth: ImageArray, predicted: FloatArray, log_girth: float = 0.0) -> Observation:
+    def observe(
+        self, depth: ImageArray, predicted: FloatArray, expected: FloatArray = NO_INNER
+    ) -> Observation:
         """Cut the window around a predicted pose (22,) and find the target pixels in it.
 
         Args:
             depth: (height, width) the frame, mm.
             predicted: (22,).
-            log_girth: of the forearm, as far as it is known.
+            expected: (6,) inner numbers, as far as they are known; the forearm's direction is not asked for.
         """
-        hand = PredictedHand.of(self.anatomy, predicted)
+        hand = PredictedHand.of(self.anatomy, predicted, expected[THUMB])
         window = window_around(hand.joints, self._camera, self._config.observation)
         if not self._segment:
             return everything(self.sampler.sample(depth, window), window)
@@ -162,10 +165,10 @@ class Observer:
         found = segment_hand(
             depth, self.sampler, window, self._camera, hand, settings, is_followed=self._follows
         )
-        return self._observation(found, log_girth)
+        return self._observation(found, expected)
 
-    def _observation(self, found: Segmentation, log_girth: float) -> Observation:
-        return found.observation_with_arm(log_girth) if self._with_arm else found.observation
+    def _observation(self, found: Segmentation, expected: FloatArray) -> Observation:
+        return found.observation_with_inner(expected) if self._with_arm else found.observation
 
     def fingers_mm2(self, observation: Observation) -> float:
         """How much of the hand before its forearm is as thin as fingers, mm^2 (``Detection.fingers_mm2``)."""
@@ -175,13 +178,19 @@ class Observer:
         depth = float(np.median(observation.image[target]))
         thin = thin_mask(target, float(pixel_mm(depth, observation.window, self._camera)))
         offset = points_of(observation.image, observation.window, self._camera) - observation.wrist
-        before = thin & (offset @ observation.arm[:3] <= 0.0)  # all of it where no forearm is seen
+        before = thin & (offset @ observation.inner[:3] <= 0.0)  # all of it where no forearm is seen
         apart = pixel_mm(observation.image[before], observation.window, self._camera)
         return float(np.square(apart).sum())
 
-    def outline(self, depth: ImageArray, pose: FloatArray) -> Outline:
-        """Look at the outline of a hand in a pose (22,) in a frame (height, width), mm."""
-        return outline_of(depth, self.sampler, self._camera, PredictedHand.of(self.anatomy, pose))
+    def outline(self, depth: ImageArray, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> Outline:
+        """Look at the outline of a hand in a pose (22,) in a frame (height, width), mm.
+
+        Args:
+            depth: the frame.
+            pose: of the hand.
+            thumb: (2,) its inner angles.
+        """
+        return outline_of(depth, self.sampler, self._camera, PredictedHand.of(self.anatomy, pose, thumb))
 
     def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
         """Cut the window around a detected hand; what lies beyond its wrist is forearm."""
@@ -199,7 +208,7 @@ class Observer:
             near = is_forearm(offset[beyond], -detection.arm, self.anatomy.scale)
             labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
         wrist = detection.palm if detection.wrist is None else detection.wrist
-        return self._observation(Segmentation(window, tile, labels, wrist, detection.arm), 0.0)
+        return self._observation(Segmentation(window, tile, labels, wrist, detection.arm), NO_INNER)
 
 
 def _corners_of(detection: Detection, camera: Camera) -> FloatArray:

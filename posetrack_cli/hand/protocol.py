@@ -9,6 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
+from posetrack_cli.hand.inner import NO_THUMB, THUMB, inner_numbers
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
@@ -35,7 +36,11 @@ def found_pose(finder: Acquisition | None, frame: Frame, otherwise: FloatArray) 
 
 
 def hand_estimate(
-    anatomy: HandAnatomy, pose: FloatArray, velocity: FloatArray | None, **others: Any
+    anatomy: HandAnatomy,
+    pose: FloatArray,
+    velocity: FloatArray | None,
+    inner: FloatArray | None = None,
+    **others: Any,
 ) -> Estimate:
     """Return the estimate of a hand at a pose.
 
@@ -43,14 +48,17 @@ def hand_estimate(
         anatomy: the hand.
         pose: (22,).
         velocity: (21,) in the tangent space; None where it is not known.
+        inner: (6,) inner numbers; None of a tracker that has none.
         others: the estimate's further fields.
     """
+    thumb = NO_THUMB if inner is None else inner[THUMB]
     return Estimate(
         position=pose[:3],
         quaternion=pose[3:7],
         shape=pose[ANGLES],
         pose_rate=None if velocity is None else pose_rates(pose, velocity),
         twist=velocity,
-        points=joint_positions(anatomy, pose[None])[0],
+        points=joint_positions(anatomy, pose[None], thumb)[0],
+        numbers=None if inner is None else inner_numbers(inner),
         **others,
     )

@@ -13,14 +13,14 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.filtering.smoothing import NOTHING
+from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import FOREARM_NUMBERS
+from posetrack_cli.hand.inner import INNER_NUMBERS, NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.local_fits import HandFits
+from posetrack_cli.hand.local_fits import INNER, HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import HandTrackerProtocol
@@ -100,7 +100,7 @@ class HandRun(Run):
             JOINT_NAMES,
             JOINT_PARENTS,
             triangles,
-            number_names=FOREARM_NUMBERS,
+            number_names=INNER_NUMBERS,
         )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
@@ -123,8 +123,9 @@ class HandRun(Run):
         if self._mesh is None:
             return None
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
-        transforms = skinning_transforms(self._anatomy, pose[None]).astype(np.float64)
-        vertices: FloatArray = self._mesh.posed(transforms)[0]
+        thumb = inner_of(estimate.numbers)[THUMB]
+        transforms = skinning_transforms(self._anatomy, pose[None], thumb)
+        vertices: FloatArray = self._mesh.posed(transforms.astype(np.float64))[0]
         return vertices
 
     @contextmanager
@@ -139,9 +140,8 @@ class HandRun(Run):
         kept = None
         if writer.frames_written:
             like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
-            kept = Kept(
-                writer.frames_written, like, NOTHING if fits is None else fits.keep(None, None, _REST, 0.0)
-            )
+            frame = {INNER: NO_INNER} if fits is None else fits.keep(None, None, _REST, 0.0)
+            kept = Kept(writer.frames_written, like, frame)
         path = smoothing_path(self._options.output)
         with SmoothedTrack(path, smoother, smoothed_hand(self._anatomy), kept) as track:
             yield _Smoothing(self, track, fits)
@@ -181,7 +181,7 @@ class _Smoothing:
         self._run, self._track, self._fits = run, track, fits
 
     def remember(self, state: Any, estimate: Estimate) -> None:
-        frame = NOTHING
+        frame: Memory = {INNER: inner_of(estimate.numbers)}
         if self._fits is not None:
             frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
         self._track.remember(state.particles, FrameFacts.of(estimate), state.dt, state.cut, frame)

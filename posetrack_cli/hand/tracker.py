@@ -20,13 +20,13 @@ from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, de
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGNS, probability, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import forearm_numbers
+from posetrack_cli.hand.inner import INNER_SIZE, LOG_GIRTH, NO_INNER, THUMB
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
 from posetrack_cli.hand.kinematics import joint_set_distance, mean_joint_distances
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
 from posetrack_cli.hand.monitor import TrackMonitor
-from posetrack_cli.hand.observation import NO_ARM, Observation
+from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
@@ -41,6 +41,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
+THUMB_MEMORY = 0.4  # share of a thumb's inner angles that is expected of the next frame
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
 _BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
 _FACES_ALIKE = np.cos(np.deg2rad(60.0))
@@ -56,7 +57,8 @@ class HandState:
         pose: (22,) last estimate.
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         monitor: how well frames were fitted.
-        log_girth: of the forearm, as in ``Observation``: a running mean.
+        expected: (6,) inner numbers (``hand.inner``) that the next frame is expected to have, but for the
+            forearm's direction, which its image tells.
         frames, doubtful: how many showed anything to compare with, and how many of them are more probably
             wrong than right.
         unseen_ns: time since the last frame in which there was something to compare with.
@@ -72,7 +74,7 @@ class HandState:
     pose: FloatArray
     velocity: FloatArray
     monitor: TrackMonitor = field(default_factory=TrackMonitor)
-    log_girth: float = 0.0
+    expected: FloatArray = field(default_factory=NO_INNER.copy)
     frames: int = 0
     doubtful: int = 0
     unseen_ns: int = 0
@@ -174,7 +176,8 @@ class HandTracker:
             None if seen.observation is None else self.scorer.costs(posterior.pose[None], seen.observation)
         )
         cost = None if scores is None else float(scores[0])
-        outline = None if cost is None else self._observer.outline(frame.depth, posterior.pose)
+        inner = _inner_of(seen)
+        outline = None if cost is None else self._observer.outline(frame.depth, posterior.pose, inner[THUMB])
         shown = (
             outline is not None
             and not (seen.observation is not None and seen.observation.reversed)
@@ -192,7 +195,7 @@ class HandTracker:
             pose,
             velocity,
             monitor,
-            _girth_after(seen),
+            _expected_after(seen),
             state.frames + int(seen.observation is not None),
             state.doubtful + int(seen.observation is not None and confidence < PROBABLY),
             unseen_ns,
@@ -209,10 +212,8 @@ class HandTracker:
         variance = posterior.pose_variance
         if self._is_calibrated:
             variance = with_model_error(variance, monitor.usual_mm)
-        estimate = self._estimate(frame, posterior, variance, cost, confidence, status)
-        arm = NO_ARM if seen.observation is None else seen.observation.arm
-        evaluations = _evaluations(seen, drawn)
-        return new_state, replace(estimate, evaluations=evaluations, numbers=forearm_numbers(arm))
+        estimate = self._estimate(frame, posterior, inner, variance, cost, confidence, status)
+        return new_state, replace(estimate, evaluations=_evaluations(seen, drawn))
 
     def _observe(
         self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator
@@ -222,7 +223,7 @@ class HandTracker:
         if self._finder is not None and state.monitor.lost:
             return self._search(self._finder, state, frame, rng, told)
         predicted = self.predict(state, dt)
-        observation = self._observer.observe(frame.depth, predicted, state.log_girth)
+        observation = self._observer.observe(frame.depth, predicted, state.expected)
         if observation.target_pixels == 0:
             return FrameObservation(
                 state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None
@@ -236,7 +237,7 @@ class HandTracker:
         if state.monitor.usual_mm > self.config.status.well_mm:  # a hand that fits well needs no more starts
             near = np.concatenate([near, self._finder.starts_of_fingers(observation)])
         fits = self._finder.local_fitter.fit(observation, predicted, state.pose[None], dt, rng, enough, near)
-        seen = FrameObservation(state, dt, replace(observation, arm=fits.arm), fits)
+        seen = FrameObservation(state, dt, replace(observation, inner=fits.inner), fits)
         there = self._told_elsewhere(self._finder, seen, elsewhere, frame, rng)
         return there or self._reconsidered(self._finder, seen, frame, rng)
 
@@ -340,7 +341,7 @@ class HandTracker:
         if state.monitor.postpones_look(fits.cost):
             return seen._replace(state=replace(state, monitor=state.monitor.after_look_wait()))
         here = fits.modes.poses[0]
-        found = finder.reconsider(self._observer.observe(frame.depth, here), here)
+        found = finder.reconsider(self._observer.observe(frame.depth, here, state.expected), here)
         if state.monitor.is_far_raised(fits.cost, self.config.status):
             there = finder.search(frame.depth)
             if there is not None and self._is_alike(there.pose, here):
@@ -375,7 +376,7 @@ class HandTracker:
         if observation.target_pixels == 0:
             return seen
         fits = finder.local_fitter.fit(observation, found.pose, seen.state.pose[None], seen.dt, rng)
-        return seen._replace(observation=replace(observation, arm=fits.arm), fits=fits)
+        return seen._replace(observation=replace(observation, inner=fits.inner), fits=fits)
 
     def _restarted(
         self,
@@ -393,7 +394,7 @@ class HandTracker:
         if observation.target_pixels == 0:
             return FrameObservation(state, dt, None, restarted=True)
         fits = finder.local_fitter.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
-        return FrameObservation(state, dt, replace(observation, arm=fits.arm), fits, restarted=True)
+        return FrameObservation(state, dt, replace(observation, inner=fits.inner), fits, restarted=True)
 
     def _quality(self, cost: float | None) -> float:
         """The share of the most that a pose can cost, c_max, that an estimate does not."""
@@ -432,7 +433,9 @@ class HandTracker:
         if fitter is None:
             return _Counted(lambda poses: self.scorer.log_likelihood(poses, observation))
         return _Counted(
-            lambda poses: self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses)
+            lambda poses: (
+                self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses, observation.inner)
+            )
         )
 
     def _filter(self, seen: FrameObservation, rng: np.random.Generator) -> tuple[FilterState, Posterior, int]:
@@ -449,6 +452,7 @@ class HandTracker:
         self,
         frame: Frame,
         posterior: Posterior,
+        inner: FloatArray,
         pose_variance: FloatArray,
         cost: float | None,
         confidence: float,
@@ -458,6 +462,7 @@ class HandTracker:
             self.anatomy,
             posterior.pose,
             posterior.velocity,
+            inner,
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=status,
@@ -493,12 +498,24 @@ def _doubt_here(fits: LocalFits, monitor: TrackMonitor) -> float:
     return fits.cost - monitor.fingers_mm + depth_doubt(float(fits.modes.poses[0, 2]))
 
 
-def _girth_after(seen: FrameObservation) -> float:
-    """The forearm's girth after a frame, the logarithm of its factor."""
-    before = seen.state.log_girth
-    if seen.fits is None or not seen.fits.arm[:3].any():
-        return before
-    return before + _GIRTH_MEMORY * (float(seen.fits.arm[3]) - before)
+def _expected_after(seen: FrameObservation) -> FloatArray:
+    """The inner numbers (6,) that are expected after a frame, but for the forearm's direction.
+
+    A thumb's are a share of the last: a running mean of what hidden thumbs were taken for wanders off.
+    """
+    expected = seen.state.expected.copy()
+    if seen.fits is None:
+        return expected
+    found = seen.fits.inner
+    if found[:3].any():
+        expected[LOG_GIRTH] += _GIRTH_MEMORY * (found[LOG_GIRTH] - expected[LOG_GIRTH])
+    expected[THUMB] = THUMB_MEMORY * found[THUMB]
+    return expected
+
+
+def _inner_of(seen: FrameObservation) -> FloatArray:
+    """The inner numbers (6,) of a frame's estimate."""
+    return seen.state.expected if seen.observation is None else seen.observation.inner
 
 
 def dynamics(config: HandConfig) -> Dynamics:
@@ -540,7 +557,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         pose=Value(pose_layout()),
         velocity=Value(floats(TANGENT_SIZE)),
         monitor=monitor,
-        log_girth=real(floats()),
+        expected=Value(floats(INNER_SIZE)),
         frames=whole(),
         doubtful=whole(),
         unseen_ns=whole((0, STAMPS_NS[1])),

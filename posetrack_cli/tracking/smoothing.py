@@ -17,8 +17,8 @@ from posetrack_cli.results.spool import Array, RecordSpool
 
 Described = TypeVar("Described")
 STATUSES = tuple(Status)
-KEPT = "filter."
-"""What names of a record begin with that are the smoother's."""
+KEPT, BESIDES = "filter.", "frame."
+"""What names of a record begin with that are the smoother's, and that are kept for ``describe`` besides."""
 _NO_FRAME = {"frame_index": 0, "stamp_ns": 0, "status": 0, "cut": 0, "dt": 0.0, "confidence": 0.0}
 
 
@@ -37,7 +37,7 @@ class FrameFacts(NamedTuple):
 
 
 Describe: TypeAlias = Callable[[Smoothed, FrameFacts, Memory], Described]
-"""Makes of a smoothed state, its frame, and what the smoother kept of it what is written."""
+"""Makes what is written of a smoothed state, of its frame, and of what was kept of it."""
 
 
 class Kept(NamedTuple):
@@ -84,7 +84,7 @@ class SmoothedTrack(Generic[Described]):
         if kept is None:
             self._spool = RecordSpool(path)
             return
-        like = _record(_NO_FRAME, smoother.remember(kept.state, Step(0.0, True, kept.frame)))
+        like = _record(_NO_FRAME, smoother.remember(kept.state, Step(0.0, True, kept.frame)), kept.frame)
         self._spool = RecordSpool(path, kept.frames, like)
         try:
             smoother.resume(self._memory_of(next(reversed(self._spool))))
@@ -108,7 +108,7 @@ class SmoothedTrack(Generic[Described]):
         numbers = facts._asdict() | {"status": STATUSES.index(facts.status), "cut": int(cut), "dt": dt}
         numbers["confidence"] = float(facts.confidence)
         about = {name: numbers[name] for name in _NO_FRAME}
-        self._spool.append(_record(about, self._smoother.remember(state, Step(dt, cut, frame))))
+        self._spool.append(_record(about, self._smoother.remember(state, Step(dt, cut, frame)), frame))
 
     def flush(self) -> None:
         """Wait until everything is on the disk."""
@@ -127,7 +127,7 @@ class SmoothedTrack(Generic[Described]):
             else:
                 later = self._smoother.back(memory, dt) if dt > 0.0 else self._smoother.stay(memory, later)
             ends, dt = bool(record["cut"]), float(record["dt"])
-            yield self._describe(later, _facts(record), memory)
+            yield self._describe(later, _facts(record), memory | _named(record, BESIDES))
 
     def delete(self) -> None:
         """Remove the file."""
@@ -147,8 +147,7 @@ class SmoothedTrack(Generic[Described]):
         except LayoutError as error:
             what = "spool cannot be used"
             raise ResultError(what, where=self._path, found=error, hint=RESTART_HINT) from error
-        kept = ((name, values) for name, values in record.items() if name.startswith(KEPT))
-        return {name.removeprefix(KEPT): values for name, values in kept}
+        return _named(record, KEPT)
 
 
 def smoothing_path(output: Path) -> Path:
@@ -165,10 +164,17 @@ def _facts(record: Mapping[str, Array]) -> FrameFacts:
     )
 
 
-def _record(about: Mapping[str, float], memory: Memory) -> dict[str, Array]:
-    """The record of a frame."""
+def _record(about: Mapping[str, float], memory: Memory, frame: Memory) -> dict[str, Array]:
+    """The record of a frame; what a smoother has kept of it itself is not kept twice."""
     kept = {f"{KEPT}{name}": values for name, values in memory.items()}
-    return {name: np.asarray(value) for name, value in (dict(about) | kept).items()}
+    besides = {f"{BESIDES}{name}": values for name, values in frame.items() if name not in memory}
+    return {name: np.asarray(value) for name, value in (dict(about) | kept | besides).items()}
+
+
+def _named(record: Mapping[str, Array], prefix: str) -> dict[str, Array]:
+    """What of a record has names that begin with this, which is taken off."""
+    named = ((name, values) for name, values in record.items() if name.startswith(prefix))
+    return {name.removeprefix(prefix): values for name, values in named}
 
 
 def _layouts(record: Mapping[str, Array]) -> dict[str, Layout]:

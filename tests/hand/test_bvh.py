@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from posetrack_cli.hand.anatomy import (
 )
 from posetrack_cli.hand.bvh import bvh_text
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.inner import FOREARM, INNER_NUMBERS, NO_INNER, NO_THUMB, inner_numbers
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.shape import HandShape, reshaped_anatomy
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject, load_arrays, read_result
@@ -48,21 +50,32 @@ def poses(anatomy: HandAnatomy) -> np.ndarray:
     return np.hstack([places, turning, low + (high - low) * along])
 
 
-def estimate(anatomy: HandAnatomy, pose: np.ndarray, index: int, **fields: object) -> Estimate:
+def thumbs() -> np.ndarray:
+    """Inner angles (F, 2) that come and go."""
+    return 0.4 * np.sin(np.linspace(0.0, 7.0, FRAMES)[:, None] + [0.0, 1.0])
+
+
+def estimate(
+    anatomy: HandAnatomy, pose: np.ndarray, index: int, thumb: np.ndarray | None = None, **fields: object
+) -> Estimate:
     made = make_estimate(index, k=15, p=21)
     stated = {"position": pose[:3], "quaternion": pose[3:7], "shape": pose[7:], "status": Status.TRACKING}
-    points = joint_positions(anatomy, pose[None])[0]
+    points = joint_positions(anatomy, pose[None], NO_THUMB if thumb is None else thumb)[0]
+    if thumb is not None:
+        fields["numbers"] = inner_numbers(np.concatenate([NO_INNER[FOREARM], thumb]))
     return with_fields(made, **stated, points=points, stamp_ns=index * STEP_NS, **fields)
 
 
-def write(path: Path, anatomy: HandAnatomy, left_out: range = range(0)) -> Path:
+def write(path: Path, anatomy: HandAnatomy, left_out: range = range(0), *, inner: bool = False) -> Path:
+    """A result, with a thumb's inner angles or as older versions wrote it."""
+    subject = replace(SUBJECT, number_names=INNER_NUMBERS) if inner else SUBJECT
     settings = {"side": anatomy.side, **{name: getattr(SHAPE, name) for name in ("scale", "finger_lengths")}}
     settings |= {name: getattr(SHAPE, name) for name in ("palm_width", "thumb_place", "coefficients")}
     configuration = HandConfig.model_validate({"hand": settings}).model_dump(mode="json")
-    with ResultWriter(path, SUBJECT, CAMERA, {"configuration": json.dumps(configuration)}) as writer:
+    with ResultWriter(path, subject, CAMERA, {"configuration": json.dumps(configuration)}) as writer:
         for index, pose in enumerate(poses(anatomy)):
             if index not in left_out:
-                writer.write(estimate(anatomy, pose, index))
+                writer.write(estimate(anatomy, pose, index, thumbs()[index] if inner else None))
         writer.finish({})
     return path
 
@@ -116,9 +129,10 @@ def in_camera_mm(found: dict[str, np.ndarray]) -> np.ndarray:
     return np.stack([found[ends.get(name, name)] for name in JOINT_NAMES], axis=1) * [1e3, -1e3, -1e3]
 
 
+@pytest.mark.parametrize("inner", [False, True])
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_every_joint_is_where_the_result_says(tmp_path: Path, side: str) -> None:
-    path, out = write(tmp_path / "r.mcap", hand(side)), tmp_path / "r.bvh"
+def test_every_joint_is_where_the_result_says(tmp_path: Path, side: str, inner: bool) -> None:
+    path, out = write(tmp_path / "r.mcap", hand(side), inner=inner), tmp_path / "r.bvh"
     assert run(["export", str(path), "-o", str(out)]) == EXIT_DONE
     step, found = read_bvh(out.read_text())
     assert step == pytest.approx(STEP_NS * 1e-9, abs=1e-9)
@@ -149,7 +163,7 @@ def test_dropped_frames_lie_between_their_neighbours(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     anatomy, gap = hand("right"), range(10, 14)
-    path, out = write(tmp_path / "r.mcap", anatomy, gap), tmp_path / "r.bvh"
+    path, out = write(tmp_path / "r.mcap", anatomy, gap, inner=True), tmp_path / "r.bvh"
     assert run(["export", str(path), "-o", str(out)]) == EXIT_DONE
     assert "4 of 40 frames at 30 Hz have no estimate: they lie between" in capfd.readouterr().err
     found, before, after = in_camera_mm(read_bvh(out.read_text())[1]), gap.start - 1, gap.stop
@@ -158,7 +172,9 @@ def test_dropped_frames_lie_between_their_neighbours(
     share = (np.array(gap) - before)[:, None] / (after - before)
     between = ends[0] + share * (ends[1] - ends[0])
     between[:, 3:7] = turns
-    np.testing.assert_allclose(found[gap], joint_positions(anatomy, between), atol=ROUNDING_MM)
+    of_ends = thumbs()[[before, after]]
+    thumb = of_ends[0] + share * (of_ends[1] - of_ends[0])
+    np.testing.assert_allclose(found[gap], joint_positions(anatomy, between, thumb), atol=ROUNDING_MM)
     kept = [index for index in range(FRAMES) if index not in gap]
     np.testing.assert_allclose(found[kept], load_arrays(path)["points"], atol=ROUNDING_MM)
 

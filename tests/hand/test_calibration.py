@@ -29,8 +29,9 @@ from posetrack_cli.hand.calibration.calibrate import (
 )
 from posetrack_cli.hand.calibration.measures import MEASURES, measured, measures_of
 from posetrack_cli.hand.calibration.residuals import (
+    FRAME_SIZE,
+    FRAME_STEPS,
     LEAST_SHARE,
-    POSE_STEPS,
     WRIST_PART,
     FrameRows,
     vertex_moves,
@@ -40,6 +41,7 @@ from posetrack_cli.hand.calibration.trial import ASKED_EVERY, SIDES, Trial, trie
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import nearest_pixels
 from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.shape import (
@@ -89,17 +91,19 @@ def poses_of(hand: HandModel, count: int) -> FloatArray:
 class Views:
     """Tiles of a hand in poses, as a perfect sensor sees it before an empty wall."""
 
-    def __init__(self, device: RenderingDevice, hand: HandModel, poses: FloatArray) -> None:
+    def __init__(
+        self, device: RenderingDevice, hand: HandModel, poses: FloatArray, thumbs: FloatArray = NO_THUMB
+    ) -> None:
         self.window = Window.around(np.array([KINECT.cx, KINECT.cy]), TILE, 2)
         renderer = device.depth_renderer(hand.smooth, (TILE, TILE), 1)
         view = View(*self.window.tile_projection(KINECT))
         self.tiles = []
-        for pose in poses:
-            drawn = renderer.depth(skinning_transforms(hand.anatomy, pose[None]), KINECT, self.window)[0]
+        for transforms in skinning_transforms(hand.anatomy, poses, thumbs):
+            drawn = renderer.depth(transforms[None], KINECT, self.window)[0]
             image = np.where(drawn > 0, drawn, -2000.0).astype(np.float64)
             self.tiles.append(Tile(image, nearest_pixels(image > 0), int((image > 0).sum()), view))
 
-    def __call__(self, frame: int, pose: FloatArray, hand: HandModel) -> Tile:
+    def __call__(self, frame: int, pose: FloatArray, thumb: FloatArray, hand: HandModel) -> Tile:
         return self.tiles[frame]
 
 
@@ -108,21 +112,22 @@ def varied(shape: HandShape) -> list[HandModel]:
     return [average_hand("right", SPACE.shape(theta + step)) for step in np.diag(SPACE.steps)]
 
 
-def moves_of(pose: FloatArray, hand: HandModel, shape: HandShape) -> FloatArray:
-    return next(vertex_moves(pose[None], hand, varied(shape), SPACE.steps))
+def moves_of(pose: FloatArray, hand: HandModel, shape: HandShape, thumb: FloatArray = NO_THUMB) -> FloatArray:
+    return next(vertex_moves(pose[None], thumb[None], hand, varied(shape), SPACE.steps))
 
 
 def test_moves_are_those_of_the_vertices() -> None:
     hand = average_hand("right", OTHER)
     pose = poses_of(hand, 3)[2]
-    moves = moves_of(pose, hand, OTHER)
+    thumb = np.array([0.3, -0.2])
+    moves = moves_of(pose, hand, OTHER, thumb)
     rng = np.random.default_rng(3)
-    delta = np.concatenate([POSE_STEPS, SPACE.steps]) * rng.uniform(-1, 1, 21 + SIZE)
-    there = average_hand("right", SPACE.shape(SPACE.theta(OTHER) + delta[21:]))
+    delta = np.concatenate([FRAME_STEPS, SPACE.steps]) * rng.uniform(-1, 1, FRAME_SIZE + SIZE)
+    there = average_hand("right", SPACE.shape(SPACE.theta(OTHER) + delta[FRAME_SIZE:]))
     moved = BodySpace().retract(pose[None], delta[None, :21])
     posed = [
-        model.smooth.posed(skinning_transforms(model.anatomy, p).astype(np.float64))[0]
-        for model, p in ((hand, pose[None]), (there, moved))
+        model.smooth.posed(skinning_transforms(model.anatomy, p, angles).astype(np.float64))[0]
+        for model, p, angles in ((hand, pose[None], thumb), (there, moved, thumb + delta[21:FRAME_SIZE]))
     ]
     found = np.einsum("vkc,k->vc", moves, delta)
     second_order_mm = 0.15  # steps of 1 % and 5 mrad at 200 mm, squared, and float32 transforms
@@ -135,15 +140,15 @@ def test_surface_rows_predict_how_residuals_change(device: RenderingDevice) -> N
     pose = poses_of(hand, 1)[0]
     tile = Views(device, hand, pose[None]).tiles[0]
     rows, moves = FrameRows(Terms(), TILE), moves_of(pose, hand, OTHER)
-    at = rows.rows(tile, pose, hand, moves)
+    at = rows.rows(tile, pose, NO_THUMB, hand, moves)
     # at the truth: no residual but for what a rasteriser decides at edges
     weighted = float((at.weights * at.residuals**2).sum() / at.weights.sum())
     assert np.sqrt(weighted) < 0.3
     # off the truth along the optical axis the residuals are that offset, and one step takes it back
     off = BodySpace().retract(pose[None], np.eye(21)[2:3] * 4.0)[0]
     moves = moves_of(off, hand, OTHER)
-    matrix, vector = rows.rows(tile, off, hand, moves).normal(1.0)
-    ridge = np.diag(np.concatenate([np.full(3, 1e-3), np.full(18, 1e3), np.full(SIZE, 1e6)]))
+    matrix, vector = rows.rows(tile, off, NO_THUMB, hand, moves).normal(1.0)
+    ridge = np.diag(np.concatenate([np.full(3, 1e-3), np.full(FRAME_SIZE - 3, 1e3), np.full(SIZE, 1e6)]))
     step = np.linalg.solve(matrix + ridge, vector)
     assert step[2] == pytest.approx(-4.0, abs=0.6)
 
@@ -152,17 +157,18 @@ def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
     rng = np.random.default_rng(0)
     equations = []
     for _ in range(3):
-        a = rng.standard_normal((90, 21 + SIZE))
+        a = rng.standard_normal((90, FRAME_SIZE + SIZE))
         equations.append((a.T @ a, a.T @ rng.standard_normal(90)))
     theta, prior = SPACE.sd * rng.standard_normal(SIZE), np.diag(1.0 / SPACE.sd**2)
     matrix, vector = bundle._reduced(equations, prior, theta)
     step = np.linalg.solve(matrix, vector)
-    whole, right = np.zeros((63 + SIZE, 63 + SIZE)), np.zeros(63 + SIZE)
+    poses = 3 * FRAME_SIZE
+    whole, right = np.zeros((poses + SIZE, poses + SIZE)), np.zeros(poses + SIZE)
     for f, (h, g) in enumerate(equations):
-        index = np.r_[21 * f : 21 * f + 21, 63 : 63 + SIZE]
+        index = np.r_[FRAME_SIZE * f : FRAME_SIZE * (f + 1), poses : poses + SIZE]
         whole[np.ix_(index, index)] += h
         right[index] += g
-    shape = np.r_[63 : 63 + SIZE]
+    shape = np.r_[poses : poses + SIZE]
     whole[shape, shape] += 1.0 / SPACE.sd**2
     right[shape] -= theta / SPACE.sd**2
     solution = np.linalg.solve(whole, right)
@@ -171,7 +177,10 @@ def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
     np.testing.assert_allclose(np.linalg.inv(matrix), inverse, rtol=1e-6, atol=1e-9)
     for f, equation in enumerate(equations):
         np.testing.assert_allclose(
-            bundle._pose_step(equation, step), solution[21 * f : 21 * f + 21], rtol=1e-6, atol=1e-9
+            bundle._frame_step(equation, step),
+            solution[FRAME_SIZE * f : FRAME_SIZE * (f + 1)],
+            rtol=1e-6,
+            atol=1e-9,
         )
 
 
@@ -185,9 +194,12 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     """Its lengths in a few millimetres, and no farther off than is stated."""
     hand = average_hand("right", OTHER)
     poses = poses_of(hand, 9)
-    views = Views(device, hand, poses)
-    begun = started(poses, seed=1)
-    found = bundle.adjusted(average_hand, SPACE, "right", HandShape(), begun, views, TILE, iterations=15)
+    true_thumbs = 0.15 * np.random.default_rng(5).standard_normal((9, 2))
+    views = Views(device, hand, poses, true_thumbs)
+    begun, thumbs = started(poses, seed=1), np.zeros((9, 2))
+    found = bundle.adjusted(
+        average_hand, SPACE, "right", HandShape(), begun, thumbs, views, TILE, iterations=15
+    )
     numbers = measured(average_hand, SPACE, "right", found.shape, found.covariance)
     average, true, got = (
         measures_of(average_hand("right", shape).anatomy) for shape in (HandShape(), OTHER, found.shape)
@@ -199,11 +211,15 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     in_sd = (got - true) / [numbers.sd[name] for name in MEASURES]
     assert np.sqrt((in_sd**2).mean()) < 2.0 and np.abs(in_sd).max() < 4.0
     made = average_hand("right", found.shape)
-    joints = [joint_positions(model.anatomy, p) for model, p in ((made, found.poses), (hand, poses))]
+    joints = [
+        joint_positions(model.anatomy, p, angles)
+        for model, p, angles in ((made, found.poses, found.thumbs), (hand, poses, true_thumbs))
+    ]
     assert np.median(np.linalg.norm(joints[0] - joints[1], axis=2)) < 3.5
-    # never less sure than before, of the scale and of the strongest modes far surer
+    # never less sure than before, of the scale and of the strongest modes far surer, though the thumb's inner
+    # angles leave more open than a thumb without them
     sd = np.sqrt(np.diag(found.covariance))
-    assert (sd < SPACE.sd + 1e-12).all() and (sd[:3] < 0.5 * SPACE.sd[:3]).all()
+    assert (sd < SPACE.sd + 1e-12).all() and (sd[:3] < 0.55 * SPACE.sd[:3]).all()
 
 
 def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) -> None:
@@ -213,9 +229,9 @@ def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) ->
     hand = average_hand("right", shape)
     poses = poses_of(hand, 6)
     views = Views(device, hand, poses)
-    begun = started(poses, seed=1)
+    begun, thumbs = started(poses, seed=1), np.zeros((6, 2))
     found = bundle.adjusted(
-        average_hand, FactorSpace(), "right", HandShape(), begun, views, TILE, iterations=15
+        average_hand, FactorSpace(), "right", HandShape(), begun, thumbs, views, TILE, iterations=15
     )
     hands = [average_hand("right", shape) for shape in (HandShape(), found.shape)]
     before, after = (np.abs(model.anatomy.segments - hand.anatomy.segments).max() for model in hands)

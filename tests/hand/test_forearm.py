@@ -10,15 +10,25 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ARM_BONE
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
-from posetrack_cli.hand.fitting.gauss_newton import FREE_BEND, GIRTH_SD, SWING_SD, add_arm_prior
-from posetrack_cli.hand.fitting.normal_equations import UNKNOWNS, add_row, empty_equations, gather
-from posetrack_cli.hand.fitting.skeleton import ARM, Posed, empty_posed, place_arm, point_row, pose_bones
+from posetrack_cli.hand.fitting.gauss_newton import (
+    ABDUCTION_SD,
+    FREE_BEND,
+    FREE_THUMB,
+    GIRTH_SD,
+    IP_SD,
+    SWING_SD,
+    add_inner_prior,
+    empty_fit,
+)
+from posetrack_cli.hand.fitting.normal_equations import ROW, UNKNOWNS, add_row, empty_equations, gather
+from posetrack_cli.hand.fitting.skeleton import ARM, Posed, empty_posed, point_row, pose_bones
 from posetrack_cli.hand.fitting.skin import skin_of
 from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
+from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.local_fits import without_arm
+from posetrack_cli.hand.local_fits import THUMB_LEFT, without_inner
 from posetrack_cli.hand.model import average_hand, hand_maker
-from posetrack_cli.hand.observation import IGNORED, NO_ARM, Observation, window_around
+from posetrack_cli.hand.observation import IGNORED, Observation, window_around
 from posetrack_cli.hand.shape import random_shape
 from posetrack_cli.rendering.mesh import is_closed
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
@@ -31,6 +41,7 @@ FLOAT32 = 2e-3
 FREE = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
 """(21,) a prior that holds next to nothing."""
 DOWN = np.array([0.0, 1.0, 0.0])
+NO_ARM = np.zeros(4)
 each_hand = pytest.mark.parametrize("name", list(HANDS))
 
 
@@ -38,10 +49,14 @@ def arm_towards(direction: FloatArray, log_girth: float = 0.0) -> FloatArray:
     return np.append(direction / np.linalg.norm(direction), log_girth)
 
 
+def with_arm(arm: FloatArray) -> FloatArray:
+    """Inner numbers (6,) of a forearm (4,) and a thumb as the pose has it."""
+    return np.concatenate([arm, NO_THUMB])
+
+
 def posed(pose: FloatArray, arm: FloatArray, name: str = "right") -> Posed:
     fitter_hand, out = HANDS[name], empty_posed()
-    pose_bones(HandFitter(fitter_hand, KINECT, TILE_PX).hand.skeleton, pose, out)
-    place_arm(arm, out)
+    pose_bones(HandFitter(fitter_hand, KINECT, TILE_PX).hand.skeleton, pose, with_arm(arm), out)
     return out
 
 
@@ -58,7 +73,7 @@ def seen(fitter: HandFitter, pose: FloatArray, arm: FloatArray, elbow_mm: float)
     with np.errstate(invalid="ignore"):
         beyond = (points - pose[:3]) @ arm[:3] > elbow_mm
     image[np.isfinite(z) & beyond] = IGNORED
-    return Observation(window, image.astype(np.float32), int(np.count_nonzero(image > 0)), arm)
+    return Observation(window, image.astype(np.float32), int(np.count_nonzero(image > 0)), with_arm(arm))
 
 
 INSCRIBED = 1.0 - np.cos(np.pi / 10.0)
@@ -103,8 +118,7 @@ def test_a_bent_wrist_leaves_no_gap_before_it(bend: float, seed: int | None) -> 
     pose[:3] = 0.0, 0.0, 600.0
     arm = arm_towards(np.array([0.0, np.cos(bend), np.sin(bend)]))
     out, fitter = empty_posed(), HandFitter(hand, KINECT, TILE_PX)
-    pose_bones(fitter.hand.skeleton, pose, out)
-    place_arm(arm, out)
+    pose_bones(fitter.hand.skeleton, pose, with_arm(arm), out)
     window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())
     drawing = empty_drawing(fitter.hand.skin.mesh, TILE_PX, TILE_PX)
     assert draw(fitter.hand.skin.mesh, out.bones, View(*window.tile_projection(KINECT)), drawing)
@@ -164,7 +178,7 @@ def test_rows_of_its_points_are_central_differences(seed: int) -> None:
         return bone[:, :3] @ rest + bone[:, 3]
 
     expected = [way @ (at(d) - at(-d)) / (2.0 * step) for d in step * np.eye(6)]
-    row, point = np.zeros(10), at(np.zeros(6))
+    row, point = np.zeros(ROW), at(np.zeros(6))
     point_row(out, ARM, np.zeros((1, 3)), 0, *point, *way, row)
     np.testing.assert_allclose(row[[0, 1, 2, 6, 7, 8]], expected, rtol=1e-6, atol=1e-5)
     np.testing.assert_array_equal(row[3:6], 0.0)  # it keeps its direction where the palm turns
@@ -180,11 +194,13 @@ def test_a_hand_that_slid_along_its_arm_comes_back_to_its_fingers() -> None:
     slid = truth.copy()
     slid[:3] += 25.0 * arm[:3]
     expected = arm_towards(np.array([0.1, 1.0, 0.0]), 0.1)  # neither direction nor girth are known exactly
-    found = fitter.descend(tile._replace(arm=expected), slid[None], [PosePrior(slid, FREE)], 20)[0]
+    expected_inner = with_arm(expected)
+    tile = tile._replace(inner=expected_inner, expected=expected_inner)
+    found = fitter.descend(tile, slid[None], [PosePrior(slid, FREE)], 20)[0]
     joints = joint_positions(RIGHT.anatomy, np.stack([truth, found.pose]))
     assert np.linalg.norm(joints[0] - joints[1], axis=1).mean() < 2.0
-    assert np.degrees(np.arccos(found.arm[:3] @ arm[:3])) < 2.0
-    assert abs(found.arm[3]) < 0.05
+    assert np.degrees(np.arccos(found.inner[:3] @ arm[:3])) < 2.0
+    assert abs(found.inner[3]) < 0.05
     assert found.cost[0] < 1.0
 
 
@@ -194,7 +210,7 @@ def test_a_wrist_is_turned_back_from_where_it_cannot_bend_to(bend_deg: float) ->
     pose, bend = bent(), np.deg2rad(bend_deg)
     arm = arm_towards(np.array([0.0, np.cos(bend), np.sin(bend)]))
     equations = empty_equations()
-    add_arm_prior(arm, arm, posed(pose, arm), equations)
+    add_inner_prior(with_arm(arm), with_arm(arm), FREE_THUMB, posed(pose, arm), equations)
     step = np.zeros(UNKNOWNS)
     step[[3, 4, 5, 21, 22]] = np.linalg.pinv(equations.matrix[:, [3, 4, 5, 21, 22]]) @ equations.vector
     turned = BodySpace().retract(pose[None], step[None, :21])[0]
@@ -209,21 +225,21 @@ def test_a_wrist_is_turned_back_from_where_it_cannot_bend_to(bend_deg: float) ->
     assert equations.vector.any() == (bend > FREE_BEND)
 
 
-def test_the_arm_is_integrated_out_of_what_a_fit_tells() -> None:
+def test_inner_numbers_are_integrated_out_of_what_a_fit_tells() -> None:
     """Marginal gradient and information equal those of the joint Gaussian, made with dense inverses."""
-    rng, fit = np.random.default_rng(2), HandFitter(RIGHT, KINECT, TILE_PX).assessed
-    equations = empty_equations()
+    rng, equations = np.random.default_rng(2), empty_equations()
     for _ in range(200):
-        add_row(equations, int(rng.integers(-1, 6)), rng.standard_normal(10), 1.0)
+        add_row(equations, int(rng.integers(-1, 6)), rng.standard_normal(ROW), 1.0)
     gather(equations)
-    pose = random_poses(1, 4)[0]
-    fitter = HandFitter(RIGHT, KINECT, TILE_PX)
-    tile = fitter.tile(seen(fitter, bent() + np.eye(22)[2] * 650.0, NO_ARM, np.inf))
-    one = fit(tile, bent() + np.eye(22)[2] * 650.0)._replace(data=equations, pose=pose)
-    gradient, information = without_arm(one, 0.7, empty_equations())
+    fit = empty_fit()._replace(data=equations, pose=random_poses(1, 4)[0])
+    fit.inner[:] = *arm_towards(DOWN, 0.1), 0.2, -0.1
+    expected = np.array([0.05, 0.1])
+    gradient, information = without_inner(fit, 0.7, empty_equations(), expected)
     H, g = 0.7 * equations.matrix, 0.7 * equations.vector
-    H[[21, 22, 23], [21, 22, 23]] += 1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD])
-    joint = H + np.diag([1e-3] * 21 + [0.0] * 3)  # a weak prior of the pose makes it a distribution
+    left = THUMB_LEFT * np.array([IP_SD, ABDUCTION_SD])
+    H[range(21, 26), range(21, 26)] += np.array([SWING_SD, SWING_SD, GIRTH_SD, *left]) ** -2.0
+    g[24:] += 0.7 * np.array([IP_SD, ABDUCTION_SD]) ** -2.0 * (expected - fit.inner[4:])
+    joint = H + np.diag([1e-3] * 21 + [0.0] * 5)  # a weak prior of the pose makes it a distribution
     marginal = np.linalg.inv(np.linalg.inv(joint)[:21, :21]) - 1e-3 * np.eye(21)
     np.testing.assert_allclose(information, marginal, rtol=1e-6, atol=1e-6 * np.abs(marginal).max())
     mean = np.linalg.solve(joint, g)[:21]
@@ -246,5 +262,5 @@ def test_fits_of_a_hand_alone_do_not_depend_on_the_tube() -> None:
     sd = 0.1 * np.random.default_rng(1).standard_normal((8, 21))
     others = BodySpace().retract(np.tile(pose, (8, 1)), sd)
     for fit in fitter.descend(tile, others, [PosePrior(other, FREE) for other in others], 3):
-        np.testing.assert_array_equal(fit.arm, NO_ARM)
-        assert not fit.data.matrix[21:].any()
+        np.testing.assert_array_equal(fit.inner[:4], NO_ARM)
+        assert not fit.data.matrix[21:24].any()

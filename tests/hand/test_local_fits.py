@@ -7,9 +7,10 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.config import FitSettings, HandConfig
+from posetrack_cli.hand.fitting.gauss_newton import ABDUCTION_SD, IP_SD
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.local_fits import LocalFits, LocalFitter, motion_precision
+from posetrack_cli.hand.local_fits import THUMB_LEFT, LocalFits, LocalFitter, motion_precision
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.rendering.port import RenderingDevice
@@ -132,18 +133,31 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
     truth[7 + 3 * 1] = 1.7  # the index finger is bent beyond its limit
     config, guide = HandConfig(), local_fitter()
     observation = observation_of(stage.depth(truth), truth)
-    modes, fitter = fitted(guide, observation, truth).modes, guide.fitter
+    found, fitter = fitted(guide, observation, truth), guide.fitter
+    modes = found.modes
     z = float(np.median(observation.image[observation.image > 0]))
     noise_sd = (
         config.observation.mixture.near_sd_mm + config.observation.mixture.sd_mm_per_m2 * (z / 1e3) ** 2
     )
     scale = guide.read(observation).share * config.fit.sharpening * (4.0 / noise_sd) ** 2
     for k, pose in enumerate(modes.poses):
-        data, own = fitter.assessed(fitter.tile(observation), pose).data, fitter.anatomy(pose)
+        tile = fitter.tile(observation)._replace(inner=found.inner)
+        fit = fitter.assessed(tile, pose)
+        data, own = fit.data, fitter.anatomy(fit)
         assert own.matrix.any()
         matrix, vector = scale * data.matrix + own.matrix, scale * data.vector + own.vector
-        np.testing.assert_allclose(modes.information[k], matrix[:21, :21])  # no forearm is seen
-        np.testing.assert_allclose(modes.gradients[k], vector[:21])
+        assert not matrix[21:24].any()  # no forearm is seen
+        # the thumb's inner angles are integrated out (``without_inner``); they move nothing but its own
+        p, a = [*range(21)], [24, 25]
+        precision = np.array([IP_SD, ABDUCTION_SD]) ** -2.0
+        pull = vector[a] - scale * precision * found.inner[4:]
+        carried = matrix[np.ix_(p, a)] @ np.linalg.inv(
+            matrix[np.ix_(a, a)] + np.diag(precision / THUMB_LEFT**2)
+        )
+        np.testing.assert_allclose(
+            modes.information[k], matrix[np.ix_(p, p)] - carried @ matrix[np.ix_(a, p)], atol=1e-9
+        )
+        np.testing.assert_allclose(modes.gradients[k], vector[p] - carried @ pull, atol=1e-9)
 
 
 def test_every_pose_that_is_drawn_is_counted(stage: Stage) -> None:

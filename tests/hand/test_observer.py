@@ -149,7 +149,7 @@ def test_a_detected_forearm_is_a_target_near_the_wrist_where_it_is_explained() -
     assert near.sum() > 100
     np.testing.assert_array_equal(found.image[near], PALM[2])
     np.testing.assert_array_equal(found.image[far], IGNORED)
-    np.testing.assert_allclose(found.arm, [0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(found.inner, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     cut = observer().observe_detection(depth, detection(wrist))
     hand = cut.image > 0
     np.testing.assert_array_equal(found.image[hand], cut.image[hand])

@@ -13,6 +13,7 @@ import pytest
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
 from posetrack_cli.hand.config import HandConfig, ObservationSettings
+from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs
 from posetrack_cli.hand.mesh import hand_mesh
@@ -61,7 +62,7 @@ class DistanceScorer:
 class Believing(Observer):
     """Takes every frame to show a hand: what its readings mean is up to a fake scorer."""
 
-    def outline(self, depth: np.ndarray, pose: np.ndarray) -> Outline:
+    def outline(self, depth: np.ndarray, pose: np.ndarray, thumb: np.ndarray = NO_THUMB) -> Outline:
         return Outline(1.0, 1.0)
 
 
@@ -338,7 +339,7 @@ def test_annealing_takes_the_anatomy_s_potential_and_counts_every_pose(kind: str
     """A potential holds one angle to 0.01 rad, 0.3 rad from the start; the image says nothing of it."""
     joint, held, sd = 9, START[9] + 0.3, 0.01
 
-    def potentials(poses: np.ndarray) -> np.ndarray:
+    def potentials(poses: np.ndarray, inner: np.ndarray) -> np.ndarray:
         return 0.5 * np.square((poses[:, joint] - held) / sd)
 
     fitter = SimpleNamespace(potentials=potentials)

@@ -10,6 +10,7 @@ from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fitting.fitter import HandFitter
 from posetrack_cli.hand.fitting.skeleton import Skeleton, empty_posed, pose_bones
 from posetrack_cli.hand.fitting.skin import Skin
+from posetrack_cli.hand.inner import NO_INNER, THUMB
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.observation import Observation, window_around
@@ -23,20 +24,35 @@ HANDS = {"right": RIGHT, "left": LEFT}
 
 
 def drawn_depth(
-    skeleton: Skeleton, skin: Skin, pose: FloatArray, view: View, size: int = TILE_PX
+    skeleton: Skeleton,
+    skin: Skin,
+    pose: FloatArray,
+    view: View,
+    size: int = TILE_PX,
+    inner: FloatArray = NO_INNER,
 ) -> FloatArray:
-    """Depth (size, size), mm, of a pose (22,), infinite where nothing is drawn."""
+    """Depth (size, size), mm, of a pose (22,) with inner numbers (6,), infinite where nothing is drawn."""
     posed, drawing = empty_posed(), empty_drawing(skin.mesh, size, size)
-    pose_bones(skeleton, pose, posed)
+    pose_bones(skeleton, pose, inner, posed)
     assert draw(skin.mesh, posed.bones, view, drawing)
     return np.divide(1.0, drawing.inverse, out=np.full((size, size), np.inf), where=drawing.inverse > 0)
 
 
-def observed(hand: HandModel, fitter: HandFitter, pose: FloatArray, wall: float = WALL_MM) -> Observation:
-    """What a perfect sensor sees of a hand before a wall, in the window around the hand."""
-    window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())
+def observed(
+    hand: HandModel,
+    fitter: HandFitter,
+    pose: FloatArray,
+    wall: float = WALL_MM,
+    inner: FloatArray = NO_INNER,
+) -> Observation:
+    """What a perfect sensor sees of a hand before a wall, in the window around the hand.
+
+    Inner numbers (6,) are those that it is drawn with; what it is expected to have is 0.
+    """
+    joints = joint_positions(hand.anatomy, pose[None], inner[THUMB])[0]
+    window = window_around(joints, KINECT, ObservationSettings())
     view = View(*window.tile_projection(KINECT))
-    depth = drawn_depth(fitter.hand.skeleton, fitter.hand.skin, pose, view)
+    depth = drawn_depth(fitter.hand.skeleton, fitter.hand.skin, pose, view, inner=inner)
     image = np.where(np.isfinite(depth), depth, -wall).astype(np.float32)
     return Observation(window, image, int(np.count_nonzero(image > 0)))
 

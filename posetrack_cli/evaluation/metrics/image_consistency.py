@@ -19,6 +19,7 @@ from posetrack_cli.evaluation.recording_of import cameras_of
 from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.inner import NO_THUMB, thumbs_of
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
@@ -59,19 +60,25 @@ class HandConsistency:
         mesh = hand.skin(MESH_LEVEL)
         self._renderer = device.depth_renderer(mesh, (TILE_PX, TILE_PX), 1)
 
-    def compare(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
-        """Return residual, mm (NaN where nothing is both), and overlap of a pose (22,) with a frame."""
-        sums = self.sums(pose, frame)
+    def compare(self, pose: FloatArray, frame: Frame, thumb: FloatArray = NO_THUMB) -> tuple[float, float]:
+        """Return residual, mm (NaN where nothing is both), and overlap of a hand with a frame.
+
+        Args:
+            pose: (22,).
+            frame: the image.
+            thumb: (2,) its inner angles.
+        """
+        sums = self.sums(pose, frame, thumb)
         return residual_mm(sums), region_overlap(sums)
 
-    def sums(self, pose: FloatArray, frame: Frame) -> TileSums:
-        """Sums over the pixels of the window around a pose (22,)."""
-        hand = PredictedHand.of(self._anatomy, pose)
+    def sums(self, pose: FloatArray, frame: Frame, thumb: FloatArray = NO_THUMB) -> TileSums:
+        """Sums over the pixels of the window around a pose (22,) with inner angles of its thumb (2,)."""
+        hand = PredictedHand.of(self._anatomy, pose, thumb)
         window = window_around(hand.joints, self._camera, self._window)
         observed = segment(
             frame.depth, self._sampler, window, self._camera, hand, self._segmentation
         ).observation
-        transforms = skinning_transforms(self._anatomy, pose[None])
+        transforms = skinning_transforms(self._anatomy, pose[None], thumb)
         return self._renderer.sums(transforms, self._camera, window, Comparison(observed.image, NO_CLAMP_MM))
 
 
@@ -133,6 +140,7 @@ def _compared(track: Track, recording: Recording, measure: HandConsistency) -> F
     if track.position is None or track.quaternion is None or track.shape is None:
         return compared
     poses = np.hstack([track.position, track.quaternion, track.shape])
+    thumbs = thumbs_of(track.numbers, len(track))
     for row, frame in matched_frames(recording, track.stamp_ns, track.frame_index, LossLog()):
-        compared[row] = measure.compare(poses[row], frame)
+        compared[row] = measure.compare(poses[row], frame, thumbs[row])
     return compared

@@ -20,6 +20,7 @@ from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.metrics import pose_errors
 from posetrack_cli.evaluation.metrics.measures import Common, Matched, Measures, common_columns
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, HandAnatomy
+from posetrack_cli.hand.inner import thumbs_of
 from posetrack_cli.hand.kinematics import joint_jacobian
 
 METRICS = {f"joint_{name}": half_width for name, half_width in pose_errors.INTERVALS.items()}
@@ -27,18 +28,21 @@ BLOCK_FRAMES = 512
 """Derivatives are many times the size of a long track: so many frames at a time."""
 
 
-def joint_variances(anatomy: HandAnatomy, poses: FloatArray, variances: FloatArray) -> FloatArray:
+def joint_variances(
+    anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray, variances: FloatArray
+) -> FloatArray:
     """Return the variances (N, 21, 3), mm^2, camera axes, of the joints of poses.
 
     Args:
         anatomy: of the hand.
         poses: (N, 22) position, mm, quaternion and angles, rad.
+        thumbs: (N, 2) their inner angles (``hand.inner``), rad.
         variances: (N, 21) of the tangent vector's entries, mm^2 and rad^2.
     """
     found: FloatArray = np.empty((len(poses), len(JOINT_NAMES), 3))
     for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
         with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
-            squares = joint_jacobian(anatomy, poses[rows]) ** 2
+            squares = joint_jacobian(anatomy, poses[rows], thumbs[rows]) ** 2
             found[rows] = np.einsum("njck,nk->njc", squares, variances[rows])
     return found
 
@@ -80,7 +84,9 @@ def _lacks(matched: Matched, joints: Common) -> str:
 def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Iterator[tuple[str, FloatArray]]:
     """The squares (M, 3) of each joint's errors over their variances."""
     poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
-    variances = joint_variances(anatomy, poses, matched.of_estimate("pose_variance"))
+    numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
+    thumbs = thumbs_of(numbers, len(poses))
+    variances = joint_variances(anatomy, poses, thumbs, matched.of_estimate("pose_variance"))
     for name, mine, theirs in zip(joints.names, joints.estimate, joints.truth, strict=True):
         errors = matched.of_truth("points", theirs) - matched.of_estimate("points", mine)
         yield name, pose_errors.normalised_squares(errors, variances[:, mine])

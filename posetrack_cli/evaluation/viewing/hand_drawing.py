@@ -12,7 +12,8 @@ from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown, SkeletonDraw
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import FOREARM_NUMBERS, forearm_of, transforms_with_forearm
+from posetrack_cli.hand.forearm import transforms_with_forearm
+from posetrack_cli.hand.inner import THUMB, inner_of
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
@@ -50,7 +51,7 @@ class HandDrawer:
         """Depth (h, w), mm, 0 where the hand is not; None where its pose is not known."""
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
-        bones = skinning_transforms(self._hand.anatomy, _pose_of(shown)[None])
+        bones = skinning_transforms(self._hand.anatomy, _pose_of(shown)[None], _thumb_of(shown))
         depth: Float32Array = self._renderer(camera, with_arm=False).depth(
             bones, camera, Window.whole(camera)
         )[0]
@@ -80,12 +81,10 @@ class HandDrawer:
 
     def _outline_arm(self, canvas: Canvas, shown: Shown, hand: BoolArray) -> None:
         """Paint the forearm's contour, where one was explained behind a hand that covers (h, w) pixels."""
-        if shown.numbers is None or len(shown.numbers) != len(FOREARM_NUMBERS):
+        inner, camera = inner_of(shown.numbers), canvas.camera
+        if not inner[:3].any():
             return
-        arm = forearm_of(shown.numbers)
-        if not arm[:3].any():
-            return
-        camera, bones = canvas.camera, transforms_with_forearm(self._hand.anatomy, _pose_of(shown)[None], arm)
+        bones = transforms_with_forearm(self._hand.anatomy, _pose_of(shown)[None], inner)
         depth = self._renderer(camera, with_arm=True).depth(bones, camera, Window.whole(camera))[0]
         canvas.picture[_rim((depth > 0) & ~hand)] = LABEL_COLOURS[Label.FOREARM]
 
@@ -102,6 +101,11 @@ def _pose_of(shown: Shown) -> FloatArray:
     """The pose (22,) of what is shown, all of which is known."""
     assert shown.position is not None and shown.quaternion is not None and shown.shape is not None
     return np.concatenate([shown.position, shown.quaternion, shown.shape])
+
+
+def _thumb_of(shown: Shown) -> FloatArray:
+    """Inner angles (2,) of the thumb of what is shown."""
+    return inner_of(shown.numbers)[THUMB]
 
 
 def _rim(mask: BoolArray) -> BoolArray:
@@ -128,7 +132,7 @@ class HandSegments:
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
         pose = _pose_of(shown)
-        hand = PredictedHand.of(self._anatomy, pose)
+        hand = PredictedHand.of(self._anatomy, pose, _thumb_of(shown))
         window = window_around(hand.joints, self._camera, self._config.observation)
         return segment(depth, self._sampler, window, self._camera, hand, self._config.segmentation)
 

@@ -19,11 +19,12 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import write_output
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
-from posetrack_cli.hand.calibration.bundle import Bundle, adjusted
+from posetrack_cli.hand.calibration.bundle import Bundle, Observe, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import tile_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.inner import FOREARM, NO_INNER, NO_THUMB, THUMB
 from posetrack_cli.hand.model import HandModel, hand_maker
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.shape import HandShape, shape_space
@@ -112,11 +113,11 @@ def shape_of(
     medians = []
     for attempt in range(ROUNDS):
         report(f"finding the {side} hand, {attempt + 1} of {ROUNDS}")
-        poses, costs = calibrator.find(shape)
+        poses, thumbs, costs = calibrator.find(shape)
         chosen = calibrator.chosen(costs)
         medians.append(float(np.median(costs)))
         report(f"adjusting its shape to {len(chosen)} frames")
-        found = calibrator.adjust(chosen, poses[chosen], shape)
+        found = calibrator.adjust(chosen, poses[chosen], thumbs[chosen], shape)
         shape = found.shape
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
@@ -157,16 +158,20 @@ class _Calibrator:
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)
 
-    def find(self, shape: HandShape) -> tuple[FloatArray, FloatArray]:
-        """The poses (F, 22) of a hand in the frames, and costs (F,), mm; infinite where there is none."""
+    def find(self, shape: HandShape) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The poses (F, 22) of a hand in the frames, its thumb's inner angles (F, 2), and costs (F,), mm.
+
+        A cost is infinite where there is none.
+        """
         finder = self._finder(shape)
         poses, costs = np.zeros((len(self._frames), POSE_SIZE)), np.full(len(self._frames), np.inf)
-        poses[:, 6] = 1.0
+        poses[:, 6], thumbs = 1.0, np.zeros((len(self._frames), len(NO_THUMB)))
         for k, frame in enumerate(self._frames):
             found = finder.search(frame.depth)
             if found is not None:
                 poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
-        return poses, costs
+                thumbs[k] = found.inner[THUMB]
+        return poses, thumbs, costs
 
     def chosen(self, costs: FloatArray) -> IntArray:
         """Frames in which the hand was found well.
@@ -186,7 +191,7 @@ class _Calibrator:
             )
         return good
 
-    def adjust(self, chosen: IntArray, poses: FloatArray, shape: HandShape) -> Bundle:
+    def adjust(self, chosen: IntArray, poses: FloatArray, thumbs: FloatArray, shape: HandShape) -> Bundle:
         """The shape and the poses that fit the frames best."""
         return adjusted(
             self.maker,
@@ -194,16 +199,18 @@ class _Calibrator:
             self._side,
             shape,
             poses,
+            thumbs,
             self._observing([self._frames[k] for k in chosen]),
             self._config.observation.tile_px,
             iterations=_ITERATIONS,
             terms=_terms(self._config),
         )
 
-    def _observing(self, frames: Sequence[Frame]) -> Callable[[int, FloatArray, HandModel], Tile]:
-        def observe(f: int, pose: FloatArray, hand: HandModel) -> Tile:
+    def _observing(self, frames: Sequence[Frame]) -> Observe:
+        def observe(f: int, pose: FloatArray, thumb: FloatArray, hand: HandModel) -> Tile:
             observer = Observer(self._config, hand.anatomy, self._camera, segment=True)
-            return tile_of(observer.observe(frames[f].depth, pose), self._camera)
+            expected = np.append(NO_INNER[FOREARM], thumb)
+            return tile_of(observer.observe(frames[f].depth, pose, expected), self._camera)
 
         return observe
 

@@ -17,13 +17,16 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.skin import Skin, skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
+from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.rendering.raster import Drawing, draw, empty_drawing
 from posetrack_cli.tracking.body_space import BodySpace
 
-POSE_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, 15])
-"""Differences of the tangent vector, mm and rad: the skin moves by about half a millimetre."""
+FRAME_SIZE = TANGENT_SIZE + len(NO_THUMB)
+"""Unknowns of a frame: the tangent vector of its pose, and its thumb's inner angles."""
+FRAME_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, FRAME_SIZE - 6])
+"""(23,) differences of a frame's unknowns, mm and rad: the skin moves by about half a millimetre."""
 WRIST_PART, LEAST_SHARE = 0.35, 0.05
 """Of the palm's length from the wrist: there hands differ most, and where they end is not sure."""
 _SPACE = BodySpace()
@@ -31,10 +34,10 @@ _SPACE = BodySpace()
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Linearised residuals: e(x + d) = e - J d, with d the tangent vector and the shape's steps.
+    """Linearised residuals: e(x + d) = e - J d, with d the steps of the frame's unknowns and the shape's.
 
     Attributes:
-        jacobian: (N, 21 + S).
+        jacobian: (N, 23 + S).
         residuals: (N) mm.
         weights: (N) 1 / mm^2, robust factors included.
     """
@@ -63,28 +66,31 @@ class FrameRows:
         self._of: HandModel | None = None
         self._drawing: Drawing | None = None
 
-    def rows(self, tile: Tile, pose: FloatArray, hand: HandModel, moves: FloatArray) -> Rows:
+    def rows(
+        self, tile: Tile, pose: FloatArray, thumb: FloatArray, hand: HandModel, moves: FloatArray
+    ) -> Rows:
         """Return the rows of one frame.
 
         Args:
             tile: the observation.
             pose: (22,).
+            thumb: (2,) its inner angles.
             hand: the hand in its present shape.
-            moves: (V, 21 + S, 3) of the frame, from ``vertex_moves``.
+            moves: (V, 23 + S, 3) of the frame, from ``vertex_moves``.
         """
-        drawing = self._drawn(tile, pose, hand)
+        drawing = self._drawn(tile, pose, thumb, hand)
         if drawing is None:
             return Rows(np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0))
         parts = [self._surface(tile, drawing, hand, moves), self._silhouette(tile, drawing, hand, moves)]
         parts.append(self._unexplained(tile, drawing, pose, hand, moves))
         return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-    def _drawn(self, tile: Tile, pose: FloatArray, hand: HandModel) -> Drawing | None:
+    def _drawn(self, tile: Tile, pose: FloatArray, thumb: FloatArray, hand: HandModel) -> Drawing | None:
         if self._of is not hand:
             self._skin, self._of = skin_of(hand.smooth), hand
             self._drawing = empty_drawing(self._skin.mesh, self._tile_px, self._tile_px)
         assert self._skin is not None and self._drawing is not None
-        bones = skinning_transforms(hand.anatomy, pose[None])[0].astype(np.float64)
+        bones = skinning_transforms(hand.anatomy, pose[None], thumb)[0].astype(np.float64)
         return self._drawing if draw(self._skin.mesh, bones, tile.projection, self._drawing) else None
 
     def _surface(
@@ -148,21 +154,23 @@ class FrameRows:
 
 
 def vertex_moves(
-    poses: FloatArray, hand: HandModel, varied: Sequence[HandModel], steps: FloatArray
+    poses: FloatArray, thumbs: FloatArray, hand: HandModel, varied: Sequence[HandModel], steps: FloatArray
 ) -> Iterator[FloatArray]:
-    """Yield for each of the poses (F, 22) how fast the posed vertices move: (V, 21 + S, 3).
+    """Yield for each frame how fast the posed vertices move: (V, 23 + S, 3).
 
     Args:
-        poses: of the frames.
+        poses: (F, 22) of the frames.
+        thumbs: (F, 2) inner angles.
         hand: the hand in its present shape.
         varied: the hand with each of S shape parameters larger by a step.
         steps: (S,) in the parameters' units; derivatives are by these.
     """
-    others = [_posed(other, poses) for other in varied]
-    moves = np.vstack([np.zeros(TANGENT_SIZE), np.diag(POSE_STEPS)])
-    for f, pose in enumerate(poses):
-        here, *there = _posed(hand, _SPACE.retract(np.tile(pose, (TANGENT_SIZE + 1, 1)), moves))
-        by_pose = (np.array(there) - here) / POSE_STEPS[:, None, None]
+    others = [_posed(other, poses, thumbs) for other in varied]
+    moves = np.vstack([np.zeros(FRAME_SIZE), np.diag(FRAME_STEPS)])
+    for f, (pose, thumb) in enumerate(zip(poses, thumbs, strict=True)):
+        moved = _SPACE.retract(np.tile(pose, (FRAME_SIZE + 1, 1)), moves[:, :TANGENT_SIZE])
+        here, *there = _posed(hand, moved, thumb + moves[:, TANGENT_SIZE:])
+        by_pose = (np.array(there) - here) / FRAME_STEPS[:, None, None]
         shape_moves = [(other[f] - here) / step for other, step in zip(others, steps, strict=True)]
         by_shape = np.array(shape_moves).reshape(-1, *here.shape)
         yield np.moveaxis(np.concatenate([by_pose, by_shape]), 0, 1)
@@ -180,8 +188,8 @@ def _palm_length(hand: HandModel) -> float:
     return -float(hand.anatomy.base_positions[1:, 1].mean())
 
 
-def _posed(hand: HandModel, poses: FloatArray) -> FloatArray:
-    return hand.smooth.posed(skinning_transforms(hand.anatomy, poses).astype(np.float64))
+def _posed(hand: HandModel, poses: FloatArray, thumbs: FloatArray) -> FloatArray:
+    return hand.smooth.posed(skinning_transforms(hand.anatomy, poses, thumbs).astype(np.float64))
 
 
 def _along(
@@ -192,7 +200,7 @@ def _along(
     points: FloatArray,
     ways: FloatArray,
 ) -> FloatArray:
-    """How fast points (N, 3) of triangles (N) move along unit vectors (N, 3): (N, 21 + S)."""
+    """How fast points (N, 3) of triangles (N) move along unit vectors (N, 3): (N, 23 + S)."""
     corners = hand.smooth.triangles[faces]
     # barycentric coordinates: no drawn triangle lies in a plane with the sensor, so its corners span space
     matrix = np.swapaxes(drawing.vertices[corners], 1, 2)

@@ -14,6 +14,7 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.config import HandConfig, HandSettings
+from posetrack_cli.hand.fitting.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.keypoints.told import ToldSide, told_candidates
 from posetrack_cli.hand.model import hand_maker
@@ -264,12 +265,15 @@ class Trial:
         return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
     def _finder(self, side: int, k: int, quick: bool = False) -> Acquisition:
-        """What searches with a hand of one side and size."""
+        """What searches with a hand of one side and size.
+
+        Its thumb has no inner angles: with them a hand of another side or size fits, too.
+        """
         if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = hand_maker(self._config.hand.mesh)(self.sides[side], shape)
             config = self._quick if quick else self._config
-            self._finders[side, k, quick] = Acquisition(config, hand, self._camera)
+            self._finders[side, k, quick] = Acquisition(config, hand, self._camera, STIFF_THUMB)
         return self._finders[side, k, quick]
 
 

@@ -22,8 +22,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import kernel
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, HandAnatomy
-from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations
-from posetrack_cli.hand.fitting.skeleton import Posed, Skeleton, point_row, pose_bones
+from posetrack_cli.hand.fitting.normal_equations import ROW, THUMB_PART, THUMB_PLACE, NormalEquations
+from posetrack_cli.hand.fitting.skeleton import THUMB, Posed, Skeleton, point_row, pose_bones
 
 SPHERES = 5  # a finger: at joint 2, between, at joint 1, between, near the tip
 FREE_BEND, STIFF_BEND = np.deg2rad(5.0), np.deg2rad(40.0)
@@ -195,6 +195,18 @@ def _add_overlap(
             H[second + i, second + j] += weight * against[6 + i] * against[6 + j]
             H[first + i, second + j] -= weight * row[6 + i] * against[6 + j]
             H[second + j, first + i] -= weight * row[6 + i] * against[6 + j]
+    if f != THUMB:
+        return
+    for i in range(2):
+        at, moved = THUMB_PLACE + i, weight * row[THUMB_PART + i]
+        g[at] += moved * overlap
+        for j in range(3):
+            H[at, first + j] += moved * row[6 + j]
+            H[first + j, at] += moved * row[6 + j]
+            H[at, second + j] -= moved * against[6 + j]
+            H[second + j, at] -= moved * against[6 + j]
+        for j in range(2):
+            H[at, THUMB_PLACE + j] += moved * row[THUMB_PART + j]
 
 
 @kernel
@@ -244,12 +256,13 @@ def potentials(
     about: Plausibility,
     skeleton: Skeleton,
     poses: FloatArray,
+    inner: FloatArray,
     posed: Posed,
     spheres: FloatArray,
     equations: NormalEquations,
     out: FloatArray,
 ) -> None:
-    """Write U (N,) of poses (N, 22)."""
+    """Write U (N,) of poses (N, 22) with inner numbers (6,)."""
     for n in range(len(poses)):
-        pose_bones(skeleton, poses[n], posed)
+        pose_bones(skeleton, poses[n], inner, posed)
         out[n] = add_anatomy(about, poses[n], posed, spheres, equations)

@@ -17,6 +17,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
 from posetrack_cli.hand.fitting.gauss_newton import (
+    FREE_THUMB,
     Fit,
     Hand,
     Steps,
@@ -135,6 +136,7 @@ class HandFitter:
         terms: weights of the residuals.
         steps: largest steps.
         skin: of the hand and its forearm, by default the smooth one.
+        thumb: (2,) precisions of its inner angles, 1 / rad^2.
     """
 
     def __init__(
@@ -145,9 +147,10 @@ class HandFitter:
         terms: Terms | None = None,
         steps: Steps | None = None,
         skin: SkinnedMesh | None = None,
+        thumb: FloatArray = FREE_THUMB,
     ) -> None:
         anatomy, skin = model.anatomy, skin or model.smooth_with_arm
-        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy))
+        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy), thumb)
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]
         self._threads = ThreadPoolExecutor(len(self._free))
@@ -205,11 +208,11 @@ class HandFitter:
         assess(self.hand, tile, pose, self._terms, self._free[0], fit)
         return fit
 
-    def anatomy(self, pose: FloatArray) -> NormalEquations:
-        """Return gradient and information of exp(-U) at a pose (22,), U the anatomical potential."""
+    def anatomy(self, fit: Fit) -> NormalEquations:
+        """Return gradient and information of exp(-U) where a fit is, U the anatomical potential."""
         equations, workspace = empty_equations(), self._free[0]
-        pose_bones(self.hand.skeleton, pose, workspace.posed)
-        add_anatomy(self.hand.plausibility, pose, workspace.posed, workspace.spheres, equations)
+        pose_bones(self.hand.skeleton, fit.pose, fit.inner, workspace.posed)
+        add_anatomy(self.hand.plausibility, fit.pose, workspace.posed, workspace.spheres, equations)
         return equations
 
     def costs(self, tile: Tile, poses: FloatArray) -> FloatArray:
@@ -220,13 +223,19 @@ class HandFitter:
 
         return np.array(self._each(one, poses))
 
-    def potentials(self, poses: FloatArray) -> FloatArray:
-        """Return the anatomical potential U (N,) of poses (N, 22); exp(-U) is a factor of the likelihood."""
+    def potentials(self, poses: FloatArray, inner: FloatArray) -> FloatArray:
+        """Return the anatomical potential U (N,); exp(-U) is a factor of the likelihood.
+
+        Args:
+            poses: (N, 22).
+            inner: (6,) inner numbers of all.
+        """
         out, workspace = np.empty(len(poses)), self._free[0]
         potentials(
             self.hand.plausibility,
             self.hand.skeleton,
             poses,
+            inner,
             workspace.posed,
             workspace.spheres,
             workspace.whole,
@@ -253,7 +262,8 @@ def tile_of(observation: Observation, camera: Camera) -> Tile:
     """Return an observation by a camera as fits read it."""
     image = observation.image.astype(np.float64)
     view = View(*observation.window.tile_projection(camera))
-    return Tile(image, nearest_pixels(image > 0), observation.target_pixels, view, observation.arm)
+    nearest, inner = nearest_pixels(image > 0), observation.inner
+    return Tile(image, nearest, observation.target_pixels, view, inner, inner)
 
 
 def nearest_pixels(mask: BoolArray) -> FloatArray:

@@ -12,6 +12,8 @@ from posetrack_cli.geometry.kernels import quaternion_product
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
 from posetrack_cli.hand.fitting.normal_equations import (
+    ARM_PLACE,
+    THUMB_PLACE,
     UNKNOWNS,
     NormalEquations,
     clear,
@@ -19,9 +21,10 @@ from posetrack_cli.hand.fitting.normal_equations import (
     empty_equations,
     gather,
 )
-from posetrack_cli.hand.fitting.skeleton import ARM, Posed, Skeleton, empty_posed, place_arm, pose_bones
+from posetrack_cli.hand.fitting.skeleton import ARM, Posed, Skeleton, empty_posed, pose_bones
 from posetrack_cli.hand.fitting.skin import Skin
 from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
+from posetrack_cli.hand.inner import INNER_SIZE, IP_OFFSET
 from posetrack_cli.hand.observation import IGNORED
 from posetrack_cli.rendering.raster import Drawing, View, draw, empty_drawing
 
@@ -29,17 +32,28 @@ STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # all pixels of the surface count in the la
 WIDENING = 1.3  # factor on the robust scales per iteration left
 SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
-MOST_GIRTH = 0.5
+IP_SD, ABDUCTION_SD = np.deg2rad(4.0), np.deg2rad(8.0)
+"""Of the thumb's inner angles about what is expected of them, rad."""
+FREE_THUMB: FloatArray = 1.0 / np.square([IP_SD, ABDUCTION_SD])
+STIFF_THUMB: FloatArray = np.full(2, 1e9)
+"""(2,) 1 / rad^2 of a thumb with its inner angles, and of one without."""
+MOST_GIRTH, MOST_THUMB = 0.5, np.deg2rad(40.0)
 FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
 """Up to where a wrist bends freely, rad, and the weight beyond, 1 / rad^2."""
 
 
 class Hand(NamedTuple):
-    """A hand as the kernels read it."""
+    """A hand as the kernels read it.
+
+    Attributes:
+        skeleton, skin, plausibility: its parts.
+        thumb: (2,) precisions of its thumb's inner angles about what is expected of them, 1 / rad^2.
+    """
 
     skeleton: Skeleton
     skin: Skin
     plausibility: Plausibility
+    thumb: FloatArray
 
 
 class Steps(NamedTuple):
@@ -66,13 +80,13 @@ class Fit(NamedTuple):
 
     Attributes:
         pose: (22,).
-        arm: (4,) the forearm, as in ``Tile``.
+        inner: (6,) inner numbers (``hand.inner``).
         data: of the image's residuals at the pose.
         cost: (1,) union cost D, mm.
     """
 
     pose: FloatArray
-    arm: FloatArray
+    inner: FloatArray
     data: NormalEquations
     cost: FloatArray
 
@@ -91,7 +105,7 @@ def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
 
 def empty_fit() -> Fit:
     """Return a fit to be filled in."""
-    return Fit(np.zeros(POSE_SIZE), np.zeros(4), empty_equations(), np.zeros(1))
+    return Fit(np.zeros(POSE_SIZE), np.zeros(INNER_SIZE), empty_equations(), np.zeros(1))
 
 
 @kernel
@@ -130,7 +144,19 @@ def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
 
 
 @kernel
-def add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
+def add_inner_prior(
+    expected: FloatArray, inner: FloatArray, thumb: FloatArray, posed: Posed, equations: NormalEquations
+) -> None:
+    """Pull inner numbers (6,) to what is expected, and the wrist back from where it cannot bend to."""
+    for k in range(2):
+        i, precision = THUMB_PLACE + k, thumb[k]
+        equations.matrix[i, i] += precision
+        equations.vector[i] += precision * (expected[IP_OFFSET + k] - inner[IP_OFFSET + k])
+    _add_arm_prior(expected, inner, posed, equations)
+
+
+@kernel
+def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
     """Pull the forearm to what is expected of it, and the wrist back from where it cannot bend to."""
     H, g, axes = equations.matrix, equations.vector, posed.axes
     swing, girth = 1.0 / (SWING_SD * SWING_SD), 1.0 / (GIRTH_SD * GIRTH_SD)
@@ -139,10 +165,10 @@ def add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations
     z = arm[0] * expected[1] - arm[1] * expected[0]
     for k in range(2):
         off = x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]
-        H[21 + k, 21 + k] += swing
-        g[21 + k] += swing * off
-    H[23, 23] += girth
-    g[23] += girth * (expected[3] - arm[3])
+        H[ARM_PLACE + k, ARM_PLACE + k] += swing
+        g[ARM_PLACE + k] += swing * off
+    H[ARM_PLACE + 2, ARM_PLACE + 2] += girth
+    g[ARM_PLACE + 2] += girth * (expected[3] - arm[3])
     palm = posed.bones[0]  # its y points towards the elbow where the wrist is straight
     x = palm[1, 1] * arm[2] - palm[2, 1] * arm[1]
     y = palm[2, 1] * arm[0] - palm[0, 1] * arm[2]
@@ -156,7 +182,7 @@ def add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations
     for k in range(3):
         row[3 + k] = (x * palm[0, k] + y * palm[1, k] + z * palm[2, k]) / sine
     for k in range(2):
-        row[21 + k] = -(x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]) / sine
+        row[ARM_PLACE + k] = -(x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]) / sine
     for i in range(UNKNOWNS):
         g[i] += STIFF_BEND * excess * row[i]
         for j in range(UNKNOWNS):
@@ -164,13 +190,22 @@ def add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations
 
 
 @kernel
+def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
+    """Move inner numbers by the last of a step (26,): bend the thumb, swing the forearm and widen it."""
+    for k in range(2):
+        angle = inner[IP_OFFSET + k] + min(max(delta[THUMB_PLACE + k], -most.angle_rad), most.angle_rad)
+        inner[IP_OFFSET + k] = min(max(angle, -MOST_THUMB), MOST_THUMB)
+    _move_arm(inner, delta[ARM_PLACE:THUMB_PLACE], posed, most)
+
+
+@kernel
 def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
-    """Swing the forearm by delta[21:23] about its axes, and widen it by delta[23]."""
+    """Swing the forearm by two angles about its axes, and widen it by the third of ``delta``."""
     axes, x, y, z = posed.axes, arm[0], arm[1], arm[2]
     if x == 0.0 and y == 0.0 and z == 0.0:
         return
-    a = min(max(delta[21], -most.rotation_rad), most.rotation_rad)
-    b = min(max(delta[22], -most.rotation_rad), most.rotation_rad)
+    a = min(max(delta[0], -most.rotation_rad), most.rotation_rad)
+    b = min(max(delta[1], -most.rotation_rad), most.rotation_rad)
     u = a * axes[ARM, 0, 0] + b * axes[ARM, 1, 0]
     v = a * axes[ARM, 0, 1] + b * axes[ARM, 1, 1]
     w = a * axes[ARM, 0, 2] + b * axes[ARM, 1, 2]
@@ -178,7 +213,7 @@ def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> 
     share = 1.0 / np.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
     for i in range(3):
         arm[i] *= share
-    arm[3] = min(max(arm[3] + delta[23], -MOST_GIRTH), MOST_GIRTH)
+    arm[3] = min(max(arm[3] + delta[2], -MOST_GIRTH), MOST_GIRTH)
 
 
 @kernel
@@ -186,13 +221,13 @@ def _solve(
     hand: Hand,
     tile: Tile,
     pose: FloatArray,
-    arm: FloatArray,
+    inner: FloatArray,
     mean: FloatArray,
     precision: FloatArray,
     workspace: Workspace,
     delta: FloatArray,
 ) -> None:
-    """Write the Gauss-Newton step (24,) for image, prior N(mean, 1 / precision), forearm and anatomy."""
+    """Write the Gauss-Newton step (26,) for image, priors of pose (mean, precision) and inner, anatomy."""
     whole = workspace.whole
     copy(workspace.data, whole)
     _difference(mean, pose, delta)
@@ -200,16 +235,16 @@ def _solve(
         whole.matrix[i, i] += precision[i]
         whole.vector[i] += precision[i] * delta[i]
     add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
-    add_arm_prior(tile.arm, arm, workspace.posed, whole)
+    add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, whole)
     step = np.linalg.solve(whole.matrix, whole.vector)
     for i in range(UNKNOWNS):
         delta[i] = step[i]
 
 
 @kernel
-def _keep(pose: FloatArray, arm: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
+def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
     out.cost[0] = cost
-    out.arm[:] = arm
+    out.inner[:] = inner
     for i in range(POSE_SIZE):
         out.pose[i] = pose[i]
     copy(data, out.data)
@@ -240,11 +275,10 @@ def descend(
         workspace: is written to.
         out: the fit. Its cost is c_max if the hand cannot be drawn.
     """
-    pose, arm, delta = start.copy(), tile.arm.copy(), np.empty(UNKNOWNS)
-    _keep(pose, arm, workspace.data, np.inf, out)
+    pose, inner, delta = start.copy(), tile.inner.copy(), np.empty(UNKNOWNS)
+    _keep(pose, inner, workspace.data, np.inf, out)
     for k in range(iterations + 1):
-        pose_bones(hand.skeleton, pose, workspace.posed)
-        place_arm(arm, workspace.posed)
+        pose_bones(hand.skeleton, pose, inner, workspace.posed)
         clear(workspace.data)
         cost = terms.clamp_mm
         if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
@@ -262,18 +296,17 @@ def descend(
             )
             gather(workspace.data)
         if cost < out.cost[0]:
-            _keep(pose, arm, workspace.data, cost, out)
+            _keep(pose, inner, workspace.data, cost, out)
         if k < iterations:
-            _solve(hand, tile, pose, arm, mean, precision, workspace, delta)
+            _solve(hand, tile, pose, inner, mean, precision, workspace, delta)
             step_pose(pose, delta, most)
-            _move_arm(arm, delta, workspace.posed, most)
+            _move_inner(inner, delta, workspace.posed, most)
 
 
 @kernel
 def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
     """The union cost D, mm, of a pose (22,)."""
-    pose_bones(hand.skeleton, pose, workspace.posed)
-    place_arm(tile.arm, workspace.posed)
+    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     if not draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
         return terms.clamp_mm
     return union_cost(tile, workspace.drawing, terms)
@@ -282,8 +315,7 @@ def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: W
 @kernel
 def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
     """Make the fit of a pose as it is, without a step."""
-    pose_bones(hand.skeleton, pose, workspace.posed)
-    place_arm(tile.arm, workspace.posed)
+    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     clear(workspace.data)
     cost = terms.clamp_mm
     if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
@@ -299,7 +331,7 @@ def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Wo
             workspace.data,
         )
         gather(workspace.data)
-    _keep(pose, tile.arm, workspace.data, cost, out)
+    _keep(pose, tile.inner, workspace.data, cost, out)
 
 
 @kernel
@@ -308,8 +340,7 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
 
     The middles are means of column, row and depth. False, and nothing moved, if either shows nothing.
     """
-    pose_bones(hand.skeleton, pose, workspace.posed)
-    place_arm(tile.arm, workspace.posed)
+    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     bones, drawing = workspace.posed.bones, workspace.drawing
     if tile.observed == 0 or not draw(hand.skin.mesh, bones, tile.projection, drawing):
         return False

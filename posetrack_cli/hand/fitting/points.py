@@ -20,8 +20,8 @@ from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
 from posetrack_cli.hand.fitting.gauss_newton import Steps, step_pose
 from posetrack_cli.hand.fitting.normal_equations import (
+    RESIDUAL,
     ROW,
-    UNKNOWNS,
     NormalEquations,
     add_row,
     clear,
@@ -29,6 +29,7 @@ from posetrack_cli.hand.fitting.normal_equations import (
     gather,
 )
 from posetrack_cli.hand.fitting.skeleton import PALM, Posed, Skeleton, empty_posed, point_row, pose_bones
+from posetrack_cli.hand.inner import NO_INNER
 
 _WIDEST, _NARROWEST = 12.0, 2.5
 """Standard deviations at which a point's weight is a quarter, in the first and in the last iteration."""
@@ -108,7 +109,7 @@ def _add_point(
     for i in range(3):
         x, y, z = about.axes[k, i, 0], about.axes[k, i, 1], about.axes[k, i, 2]
         point_row(posed, finger, reaches, hinges, at[0], at[1], at[2], x, y, z, row)
-        row[ROW - 1] = e[i]
+        row[RESIDUAL] = e[i]
         add_row(equations, finger, row, weight * p[i])
 
 
@@ -137,17 +138,17 @@ def fit_places(
     for n in range(iterations):
         left = 1.0 - n / max(iterations - 1, 1)
         width = _NARROWEST * (_WIDEST / _NARROWEST) ** left
-        pose_bones(skeleton, pose, posed)
+        pose_bones(skeleton, pose, NO_INNER, posed)
         clear(equations)
         for k in range(21):
             if about.precision[k, 0] > 0.0:
                 _add_point(about, posed, k, width, reaches, equations)
         gather(equations)
         add_anatomy(plausibility, pose, posed, workspace.spheres, equations)
-        for i in range(UNKNOWNS):
-            least = _LEAST[0] if i < 3 else (_LEAST[1] if i < 6 else _LEAST[2])
-            equations.matrix[i, i] += least if i < TANGENT_SIZE else 1.0  # there is no forearm
-        step = np.linalg.solve(equations.matrix, equations.vector)
+        for i in range(TANGENT_SIZE):
+            equations.matrix[i, i] += _LEAST[0] if i < 3 else (_LEAST[1] if i < 6 else _LEAST[2])
+        of_pose = equations.matrix[:TANGENT_SIZE, :TANGENT_SIZE].copy()  # inner numbers stay 0
+        step = np.linalg.solve(of_pose, equations.vector[:TANGENT_SIZE].copy())
         step_pose(pose, step.astype(np.float64), most)
 
 
@@ -155,7 +156,7 @@ def fit_places(
 def misfits(skeleton: Skeleton, about: PlacesToFit, pose: FloatArray, posed: Posed, out: FloatArray) -> None:
     """Write s (21,) of a pose (22,): how many standard deviations each joint is off its place."""
     at, e, p = np.empty(3), np.empty(3), np.empty(3)
-    pose_bones(skeleton, pose, posed)
+    pose_bones(skeleton, pose, NO_INNER, posed)
     for k in range(21):
         _joint(posed, k, at)
         out[k] = np.sqrt(_misfit(about, k, at, e, p))

@@ -13,9 +13,11 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
 from posetrack_cli.hand.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.inner import IP_OFFSET, MCP_ABDUCTION
 
 HALF = 0.5  # joint 1 bends half as far as joint 2
-PALM = -1  # the finger of a point that no finger moves
+THUMB = 0  # the finger of a point of the thumb
+PALM = -1  # that of a point that no finger moves
 ARM = 5  # that of a point of the forearm
 
 
@@ -41,10 +43,10 @@ class Posed(NamedTuple):
     """One pose's bones; written by ``pose_bones``.
 
     Attributes:
-        bones: (17, 3, 4) camera_T_rest, mm; the last is the forearm's (``place_arm``).
+        bones: (17, 3, 4) camera_T_rest, mm; the last is the forearm's behind the wrist.
         axes: (6, 3, 3) hinge axes in camera coordinates: of a finger flexion and abduction (the third is not
-            used), of the thumb CMC flexion, MCP flexion, CMC abduction, of the forearm the two that it swings
-            about and its direction towards the elbow, 0 where there is none.
+            used), of the thumb CMC flexion, MCP and IP flexion, CMC and MCP abduction, of the forearm the two
+            that it swings about and its direction towards the elbow, 0 where there is none.
         centres: (5, 3, 3) joints 3, 2, 1 in camera coordinates, mm.
         tips: (5, 3) mm.
     """
@@ -82,37 +84,40 @@ def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
 
 
 @kernel
-def _finger_turns(pose: FloatArray, f: int, sign: float, turns: FloatArray) -> None:
+def _finger_turns(pose: FloatArray, inner: FloatArray, f: int, sign: float, turns: FloatArray) -> None:
     """Turns (3, 3, 3) of a finger's bones from rest, in the finger's frame."""
-    k = 7 + 3 * f
-    if f == 0:
+    k, aside, more = 7 + 3 * f, 0.0, 0.0
+    if f == THUMB:
         base, spread, first, second = pose[k], sign * pose[k + 2], 0.0, pose[k + 1]
+        aside, more = sign * inner[MCP_ABDUCTION], inner[IP_OFFSET]
     else:
         base, spread, first, second = 0.0, sign * pose[k + 1], pose[k], pose[k + 2]
     _bent(base, spread, first, turns[0])
-    _bent(base, spread, first + second, turns[1])
-    _bent(base, spread, first + (1.0 + HALF) * second, turns[2])
+    _bent(base, spread + aside, first + second, turns[1])
+    _bent(base, spread + aside, first + (1.0 + HALF) * second + more, turns[2])
 
 
 @kernel
-def _finger_axes(pose: FloatArray, f: int, sign: float, frame: FloatArray, axes: FloatArray) -> None:
+def _finger_axes(
+    pose: FloatArray, inner: FloatArray, f: int, sign: float, frame: FloatArray, axes: FloatArray
+) -> None:
     """Hinge axes (3, 3) in camera coordinates; ``frame`` is camera_R_finger."""
     k = 7 + 3 * f
-    s, a = (pose[k], sign * pose[k + 2]) if f == 0 else (0.0, sign * pose[k + 1])
+    s, a = (pose[k], sign * (pose[k + 2] + inner[MCP_ABDUCTION])) if f == THUMB else (0.0, sign * pose[k + 1])
     cs, ss, ca, sa = np.cos(s), np.sin(s), np.cos(a), np.sin(a)
     for i in range(3):
         x, y, z = frame[i, 0], frame[i, 1], frame[i, 2]
         flexion = ca * x + sa * (cs * y + ss * z)  # Rx(s) Rz(a) e_x
         abduction = sign * (-ss * y + cs * z)  # Rx(s) e_z
-        if f == 0:
+        if f == THUMB:
             axes[0, i], axes[1, i], axes[2, i] = x, flexion, abduction
         else:
             axes[0, i], axes[1, i], axes[2, i] = flexion, abduction, 0.0
 
 
 @kernel
-def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
-    """Write the bones, hinge axes and joint centres of one pose (22,).
+def pose_bones(skeleton: Skeleton, pose: FloatArray, inner: FloatArray, posed: Posed) -> None:
+    """Write the bones, hinge axes and joint centres of one pose (22,) with inner numbers (6,).
 
     A forearm is drawn together into the wrist, where nothing of it is seen.
     """
@@ -126,25 +131,22 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, posed: Posed) -> None:
     for f in range(5):
         origin, at = skeleton.base_positions[f], posed.tips[f]
         matrix_product(palm, skeleton.base_rotations[f], frame)
-        _finger_turns(pose, f, skeleton.sign, turns)
-        _finger_axes(pose, f, skeleton.sign, frame, posed.axes[f])
+        _finger_turns(pose, inner, f, skeleton.sign, turns)
+        _finger_axes(pose, inner, f, skeleton.sign, frame, posed.axes[f])
         for i in range(3):
             at[i] = pose[i] + palm[i, 0] * origin[0] + palm[i, 1] * origin[1] + palm[i, 2] * origin[2]
         for k in range(3):
             matrix_product(frame, turns[k], turned)
             _place_bone(skeleton, f, k, turned, at, posed)
+    _place_arm(inner, posed)
 
 
 @kernel
-def place_arm(arm: FloatArray, posed: Posed) -> None:
-    """Write the forearm's bone and axes behind the wrist of a hand that is posed.
+def _place_arm(arm: FloatArray, posed: Posed) -> None:
+    """Write the forearm's bone and axes behind the wrist of a hand that is posed, of inner numbers (6,).
 
     Its rest coordinates have the wrist at the origin and y towards the elbow; x stays as near to the palm's
-    as can be. Without a forearm all of it stays where ``pose_bones`` puts it.
-
-    Args:
-        arm: (4,) direction from wrist to elbow, unit or 0, and the logarithm of the girth's factor.
-        posed: of ``pose_bones``.
+    as can be. Without a forearm all of it stays in the wrist.
     """
     bone, axes = posed.bones[ARM_BONE], posed.axes[ARM]
     if arm[0] == 0.0 and arm[1] == 0.0 and arm[2] == 0.0:
@@ -196,6 +198,20 @@ def _arm_row(
 
 
 @inlined
+def _add_thumb(joint: int, first: float, second: float, aside: float, row: FloatArray) -> None:
+    """Of a point beyond a joint of the thumb: how fast CMC flexion, MCP and IP flexion, abduction move it."""
+    if joint == 0:
+        row[6] += first
+        row[8] += aside
+    elif joint == 1:
+        row[7] += second
+        row[11] += aside
+    else:
+        row[7] += HALF * second
+        row[10] += second
+
+
+@inlined
 def point_row(
     posed: Posed,
     finger: int,
@@ -220,13 +236,14 @@ def point_row(
         n: which row.
         px, py, pz: the point, camera coordinates, mm.
         dx, dy, dz: unit direction.
-        row: (10,) translation, body rotation, the finger's three angles (0 for the palm), or for the forearm
-            its two swings and the logarithm of its girth; the last is left.
+        row: (12,) translation, body rotation, the finger's three angles (0 for the palm), or for the forearm
+            its two swings and the logarithm of its girth; the next is left; the thumb's two inner angles.
     """
     palm = posed.bones
     lx, ly, lz = px - palm[0, 0, 3], py - palm[0, 1, 3], pz - palm[0, 2, 3]
     tx, ty, tz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
     row[0], row[1], row[2] = dx, dy, dz
+    row[10] = row[11] = 0.0
     if finger == ARM:
         _arm_row(posed, lx, ly, lz, dx, dy, dz, row)
         return
@@ -246,12 +263,9 @@ def point_row(
         tz = weight * (lx * dy - ly * dx)
         first = axes[f, 0, 0] * tx + axes[f, 0, 1] * ty + axes[f, 0, 2] * tz
         second = axes[f, 1, 0] * tx + axes[f, 1, 1] * ty + axes[f, 1, 2] * tz
-        if f == 0:
-            if joint == 0:
-                row[6] += first
-                row[8] += axes[0, 2, 0] * tx + axes[0, 2, 1] * ty + axes[0, 2, 2] * tz
-            else:
-                row[7] += second if joint == 1 else HALF * second
+        if f == THUMB:
+            aside = axes[0, 2, 0] * tx + axes[0, 2, 1] * ty + axes[0, 2, 2] * tz
+            _add_thumb(joint, first, second, aside, row)
         elif joint == 0:
             row[6] += first
             row[7] += second

@@ -18,10 +18,10 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.hand.fitting.normal_equations import ROW, NormalEquations, add_row
+from posetrack_cli.hand.fitting.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
 from posetrack_cli.hand.fitting.skeleton import Posed, point_row
 from posetrack_cli.hand.fitting.skin import Skin
-from posetrack_cli.hand.observation import NO_ARM
+from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.rendering.raster import Drawing, View
 
 
@@ -33,14 +33,16 @@ class Tile(NamedTuple):
         nearest: (2, h, w) column and row of the nearest hand pixel.
         observed: number of the target pixels.
         projection: how points fall on it.
-        arm: (4,) the forearm as expected (``skeleton.place_arm``), direction 0 where none is seen.
+        inner: (6,) where fits begin, and what poses are drawn with (``hand.inner``).
+        expected: (6,) the mean of their prior.
     """
 
     image: FloatArray
     nearest: FloatArray
     observed: int
     projection: View
-    arm: FloatArray = NO_ARM
+    inner: FloatArray = NO_INNER
+    expected: FloatArray = NO_INNER
 
 
 class Terms(NamedTuple):
@@ -138,7 +140,7 @@ def add_terms(
                     missed += share
                     aside = (tile.nearest[0, j, i] - i) / view.a, (tile.nearest[1, j, i] - j) / view.c
                     pull = _outline_pull(share if observed < 0.0 else 0.0, aside, x, y, z, widening, terms)
-                dx, dy, dz, row[9], weight = pull
+                dx, dy, dz, row[RESIDUAL], weight = pull
                 if observed > 0.0:
                     weight *= stride if (i + j) % stride == 0 else 0
                 if weight > 0.0:
@@ -220,7 +222,7 @@ def _add_closest(
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         if distance < 1e-9:
             continue
-        share, row[9] = 1.0 / distance, distance
+        share, row[RESIDUAL] = 1.0 / distance, distance
         weight = stride * _robust(distance, widening * terms.closest_tau_mm) / (terms.closest_mm**2)
         dx, dy, dz = share * dx, share * dy, share * dz
         point_row(posed, skin.fingers[v], skin.reaches, v, px, py, pz, dx, dy, dz, row)

@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import SegmentationSettings
+from posetrack_cli.hand.inner import FOREARM
 from posetrack_cli.hand.observation import IGNORED, Observation, PixelSampler
 from posetrack_cli.hand.segmentation.arm import Arm, arm_of, is_forearm
 from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette, silhouette_of
@@ -70,15 +71,21 @@ class Segmentation:
         image[self.is_labelled(Label.FOREARM) | self.is_labelled(Label.BEYOND)] = 0.0
         return Observation(self.window, image, int(np.count_nonzero(hand)))
 
-    def observation_with_arm(self, log_girth: float) -> Observation:
-        """The window as a likelihood reads it that knows a forearm, too, of such a girth."""
+    def observation_with_inner(self, expected: FloatArray) -> Observation:
+        """The window as a likelihood reads it that knows inner numbers, too, and what is expected of them.
+
+        Args:
+            expected: (6,) but for the forearm's direction.
+        """
+        inner = expected.copy()
         if self.arm is None:
-            return self.observation
+            inner[FOREARM] = 0.0
+            return replace(self.observation, inner=inner)
         target = self.is_labelled(Label.HAND) | self.is_labelled(Label.FOREARM)
         image = np.where(target, self.depth, -self.depth)
         image[self.is_labelled(Label.BEYOND)] = IGNORED
-        arm, count = np.append(-self.arm, log_girth), int(np.count_nonzero(target))
-        return Observation(self.window, image, count, arm, self.wrist, self.reversed)
+        inner[:3], count = -self.arm, int(np.count_nonzero(target))
+        return Observation(self.window, image, count, inner, self.wrist, self.reversed)
 
 
 def segment(

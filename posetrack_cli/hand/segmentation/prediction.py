@@ -11,6 +11,7 @@ from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
+from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.rendering.window import Window
 
@@ -30,9 +31,9 @@ class PredictedHand:
     scale: float
 
     @classmethod
-    def of(cls, anatomy: HandAnatomy, pose: FloatArray) -> PredictedHand:
-        """The hand of an anatomy in a pose (22,)."""
-        return cls(pose, joint_positions(anatomy, pose[None])[0], anatomy.scale)
+    def of(cls, anatomy: HandAnatomy, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> PredictedHand:
+        """The hand of an anatomy in a pose (22,), with inner angles of its thumb (2,)."""
+        return cls(pose, joint_positions(anatomy, pose[None], thumb)[0], anatomy.scale)
 
     @property
     def wrist(self) -> FloatArray:

@@ -17,8 +17,10 @@ from posetrack_cli.hand.fitting.anatomy_terms import (
     plausibility_of,
 )
 from posetrack_cli.hand.fitting.fitter import HandFitter
-from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
+from posetrack_cli.hand.fitting.gauss_newton import empty_fit
+from posetrack_cli.hand.fitting.normal_equations import THUMB_PLACE, NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_bones, skeleton_of
+from posetrack_cli.hand.inner import NO_INNER, THUMB
 from posetrack_cli.hand.kinematics import mirrored_poses
 from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, numerical_gradient
@@ -36,13 +38,23 @@ CROSSED = bent(
 
 
 def potential(
-    pose: FloatArray, about: Plausibility = ABOUT, name: str = "right"
+    pose: FloatArray, about: Plausibility = ABOUT, name: str = "right", inner: FloatArray = NO_INNER
 ) -> tuple[float, NormalEquations]:
+    """U, and gradient and information by the pose."""
+    value, equations = whole_potential(pose, about, name, inner)
+    return value, equations._replace(matrix=equations.matrix[:21, :21], vector=equations.vector[:21])
+
+
+def whole_potential(
+    pose: FloatArray, about: Plausibility, name: str, inner: FloatArray
+) -> tuple[float, NormalEquations]:
+    """The same by all unknowns."""
     posed, equations = empty_posed(), empty_equations()
-    pose_bones(skeleton_of(HANDS[name].anatomy), pose, posed)
+    pose_bones(skeleton_of(HANDS[name].anatomy), pose, inner, posed)
     value = add_anatomy(about, pose, posed, np.zeros((5, 5, 3)), equations)
-    assert not equations.matrix[21:].any() and not equations.vector[21:].any()  # of the forearm
-    return float(value), equations._replace(matrix=equations.matrix[:21, :21], vector=equations.vector[:21])
+    arm = slice(21, THUMB_PLACE)
+    assert not equations.matrix[arm].any() and not equations.vector[arm].any()
+    return float(value), equations
 
 
 def relaxed() -> FloatArray:
@@ -154,7 +166,7 @@ def test_what_nothing_shows_of_a_half_closed_finger_is_closed_and_a_little_bent_
 def test_spheres_lie_on_the_fingers(name: str) -> None:
     for pose in random_poses(5, 1):
         posed, spheres = empty_posed(), np.zeros((5, 5, 3))
-        pose_bones(skeleton_of(HANDS[name].anatomy), pose, posed)
+        pose_bones(skeleton_of(HANDS[name].anatomy), pose, NO_INNER, posed)
         place_spheres(posed, spheres)
         np.testing.assert_array_equal(spheres[:, 0], posed.centres[:, 1])
         np.testing.assert_array_equal(spheres[:, 2], posed.centres[:, 2])
@@ -168,7 +180,7 @@ def test_spheres_lie_on_the_fingers(name: str) -> None:
 def overlaps(pose: FloatArray, name: str) -> list[float]:
     """How far spheres of the thumb and the others, and of neighbours, sink into each other, mm."""
     posed, spheres = empty_posed(), np.zeros((5, 5, 3))
-    pose_bones(skeleton_of(HANDS[name].anatomy), pose, posed)
+    pose_bones(skeleton_of(HANDS[name].anatomy), pose, NO_INNER, posed)
     place_spheres(posed, spheres)
     pairs = [(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4)]
     found = []
@@ -212,6 +224,29 @@ def test_the_vector_is_minus_the_potential_s_gradient(name: str, seed: int) -> N
 
 
 @pytest.mark.parametrize("name", list(HANDS))
+def test_collisions_push_the_thumb_s_inner_angles(name: str) -> None:
+    """Their gradient, too, is the potential's, and their information goes with the other angles'."""
+    rng, counted = np.random.default_rng(4), 0
+    for pose in [one for one in random_poses(120, 3) if overlaps(one, name)]:
+        inner = NO_INNER.copy()
+        inner[THUMB] = 0.2 * rng.standard_normal(2)
+
+        def at(delta: FloatArray, pose: FloatArray = pose, inner: FloatArray = inner) -> float:
+            moved = inner.copy()
+            moved[THUMB] += delta
+            return whole_potential(pose, ONLY_COLLISIONS, name, moved)[0]
+
+        equations = whole_potential(pose, ONLY_COLLISIONS, name, inner)[1]
+        gradient = numerical_gradient(at, 2)
+        counted += int(np.abs(gradient).max() > 1.0)
+        atol = 1e-5 * max(1.0, np.abs(gradient).max())
+        np.testing.assert_allclose(equations.vector[THUMB_PLACE:], -gradient, atol=atol)
+        np.testing.assert_allclose(equations.matrix, equations.matrix.T, atol=1e-9)
+        assert np.linalg.eigvalsh(equations.matrix)[0] > -1e-6 * max(1.0, equations.matrix.max())
+    assert counted > 5
+
+
+@pytest.mark.parametrize("name", list(HANDS))
 def test_collisions_push_both_fingers_apart_and_information_is_symmetric(name: str) -> None:
     for pose in random_poses(40, 3):
         value, equations = potential(pose, ONLY_COLLISIONS, name)
@@ -241,9 +276,14 @@ def test_two_fingers_in_one_place_are_no_error() -> None:
 def test_potentials_of_many_poses_are_those_of_each() -> None:
     fitter = HandFitter(RIGHT, KINECT, TILE_PX)
     poses = random_poses(30, 4)
-    found = fitter.potentials(poses)
+    found = fitter.potentials(poses, NO_INNER)
     np.testing.assert_array_equal(found, [potential(pose)[0] for pose in poses])
-    np.testing.assert_array_equal(fitter.potentials(poses), found)  # whatever was asked before
+    np.testing.assert_array_equal(fitter.potentials(poses, NO_INNER), found)  # whatever was asked before
+    inner = NO_INNER.copy()
+    inner[THUMB] = 0.3, -0.2
     for pose in poses[:3]:
-        for ours, expected in zip(fitter.anatomy(pose), potential(pose)[1], strict=True):
-            np.testing.assert_array_equal(ours[tuple(map(slice, expected.shape))], expected)
+        expected, equations = whole_potential(pose, ABOUT, "right", inner)
+        assert fitter.potentials(pose[None], inner)[0] == expected
+        found_here = fitter.anatomy(empty_fit()._replace(pose=pose, inner=inner))
+        np.testing.assert_array_equal(found_here.matrix, equations.matrix)
+        np.testing.assert_array_equal(found_here.vector, equations.vector)

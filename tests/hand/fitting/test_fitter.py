@@ -85,8 +85,9 @@ def test_a_fit_says_what_its_pose_costs(fitters: dict[str, HandFitter]) -> None:
     fitter, truth = fitters["right"], open_hand()
     tile = fitter.tile(observed(RIGHT, fitter, truth))
     for fit in descended(fitter, tile, np.stack([moved(truth, k) for k in range(3)])):
-        again = fitter.assessed(tile, fit.pose)
-        assert again.cost[0] == fit.cost[0] == fitter.costs(tile, fit.pose[None])[0]
+        there = tile._replace(inner=fit.inner)
+        again = fitter.assessed(there, fit.pose)
+        assert again.cost[0] == fit.cost[0] == fitter.costs(there, fit.pose[None])[0]
         np.testing.assert_array_equal(again.pose, fit.pose)
         assert np.linalg.norm(fit.pose[3:7]) == pytest.approx(1.0, abs=1e-12)
         assert fit.pose[6] >= 0.0

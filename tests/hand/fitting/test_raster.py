@@ -12,6 +12,7 @@ from posetrack_cli.hand.anatomy import BONE_COUNT
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fitting.skeleton import PALM, empty_posed, pose_bones, skeleton_of
 from posetrack_cli.hand.fitting.skin import skin_of
+from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.observation import window_around
 from posetrack_cli.rendering.mesh import SkinnedMesh
@@ -163,7 +164,7 @@ def test_hands_are_drawn_as_by_the_renderer(name: str, device: RenderingDevice) 
     for pose in random_poses(12, seed=5):
         window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())
         expected = renderer.depth(skinning_transforms(hand.anatomy, pose[None]), KINECT, window)[0]
-        pose_bones(skeleton, pose, posed)
+        pose_bones(skeleton, pose, NO_INNER, posed)
         assert draw(skin.mesh, posed.bones, View(*window.tile_projection(KINECT)), out)
         found = depth_of(out)
         both = (found > 0) & (expected > 0)

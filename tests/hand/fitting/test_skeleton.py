@@ -5,11 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy, make_anatomy
-from posetrack_cli.hand.fitting.normal_equations import ROW
-from posetrack_cli.hand.fitting.skeleton import PALM, Posed, empty_posed, point_row, pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.normal_equations import RESIDUAL, ROW, THUMB_PART
+from posetrack_cli.hand.fitting.skeleton import (
+    PALM,
+    THUMB,
+    Posed,
+    empty_posed,
+    point_row,
+    pose_bones,
+    skeleton_of,
+)
+from posetrack_cli.hand.inner import NO_INNER, NO_THUMB
+from posetrack_cli.hand.inner import THUMB as THUMB_ANGLES
 from posetrack_cli.hand.kinematics import joint_jacobian, joint_positions, skinning_transforms
 from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT
@@ -24,20 +35,26 @@ each_hand = pytest.mark.parametrize("name", list(ANATOMIES))
 SPACE = BodySpace()
 
 
-def posed(anatomy: HandAnatomy, pose: FloatArray) -> Posed:
-    out = empty_posed()
-    pose_bones(skeleton_of(anatomy), pose, out)
+def posed(anatomy: HandAnatomy, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> Posed:
+    out, inner = empty_posed(), NO_INNER.copy()
+    inner[THUMB_ANGLES] = thumb
+    pose_bones(skeleton_of(anatomy), pose, inner, out)
     return out
 
 
+def random_thumb(rng: np.random.Generator) -> FloatArray:
+    thumb: FloatArray = 0.3 * rng.standard_normal(2)
+    return thumb
+
+
 @each_hand
-@given(pose=pose_strategy())
+@given(pose=pose_strategy(), ip=st.floats(-0.6, 0.6), abduction=st.floats(-0.6, 0.6))
 @settings(max_examples=40)
-def test_bones_are_those_of_the_kinematics(name: str, pose: FloatArray) -> None:
-    anatomy = ANATOMIES[name]
-    found, joints = posed(anatomy, pose), joint_positions(anatomy, pose[None])[0]
+def test_bones_are_those_of_the_kinematics(name: str, pose: FloatArray, ip: float, abduction: float) -> None:
+    anatomy, thumb = ANATOMIES[name], np.array([ip, abduction])
+    found, joints = posed(anatomy, pose, thumb), joint_positions(anatomy, pose[None], thumb)[0]
     np.testing.assert_allclose(
-        found.bones[:BONE_COUNT], skinning_transforms(anatomy, pose[None])[0], atol=FLOAT32
+        found.bones[:BONE_COUNT], skinning_transforms(anatomy, pose[None], thumb)[0], atol=FLOAT32
     )
     np.testing.assert_allclose(
         found.centres.reshape(15, 3), joints[1:].reshape(5, 4, 3)[:, :3].reshape(15, 3)
@@ -56,11 +73,13 @@ def test_axes_are_unit_vectors_across_their_joints(name: str) -> None:
 
 
 def whole_row(row: FloatArray, finger: int) -> FloatArray:
-    """A row (10,) as a derivative by all of the tangent vector (21,)."""
-    out = np.zeros(21)
+    """A row (12,) as a derivative by all of the tangent vector, then by the thumb's inner angles (23,)."""
+    out = np.zeros(23)
     out[:6] = row[:6]
     if finger != PALM:
         out[6 + 3 * finger : 9 + 3 * finger] = row[6:9]
+    if finger == THUMB:
+        out[21:] = row[THUMB_PART:]
     return out
 
 
@@ -68,9 +87,9 @@ def row_of(
     found: Posed, finger: int, reaches: FloatArray, point: FloatArray, along: FloatArray
 ) -> FloatArray:
     row = np.full(ROW, np.nan)
-    row[9] = 0.5
+    row[RESIDUAL] = 0.5
     point_row(found, finger, reaches[None], 0, *point, *along, row)
-    assert row[9] == 0.5
+    assert row[RESIDUAL] == 0.5
     return whole_row(row, finger)
 
 
@@ -79,35 +98,38 @@ def test_rows_of_joints_are_their_jacobian(name: str) -> None:
     """Joint k of a finger is moved by all hinges before it, and by none after."""
     anatomy, rng = ANATOMIES[name], np.random.default_rng(3)
     for pose in random_poses(10, seed=4):
-        found, joints = posed(anatomy, pose), joint_positions(anatomy, pose[None])[0]
-        jacobian = joint_jacobian(anatomy, pose[None])[0]
+        thumb = random_thumb(rng)
+        found, joints = posed(anatomy, pose, thumb), joint_positions(anatomy, pose[None], thumb)[0]
+        jacobian = joint_jacobian(anatomy, pose[None], thumb)[0]
         for finger in range(5):
             for k in range(1, 4):
                 joint, along = 1 + 4 * finger + k, rng.standard_normal(3)
                 reaches = (np.arange(3) < k).astype(np.float64)
                 expected = along @ jacobian[joint]
                 row = row_of(found, finger, reaches, joints[joint], along)
-                np.testing.assert_allclose(row, expected, atol=1e-9 * 1500.0)
+                np.testing.assert_allclose(row[:21], expected, atol=1e-9 * 1500.0)
 
 
 @each_hand
 @pytest.mark.parametrize("bone", range(16))
 def test_rows_of_rigid_points_are_central_differences(name: str, bone: int) -> None:
-    """A point that one bone alone moves: palm, and every bone of every finger, by every angle."""
+    """A point that one bone alone moves, of palm and fingers, by every angle, the thumb's inner ones too."""
     anatomy, rng, step = ANATOMIES[name], np.random.default_rng(bone), 1e-6
     finger, reaches = (PALM, np.zeros(3)) if bone == 0 else ((bone - 1) // 3, np.zeros(3))
     if bone > 0:
         reaches[: 1 + (bone - 1) % 3] = 1.0
     for pose in random_poses(5, seed=bone):
-        rest, along = 60.0 * rng.standard_normal(3), rng.standard_normal(3)
+        rest, along, thumb = 60.0 * rng.standard_normal(3), rng.standard_normal(3), random_thumb(rng)
 
-        def at(pose: FloatArray, rest: FloatArray = rest) -> FloatArray:
-            moved = posed(anatomy, pose).bones[bone]
+        def at(
+            delta: FloatArray, pose: FloatArray = pose, rest: FloatArray = rest, thumb: FloatArray = thumb
+        ) -> FloatArray:
+            there = SPACE.retract(pose[None], delta[None, :21])[0]
+            moved = posed(anatomy, there, thumb + delta[21:]).bones[bone]
             return moved[:, :3] @ rest + moved[:, 3]
 
-        moved = [SPACE.retract(np.stack([pose, pose]), np.stack([d, -d])) for d in step * np.eye(21)]
-        expected = [along @ (at(plus) - at(minus)) / (2.0 * step) for plus, minus in moved]
-        row = row_of(posed(anatomy, pose), finger, reaches, at(pose), along)
+        expected = [along @ (at(d) - at(-d)) / (2.0 * step) for d in step * np.eye(23)]
+        row = row_of(posed(anatomy, pose, thumb), finger, reaches, at(np.zeros(23)), along)
         # differences of coordinates below 1500 mm, two roundings each, over 2 steps; lengths below 4
         np.testing.assert_allclose(row, expected, atol=4.0 * 4.0 * 1500.0 * 2.3e-16 / (2.0 * step) + 1e-6)
 

@@ -11,15 +11,30 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fitting.fitter import HandFitter, nearest_pixels
 from posetrack_cli.hand.fitting.normal_equations import (
+    RESIDUAL,
+    ROW,
+    THUMB_PART,
+    THUMB_PLACE,
+    UNKNOWNS,
     NormalEquations,
     add_row,
     clear,
     empty_equations,
     gather,
 )
-from posetrack_cli.hand.fitting.skeleton import ARM, PALM, Skeleton, empty_posed, pose_bones, skeleton_of
+from posetrack_cli.hand.fitting.skeleton import (
+    ARM,
+    PALM,
+    THUMB,
+    Skeleton,
+    empty_posed,
+    pose_bones,
+    skeleton_of,
+)
 from posetrack_cli.hand.fitting.skin import Skin, skin_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile, add_terms, empty_buffers, union_cost
+from posetrack_cli.hand.inner import NO_INNER
+from posetrack_cli.hand.inner import THUMB as THUMB_ANGLES
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
 from posetrack_cli.hand.model import HandModel
@@ -34,22 +49,26 @@ from support.hand import KINECT, random_poses
 
 SPACE = BodySpace()
 SETTINGS = Terms()
+MOVED = [*range(21), THUMB_PLACE, THUMB_PLACE + 1]
+"""All unknowns but the forearm's."""
 each_hand = pytest.mark.parametrize("name", list(HANDS))
 
 
 def test_blocks_are_gathered_like_whole_rows() -> None:
     rng, equations = np.random.default_rng(0), empty_equations()
-    rows, weights = np.zeros((300, 25)), rng.uniform(0.1, 2.0, 300)
+    rows, weights = np.zeros((300, UNKNOWNS + 1)), rng.uniform(0.1, 2.0, 300)
     for k in range(300):
-        finger, row = int(rng.integers(PALM, ARM + 1)), rng.standard_normal(10)
+        finger, row = int(rng.integers(PALM, ARM + 1)), rng.standard_normal(ROW)
         if finger == PALM:
             row[6:9] = 0.0
         else:
             rows[k, 6 + 3 * finger : 9 + 3 * finger] = row[6:9]
-        rows[k, :6], rows[k, 24] = row[:6], row[9]
+        if finger == THUMB:
+            rows[k, THUMB_PLACE:UNKNOWNS] = row[THUMB_PART:]
+        rows[k, :6], rows[k, UNKNOWNS] = row[:6], row[RESIDUAL]
         add_row(equations, finger, row, weights[k])
     gather(equations)
-    J, r = rows[:, :24], rows[:, 24]
+    J, r = rows[:, :UNKNOWNS], rows[:, UNKNOWNS]
     np.testing.assert_allclose(equations.matrix, (weights[:, None] * J).T @ J, atol=1e-11)
     np.testing.assert_allclose(equations.vector, (weights * r) @ J, atol=1e-11)
     before = equations.vector.copy()
@@ -100,9 +119,11 @@ def scene(name: str, seed: int) -> Scene:
     image[:, :: TILE_PX // 6] = 0.0
     image[5:25, 35:45] = -300.0
     image[40:50, 10:50] += np.where(image[40:50, 10:50] > 0, 60.0, 0.0)  # beyond the gate
-    tile = Tile(image, nearest_pixels(image > 0), int(np.count_nonzero(image > 0)), view)
+    inner = NO_INNER.copy()
+    inner[THUMB_ANGLES] = 0.3 * rng.standard_normal(2)
+    tile = Tile(image, nearest_pixels(image > 0), int(np.count_nonzero(image > 0)), view, inner)
     posed, out = empty_posed(), empty_drawing(skin.mesh, TILE_PX, TILE_PX)
-    pose_bones(skeleton, pose, posed)
+    pose_bones(skeleton, pose, inner, posed)
     assert draw(skin.mesh, posed.bones, view, out)
     depth = np.divide(1.0, out.inverse, out=np.full((TILE_PX, TILE_PX), np.inf), where=out.inverse > 0)
     facing = np.flatnonzero(out.facing)
@@ -192,39 +213,43 @@ def expected_residuals(s: Scene, widening: float) -> dict[str, Residuals]:
 
 
 def derivatives(s: Scene, residuals: Residuals, step: float = 1e-5) -> FloatArray:
-    """-dr/de (M, 21) by central differences of the pose."""
+    """-dr/de (M, 23) by central differences of the pose and the thumb's inner angles."""
     posed = empty_posed()
 
-    def bones_at(pose: FloatArray) -> FloatArray:
-        pose_bones(s.skeleton, pose, posed)
+    def bones_at(pose: FloatArray, inner: FloatArray) -> FloatArray:
+        pose_bones(s.skeleton, pose, inner, posed)
         return posed.bones.copy()
 
-    here = bones_at(s.pose)[residuals.bones]
+    here = bones_at(s.pose, s.tile.inner)[residuals.bones]
     rest = np.einsum("kji,kj->ki", here[:, :, :3], residuals.points - here[:, :, 3])
 
     def values(delta: FloatArray) -> FloatArray:
-        bones = bones_at(SPACE.retract(s.pose[None], delta[None])[0])[residuals.bones]
+        inner = s.tile.inner.copy()
+        inner[THUMB_ANGLES] += delta[21:]
+        bones = bones_at(SPACE.retract(s.pose[None], delta[None, :21])[0], inner)[residuals.bones]
         return residuals.values(np.einsum("kij,kj->ki", bones[:, :, :3], rest) + bones[:, :, 3])
 
-    return np.stack([values(-d) - values(d) for d in step * np.eye(21)], axis=1) / (2.0 * step)
+    return np.stack([values(-d) - values(d) for d in step * np.eye(23)], axis=1) / (2.0 * step)
 
 
 def added(s: Scene, widening: float, terms: Terms = SETTINGS) -> tuple[NormalEquations, float]:
     posed, drawing = empty_posed(), empty_drawing(s.skin.mesh, TILE_PX, TILE_PX)
-    pose_bones(s.skeleton, s.pose, posed)
+    pose_bones(s.skeleton, s.pose, s.tile.inner, posed)
     assert draw(s.skin.mesh, posed.bones, s.tile.projection, drawing)
     equations, room = empty_equations(), empty_buffers(s.skin, TILE_PX, TILE_PX)
     cost = add_terms(s.tile, posed, s.skin, drawing, terms, widening, 1, room, equations)
     gather(equations)
-    assert not equations.matrix[21:].any() and not equations.vector[21:].any()  # no forearm is drawn
-    return equations._replace(matrix=equations.matrix[:21, :21], vector=equations.vector[:21]), cost
+    arm = slice(21, THUMB_PLACE)
+    assert not equations.matrix[arm].any() and not equations.vector[arm].any()  # no forearm is drawn
+    matrix, vector = equations.matrix[np.ix_(MOVED, MOVED)], equations.vector[MOVED]
+    return equations._replace(matrix=matrix, vector=vector), cost
 
 
 @each_hand
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_equations_are_those_of_independent_residuals(name: str, seed: int) -> None:
     s, widening = scene(name, seed), 1.7
-    matrix, vector = np.zeros((21, 21)), np.zeros(21)
+    matrix, vector = np.zeros((23, 23)), np.zeros(23)
     for kind, residuals in expected_residuals(s, widening).items():
         assert len(residuals.points) > 5, kind
         J, w = derivatives(s, residuals), residuals.weights
@@ -255,7 +280,7 @@ def test_the_cost_is_the_union_s(name: str) -> None:
         expected = (error + t.clamp_mm * disagree) / ((drawn & shown).sum() + disagree)
         assert added(s, 1.0)[1] == pytest.approx(expected, rel=1e-12)
         posed, drawing = empty_posed(), empty_drawing(s.skin.mesh, TILE_PX, TILE_PX)
-        pose_bones(s.skeleton, s.pose, posed)
+        pose_bones(s.skeleton, s.pose, s.tile.inner, posed)
         draw(s.skin.mesh, posed.bones, s.tile.projection, drawing)
         assert union_cost(s.tile, drawing, SETTINGS) == pytest.approx(expected, rel=1e-12)
 
@@ -283,7 +308,7 @@ def test_the_cost_is_the_renderer_s_where_nothing_hides_the_hand(device: Renderi
 def test_a_perfect_observation_pulls_nowhere() -> None:
     s = scene("right", 3)
     image = np.where(np.isfinite(s.depth), s.depth, -WALL_MM)
-    tile = Tile(image, nearest_pixels(image > 0), int((image > 0).sum()), s.tile.projection)
+    tile = s.tile._replace(image=image, nearest=nearest_pixels(image > 0), observed=int((image > 0).sum()))
     still = Scene(**{**vars(s), "tile": tile})
     equations, cost = added(still, 1.0)
     assert cost == pytest.approx(0.0, abs=1e-9)
