@@ -17,7 +17,6 @@ from typing import Any
 import click
 import cv2
 import numpy as np
-from scipy.optimize import minimize
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc_area
@@ -26,6 +25,7 @@ from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import Regression
 from reproduction.heads_data import CALIBRATION, TRUTH
 from reproduction.one_camera.measuring import compare
+from reproduction.regression import AGAINST, fitted_regression
 
 REDUCED = 0.3
 """Of a small image's width beside the recorded one's: eyes some 27 pixels apart."""
@@ -33,8 +33,6 @@ COVER_PX, COVER_FROM = (110, 90), 15
 """Height and width of what passes before the face, and the first frame with it."""
 USUAL_WEIGHT = 4.0
 """A recording as it is counts as so many hardened ones."""
-PENALTY = 1e-3
-"""Of the squares of weights of signs in units of their deviations."""
 
 
 def _small(images: Sequence[ImageArray], index: int, rng: np.random.Generator) -> ImageArray:
@@ -146,20 +144,7 @@ def fitted(frames: Sequence[Frames]) -> Regression:
     """
     signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
     weights = np.concatenate([np.full(len(one.right), one.weight / max(len(one.right), 1)) for one in frames])
-    weights /= weights.sum()
-    mean, sd = weights @ signs, signs.std(axis=0) + 1e-9
-    design = np.column_stack([np.ones(len(signs)), (signs - mean) / sd])
-
-    def cost(w: FloatArray) -> tuple[float, FloatArray]:
-        logit = design @ w
-        missing = weights * (1.0 / (1.0 + np.exp(-logit)) - right)
-        penalty = np.concatenate([[0.0], 2.0 * PENALTY * w[1:]])
-        value = weights @ (np.logaddexp(0.0, logit) - right * logit) + PENALTY * w[1:] @ w[1:]
-        return float(value), missing @ design + penalty
-
-    bounds = [(None, None), *[(None, 0.0)] * signs.shape[1]]
-    w = minimize(cost, np.zeros(design.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds).x
-    return Regression(float(w[0] - (w[1:] / sd) @ mean), w[1:] / sd)
+    return fitted_regression(signs, right, weights, [AGAINST] * signs.shape[1])
 
 
 def report(frames: Sequence[Frames]) -> list[str]:

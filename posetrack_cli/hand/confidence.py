@@ -24,12 +24,25 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.tracking.confidence import Regression, RunningSigns
+from posetrack_cli.tracking.confidence import SIGN, Regression, RunningSigns
 
 RIGHT_MM = 20.0
 _NOISE_MM, _SHIFT_PER_MM = 2.0, 0.6
-SIGNS = 6
-REGRESSION = Regression(9.98, np.array([-1.94, -1.51, -1.04, 1.06, -3.19, 1.56]))
+SIGN_NAMES = tuple(
+    f"{SIGN}{name}"
+    for name in (
+        "cost",
+        "innovation",
+        "fits",
+        "angle_information",
+        "position_information",
+        "contrast",
+        "raised_cost",
+    )
+)
+NO_SIGNS: FloatArray = np.full(len(SIGN_NAMES), np.nan)
+NO_SIGNS.setflags(write=False)
+REGRESSION = Regression(9.98, np.array([-1.94, -1.51, -1.04, 1.06, -3.19, 1.56, 0.0]))
 _LEAST_COST_MM, _LEAST_INNOVATION_MM, _LEAST_INFORMATION = 1.0, 0.5, 1e-9
 
 
@@ -50,14 +63,17 @@ def with_model_error(pose_variance: FloatArray, usual_mm: float) -> FloatArray:
     return variance
 
 
-def signs_of(usual_mm: float, innovation_mm: float, modes: LikelihoodModes, contrast: float) -> FloatArray:
-    """Return the signs (6,) of a frame.
+def signs_of(
+    usual_mm: float, innovation_mm: float, modes: LikelihoodModes, contrast: float, raised: float
+) -> FloatArray:
+    """Return the signs (7,) of a frame, which ``SIGN_NAMES`` name.
 
     Args:
         usual_mm: running mean of the fits' costs.
         innovation_mm: mean distance of the joints from their prediction.
         modes: the frame's local fits, the best first.
         contrast: of the outline.
+        raised: what the frame's best fit costs, over what good fits of the recording do.
     """
     information = np.log10(np.maximum(np.diagonal(modes.information[0]), _LEAST_INFORMATION))
     return np.array(
@@ -68,11 +84,12 @@ def signs_of(usual_mm: float, innovation_mm: float, modes: LikelihoodModes, cont
             information[6:].mean(),
             information[:3].mean(),
             contrast,
+            np.log(max(raised, 1.0)),
         ]
     )
 
 
-NO_EVIDENCE = RunningSigns.before(SIGNS)
+NO_EVIDENCE = RunningSigns.before(len(SIGN_NAMES))
 
 
 def probability(evidence: RunningSigns) -> float:

@@ -38,7 +38,8 @@ def inner_of(numbers: FloatArray | None) -> FloatArray:
     """The inner numbers (6,) that numbers of ``inner_numbers`` tell; 0 for those that a result has not got.
 
     Args:
-        numbers: (6,), (4,) of a result that has a forearm's alone, or anything else of one with neither.
+        numbers: (6,) and what comes after them, (4,) of a result that has a forearm's alone, or anything
+            shorter of one with neither.
     """
     inner = NO_INNER.copy()
     if numbers is None or len(numbers) < len(FOREARM_NUMBERS):
@@ -52,7 +53,7 @@ def inner_of(numbers: FloatArray | None) -> FloatArray:
 
 def thumbs_of(numbers: FloatArray | None, count: int) -> FloatArray:
     """The thumbs' inner angles (count, 2), rad, of numbers (count, M) as in ``inner_of``."""
-    if numbers is None or numbers.shape[1] != INNER_SIZE:
+    if numbers is None or numbers.shape[1] < INNER_SIZE:
         return np.zeros((count, len(NO_THUMB)))
     thumbs = numbers[:, THUMB]
     return np.where(np.isfinite(thumbs), thumbs, 0.0)

@@ -78,6 +78,10 @@ class TrackMonitor:
         """
         return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
 
+    def raised(self, cost_mm: float) -> float:
+        """What a fit costs over what good ones of this recording do; 1 before the first."""
+        return cost_mm / self.good_mm if self.good_mm > 0.0 else 1.0
+
     def is_raised(self, cost_mm: float) -> bool:
         """Whether a fit costs more than good ones do, be it ever so little for a hand of another shape."""
         return self.good_mm > 0.0 and cost_mm > _RAISED_FACTOR * self.good_mm + _RAISED_MM

@@ -9,11 +9,13 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
+from posetrack_cli.hand.confidence import NO_EVIDENCE, NO_SIGNS
 from posetrack_cli.hand.inner import NO_THUMB, THUMB, inner_numbers
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.body_space import pose_rates
+from posetrack_cli.tracking.confidence import RunningSigns
 from posetrack_cli.tracking.loop import Tracker
 
 State = TypeVar("State")
@@ -40,6 +42,7 @@ def hand_estimate(
     pose: FloatArray,
     velocity: FloatArray | None,
     inner: FloatArray | None = None,
+    evidence: RunningSigns = NO_EVIDENCE,
     **others: Any,
 ) -> Estimate:
     """Return the estimate of a hand at a pose.
@@ -49,9 +52,11 @@ def hand_estimate(
         pose: (22,).
         velocity: (21,) in the tangent space; None where it is not known.
         inner: (6,) inner numbers; None of a tracker that has none.
+        evidence: of what its confidence is made; none of a pose that has none of its own.
         others: the estimate's further fields.
     """
     thumb = NO_THUMB if inner is None else inner[THUMB]
+    signs = evidence.signs if evidence.frames else NO_SIGNS
     return Estimate(
         position=pose[:3],
         quaternion=pose[3:7],
@@ -59,6 +64,6 @@ def hand_estimate(
         pose_rate=None if velocity is None else pose_rates(pose, velocity),
         twist=velocity,
         points=joint_positions(anatomy, pose[None], thumb)[0],
-        numbers=None if inner is None else inner_numbers(inner),
+        numbers=None if inner is None else np.concatenate([inner_numbers(inner), signs]),
         **others,
     )

@@ -16,6 +16,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
+from posetrack_cli.hand.confidence import SIGN_NAMES
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.inner import INNER_NUMBERS, NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
@@ -100,7 +101,7 @@ class HandRun(Run):
             JOINT_NAMES,
             JOINT_PARENTS,
             triangles,
-            number_names=INNER_NUMBERS,
+            number_names=(*INNER_NUMBERS, *SIGN_NAMES),
         )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []

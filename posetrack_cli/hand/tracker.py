@@ -18,7 +18,13 @@ from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
-from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGNS, probability, signs_of, with_model_error
+from posetrack_cli.hand.confidence import (
+    NO_EVIDENCE,
+    SIGN_NAMES,
+    probability,
+    signs_of,
+    with_model_error,
+)
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.inner import INNER_SIZE, LOG_GIRTH, NO_INNER, THUMB
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
@@ -185,7 +191,7 @@ class HandTracker:
         )
         quality = self._quality(cost) if shown else 0.0
         monitor = self._monitored(seen, cost if shown else None, quality)
-        evidence = self._evidence(seen, posterior.pose, monitor.usual_mm or cost, outline)
+        evidence = self._evidence(seen, posterior.pose, monitor, cost, outline)
         confidence = probability(evidence) if quality and self._is_calibrated else quality
         unseen_ns = seen.state.unseen_ns + elapsed_ns if seen.observation is None else 0
         pose, velocity = posterior.pose, posterior.velocity
@@ -212,7 +218,7 @@ class HandTracker:
         variance = posterior.pose_variance
         if self._is_calibrated:
             variance = with_model_error(variance, monitor.usual_mm)
-        estimate = self._estimate(frame, posterior, inner, variance, cost, confidence, status)
+        estimate = self._estimate(frame, posterior, inner, evidence, variance, cost, confidence, status)
         return new_state, replace(estimate, evaluations=_evaluations(seen, drawn))
 
     def _observe(
@@ -401,15 +407,21 @@ class HandTracker:
         return 0.0 if cost is None else max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
 
     def _evidence(
-        self, seen: FrameObservation, pose: FloatArray, usual_mm: float | None, outline: Outline | None
+        self,
+        seen: FrameObservation,
+        pose: FloatArray,
+        monitor: TrackMonitor,
+        cost: float | None,
+        outline: Outline | None,
     ) -> RunningSigns:
         """What the track's last frames tell of it, with this one where it was fitted."""
-        before = seen.state.evidence
+        before, usual_mm = seen.state.evidence, monitor.usual_mm or cost
         if seen.fits is None or outline is None or usual_mm is None:
             return before
         expected = self.predict(seen.state, seen.dt)
         innovation = float(mean_joint_distances(self.anatomy, expected, pose[None])[0])
-        return before.after(signs_of(usual_mm, innovation, seen.fits.modes, outline.contrast))
+        raised = monitor.raised(seen.fits.cost)
+        return before.after(signs_of(usual_mm, innovation, seen.fits.modes, outline.contrast, raised))
 
     def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:
         """The record of the track's quality after a frame."""
@@ -453,6 +465,7 @@ class HandTracker:
         frame: Frame,
         posterior: Posterior,
         inner: FloatArray,
+        evidence: RunningSigns,
         pose_variance: FloatArray,
         cost: float | None,
         confidence: float,
@@ -463,6 +476,7 @@ class HandTracker:
             posterior.pose,
             posterior.velocity,
             inner,
+            evidence,
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=status,
@@ -561,7 +575,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
         frames=whole(),
         doubtful=whole(),
         unseen_ns=whole((0, STAMPS_NS[1])),
-        evidence=signs_codec(SIGNS),
+        evidence=signs_codec(len(SIGN_NAMES)),
     )
 
 

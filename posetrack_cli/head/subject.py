@@ -19,13 +19,13 @@ from posetrack_cli.head.actions import ACTION_NAMES, action_numbers
 from posetrack_cli.head.face.points import LINES, POINT_COUNT, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
+from posetrack_cli.tracking.confidence import SIGN
 
 HEAD = "head"
 RIGHT_DEG, RIGHT_MM = 3.0, 5.0
 """Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
-SIGN = "sign_"
 SIGNS = ("misfit", "smallness", "unsteadiness", "unseen", "expression")
 """Of what confidence is made, in the order of ``head.tracker.confidence``."""
 SIGN_NAMES = tuple(f"{SIGN}{name}" for name in SIGNS)

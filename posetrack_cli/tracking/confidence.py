@@ -17,6 +17,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.results.layouts import floats
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, whole
 
+SIGN = "sign_"
+"""What names of signs begin with, among the numbers of a result."""
 PROBABLY = 0.5
 """The probability of being right below which nothing is said to be tracked."""
 MEMORY = 0.2

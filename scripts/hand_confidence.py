@@ -1,0 +1,118 @@
+"""What the confidence of hands is made from: results with their truth, and the regression's weights.
+
+A result's ``sign_...`` numbers are what its confidence was made from. ``scripts/hand-confidence`` reads some,
+tells the weights of ``hand.confidence`` that fit them best, and what these are worth on people that they were
+not fitted to: each person, in all recordings, is left out in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc_area
+from posetrack_cli.evaluation.metrics.measures import rows_of
+from posetrack_cli.hand.confidence import RIGHT_MM, SIGN_NAMES
+from posetrack_cli.results import read_result
+from posetrack_cli.tracking.confidence import PROBABLY, Regression
+from reproduction.regression import AGAINST, FOR, fitted_regression
+from reproduction.strangers.measuring import frames_of
+
+FAR_MM = 40.0
+OFFSETS = "*"
+MEANINGS = (AGAINST, AGAINST, AGAINST, FOR, FOR, FOR, AGAINST)
+"""What signs can mean: costs, innovation and alternatives against, information and contrast for a frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames of a result in which a hand was followed, whether it says so or not.
+
+    Attributes:
+        person: who it is of.
+        signs: (M, S).
+        right: (M,) whether the joints are.
+        far: (M,) whether they are more than 40 mm off.
+        stated: (M,) the result's own confidence.
+    """
+
+    person: str
+    signs: FloatArray
+    right: BoolArray
+    far: BoolArray
+    stated: FloatArray
+
+
+def read_frames(person: str, result: Path, *, without_offsets: bool) -> Frames:
+    """Read a result that carries its truth, with or without a constant offset per bone in its errors."""
+    options = EvalOptions(joint_offsets="bone") if without_offsets else EvalOptions()
+    found = evaluate(result, options)
+    frames = frames_of(found)
+    if frames is None or found.pairs is None or found.track.confidence is None:
+        raise click.ClickException(
+            f"{result}: no truth with a wrist, expected: a recording's that carries it"
+        )
+    numbers = read_result(result).numbers()
+    signs = np.stack([np.asarray(numbers[name]) for name in SIGN_NAMES], axis=1)[found.pairs.estimate]
+    seen, error = np.isfinite(signs).all(axis=1), frames.error
+    stated = rows_of(found.track.confidence, found.pairs.estimate)
+    return Frames(person, signs[seen], error[seen] < RIGHT_MM, error[seen] > FAR_MM, stated[seen])
+
+
+def fitted(frames: Sequence[Frames]) -> Regression:
+    """Return the regression of most likelihood, every recording counting alike."""
+    signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
+    weights = np.concatenate([np.full(len(one.right), 1.0 / max(len(one.right), 1)) for one in frames])
+    return fitted_regression(signs, right, weights, MEANINGS)
+
+
+def report(frames: Sequence[Frames]) -> list[str]:
+    """Return the weights in words, and what they are worth on people they were not fitted to."""
+    probabilities = []
+    for one in frames:
+        others = fitted([other for other in frames if other.person != one.person])
+        probabilities.append(np.array([others.probability(signs) for signs in one.signs]))
+    final = fitted(frames)
+    lines = [f"bias {final.bias:.2f}, weights {', '.join(f'{w:.2f}' for w in final.weights)}"]
+    for name in ("all", *sorted({one.person for one in frames})):
+        chosen = [k for k, one in enumerate(frames) if name in ("all", one.person)]
+        p = np.concatenate([probabilities[k] for k in chosen])
+        right, far, stated = (
+            np.concatenate([getattr(frames[k], field) for k in chosen])
+            for field in ("right", "far", "stated")
+        )
+        bins = reliability(p, right)
+        lines.append(
+            f"{name}: {len(p)} frames, {right.mean():.1%} right; ROC area {roc_area(p, right):.3f} (as stated"
+            f" {roc_area(stated, right):.3f}); calibration error {calibration_error(bins):.3f}; below"
+            f" {PROBABLY:g} {np.mean(p < PROBABLY):.1%}; far {far.mean():.2%}, and above"
+            f" {np.mean(far & (p >= PROBABLY)):.2%} (as stated {np.mean(far & (stated >= PROBABLY)):.2%})"
+        )
+        if name == "all":
+            told = (
+                f"  {b.confidence:.2f} said, {b.right:.2f} right, {b.count} frames" for b in bins if b.count
+            )
+            lines.extend(told)
+    return lines
+
+
+@click.command(help=__doc__)
+@click.argument("results", nargs=-1, required=True)
+def main(results: tuple[str, ...]) -> None:
+    """Fit to RESULTS, each PERSON,RESULT; PERSON* where joints are marked by another convention."""
+    frames = []
+    for one in results:
+        person, result = one.split(",")
+        name = person.removesuffix(OFFSETS)
+        frames.append(read_frames(name, Path(result), without_offsets=person.endswith(OFFSETS)))
+    print("\n".join(report(frames)))
+
+
+if __name__ == "__main__":
+    main()
