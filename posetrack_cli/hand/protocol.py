@@ -9,14 +9,17 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
-from posetrack_cli.hand.confidence import NO_EVIDENCE, NO_SIGNS
-from posetrack_cli.hand.inner import NO_THUMB, THUMB, inner_numbers
+from posetrack_cli.hand.confidence import NO_EVIDENCE, NO_SIGNS, SIGN_NAMES
+from posetrack_cli.hand.inner import INNER_NUMBERS, NO_THUMB, THUMB, inner_numbers
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.body_space import pose_rates
 from posetrack_cli.tracking.confidence import RunningSigns
 from posetrack_cli.tracking.loop import Tracker
+
+NUMBER_NAMES = (*INNER_NUMBERS, *SIGN_NAMES)
+"""Of an estimate's numbers: the inner ones, and what its confidence is made of; NaN where it has none."""
 
 State = TypeVar("State")
 

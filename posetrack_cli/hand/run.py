@@ -16,15 +16,14 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
-from posetrack_cli.hand.confidence import SIGN_NAMES
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.inner import INNER_NUMBERS, NO_INNER, THUMB, inner_of
+from posetrack_cli.hand.inner import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.local_fits import INNER, HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.proposals import PROPOSALS
-from posetrack_cli.hand.protocol import HandTrackerProtocol
+from posetrack_cli.hand.protocol import NUMBER_NAMES, HandTrackerProtocol
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, dynamics
@@ -101,7 +100,7 @@ class HandRun(Run):
             JOINT_NAMES,
             JOINT_PARENTS,
             triangles,
-            number_names=(*INNER_NUMBERS, *SIGN_NAMES),
+            number_names=NUMBER_NAMES,
         )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []

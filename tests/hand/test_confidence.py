@@ -32,21 +32,31 @@ def of_frames(*signs: FloatArray) -> float:
 
 def test_what_is_followed_as_the_persons_own_hand_is_right_and_what_jumps_about_is_not() -> None:
     """The two ends of what it was fitted to: exact meshes, and hands that are lost on their arm."""
-    assert of_frames(signs_of(4.0, 3.0, modes(1), 0.9)) > 0.95
-    assert of_frames(signs_of(12.0, 25.0, modes(4), 0.3)) < 0.2
+    assert of_frames(signs_of(4.0, 3.0, modes(1), 0.9, 1.0)) > 0.95
+    assert of_frames(signs_of(12.0, 25.0, modes(4), 0.3, 1.5)) < 0.2
 
 
-@given(st.floats(1.0, 40.0), st.floats(0.0, 200.0), st.integers(1, 4), st.floats(-1.0, 1.0))
-def test_dearer_fits_larger_innovations_and_more_alternatives_are_never_more_probable(
-    usual: float, innovation: float, count: int, contrast: float
+@given(
+    st.floats(1.0, 40.0),
+    st.floats(0.0, 200.0),
+    st.integers(1, 4),
+    st.floats(-1.0, 1.0),
+    st.floats(0.5, 5.0),
+    st.floats(1.0, 1e4),
+)
+def test_each_sign_speaks_for_a_frame_or_against_it_and_never_the_other_way(
+    usual: float, innovation: float, count: int, contrast: float, raised: float, known: float
 ) -> None:
-    p = of_frames(signs_of(usual, innovation, modes(count), contrast))
+    p = of_frames(signs_of(usual, innovation, modes(count, known, known), contrast, raised))
     assert 0.0 <= p <= 1.0
     for worse in (
-        signs_of(usual + 1.0, innovation, modes(count), contrast),
-        signs_of(usual, innovation + 1.0, modes(count), contrast),
-        signs_of(usual, innovation, modes(count + 1), contrast),
-        signs_of(usual, innovation, modes(count), contrast - 0.1),
+        signs_of(usual + 1.0, innovation, modes(count, known, known), contrast, raised),
+        signs_of(usual, innovation + 1.0, modes(count, known, known), contrast, raised),
+        signs_of(usual, innovation, modes(count + 1, known, known), contrast, raised),
+        signs_of(usual, innovation, modes(count, 0.5 * known, known), contrast, raised),
+        signs_of(usual, innovation, modes(count, known, 0.5 * known), contrast, raised),
+        signs_of(usual, innovation, modes(count, known, known), contrast - 0.1, raised),
+        signs_of(usual, innovation, modes(count, known, known), contrast, raised + 0.2),
     ):
         assert of_frames(worse) <= p
 
@@ -63,7 +73,7 @@ def test_before_the_first_frame_nothing_is_right() -> None:
 
 
 def test_one_frame_that_errs_does_not_lose_a_hand() -> None:
-    good, bad = signs_of(4.0, 3.0, modes(1), 0.9), signs_of(7.0, 30.0, modes(3), 0.9)
+    good, bad = signs_of(4.0, 3.0, modes(1), 0.9, 1.0), signs_of(7.0, 30.0, modes(3), 0.9, 1.3)
     assert of_frames(bad) < 0.5
     assert of_frames(*[good] * 10, bad) > 0.5
     assert of_frames(*[good] * 10, *[bad] * 10) < 0.5

@@ -13,7 +13,6 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
 from posetrack_cli.hand.fitting.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.inner import (
-    INNER_NUMBERS,
     NO_INNER,
     NO_THUMB,
     THUMB,
@@ -22,6 +21,7 @@ from posetrack_cli.hand.inner import (
     thumbs_of,
 )
 from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses, skinning_transforms
+from posetrack_cli.hand.protocol import NUMBER_NAMES
 from posetrack_cli.hand.tracker import THUMB_MEMORY
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
@@ -152,7 +152,7 @@ def test_a_tracker_states_the_thumb_that_it_sees(device: RenderingDevice) -> Non
     state = tracker.start(truth, FRAME_NS, rng)
     for k in range(1, 5):
         state, estimate = tracker.step(state, Frame(k, k * FRAME_NS + FRAME_NS, (depth,)), rng)
-    assert estimate.numbers is not None and len(estimate.numbers) == len(INNER_NUMBERS)
+    assert estimate.numbers is not None and len(estimate.numbers) == len(NUMBER_NAMES)
     thumb = inner_of(estimate.numbers)[THUMB]
     np.testing.assert_allclose(thumb, ASIDE, atol=np.deg2rad(8.0))
     pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
