@@ -10,6 +10,7 @@ where it comes much nearer or goes away. Poses are in millimetres and do not cha
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,8 +25,6 @@ LEAST_REDUCTION = 0.8
 """Images that would become hardly smaller, or hardly larger, stay as they are."""
 STEP = 0.25
 """Images are enlarged by multiples: then every fourth pixel's edge falls on one of the enlarged image."""
-LARGEST = 4.0
-"""No image is enlarged by more: faces whose eyes are 20 pixels apart are."""
 LARGEST_SIDE_PX = 8192
 """No image is enlarged beyond."""
 TOO_FAR = 1.6
@@ -37,25 +36,35 @@ windows reach in a frame."""
 _EVERY = round(1.0 / STEP)
 
 
-def scale_for(eye_distance_px: float, wanted_px: float, camera: Camera) -> float:
-    """Return the scale that makes a face's eyes ``wanted_px`` apart in a camera's images, or nearly so."""
-    scale = wanted_px / eye_distance_px
-    return WHOLE if LEAST_REDUCTION < scale <= 1.0 / LEAST_REDUCTION else usable_scale(scale, camera)
+class Scaling(NamedTuple):
+    """How a camera's images are scaled.
 
+    Attributes:
+        wanted_px: between the eyes of a face.
+        largest: no image is enlarged by more; 1 leaves small faces as they are.
+        camera: as recorded.
+    """
 
-def usable_scale(scale: float, camera: Camera) -> float:
-    """Return the nearest scale that a camera's images are looked at at."""
-    if scale <= WHOLE:
-        return scale
-    largest = min(LARGEST, LARGEST_SIDE_PX / max(camera.width, camera.height))
-    return max(min(round(scale / STEP), int(largest / STEP)) * STEP, WHOLE)
+    wanted_px: float
+    largest: float
+    camera: Camera
 
+    def of_face(self, eye_distance_px: float) -> float:
+        """Return the scale that brings a face's eyes, as recorded, to the distance wanted, or nearly so."""
+        scale = self.wanted_px / eye_distance_px
+        return WHOLE if LEAST_REDUCTION < scale <= 1.0 / LEAST_REDUCTION else self.usable(scale)
 
-def fitting_scale(scale: float, eye_distance_px: float, wanted_px: float, camera: Camera) -> float:
-    """Return the scale to go on with: the same unless eyes so far apart, as recorded, ask for another."""
-    ratio = scale * eye_distance_px / wanted_px
-    fits = 1.0 / TOO_FAR <= ratio <= TOO_FAR
-    return scale if fits else scale_for(eye_distance_px, wanted_px, camera)
+    def usable(self, scale: float) -> float:
+        """Return the nearest scale that images are looked at at."""
+        if scale <= WHOLE:
+            return scale
+        largest = min(self.largest, LARGEST_SIDE_PX / max(self.camera.width, self.camera.height))
+        return max(min(round(scale / STEP), int(largest / STEP)) * STEP, WHOLE)
+
+    def fitting(self, scale: float, eye_distance_px: float) -> float:
+        """Return the scale to go on with: the same unless eyes so far apart, as recorded, ask for another."""
+        fits = 1.0 / TOO_FAR <= scale * eye_distance_px / self.wanted_px <= TOO_FAR
+        return scale if fits else self.of_face(eye_distance_px)
 
 
 def reduced(frame: Frame, scale: float) -> Frame:
@@ -79,7 +88,7 @@ def enlarged(frame: Frame, scale: float, pixels: FloatArray) -> Frame:
     if image is None:
         return frame
     height, width = (_length(side, scale) for side in image.shape)
-    canvas: ImageArray = np.zeros((height, width), dtype=np.uint8)
+    canvas: ImageArray = np.zeros((height, width), dtype=image.dtype)
     low, high = (np.nan_to_num(end) for end in (np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)))
     sides = np.array(image.shape[::-1])
     first = np.clip((low - MARGIN_PX) / scale, 0, sides).astype(int) // _EVERY * _EVERY

@@ -20,13 +20,11 @@ from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.face.scaling import (
     WHOLE,
+    Scaling,
     enlarged,
-    fitting_scale,
     reduced,
-    scale_for,
     scaled_camera,
     scaled_pixels,
-    usable_scale,
 )
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.initialisation.mono import (
@@ -126,6 +124,7 @@ class MonoPeople:
         self._landmarks, self._told = landmarks, told_distance(config.person, config.accuracy)
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
+        self._scaling = Scaling(config.start.eye_distance_px, config.start.largest_scale, camera)
         self._scaled: dict[float, _Scaled] = {}
         self._people = people_codec(model, config.adjustment)
         self.codec: Codec[MonoState] = mono_codec(self._people)
@@ -455,26 +454,25 @@ class MonoPeople:
             distance = eye_distance_px(state.track.pose, self._recorded)
         else:
             return None
-        return scale_for(distance, self._config.start.eye_distance_px, self._recorded)
+        return self._scaling.of_face(distance)
 
     def _at_fitting_scale(self, state: MonoState) -> MonoState:
         """The state at the scale that a head which is tracked asks for."""
         if state.track is None or state.scale is None or state.lost:
             return state
         distance = eye_distance_px(state.track.pose, self._recorded)
-        wanted = self._config.start.eye_distance_px
-        return state.at_scale(fitting_scale(state.scale, distance, wanted, self._recorded))
+        return state.at_scale(self._scaling.fitting(state.scale, distance))
 
     def _clicked_scale(self) -> float | None:
         """The scale for the face whose points were clicked; None where none were."""
         if self._clicked is None:
             return None
         face = face_at(self._clicked.pixels[0], 0, self._recorded)
-        return scale_for(face.eye_distance, self._config.start.eye_distance_px, self._recorded)
+        return self._scaling.of_face(face.eye_distance)
 
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
-        scale = _known_scale(known, self._recorded)
+        scale = _known_scale(known, self._scaling)
         people = known_people(known, self._people)
         sized = (one.with_size(self._told_of(who), self._model) for who, one in enumerate(people))
         return MonoState(people=tuple(sized), scale=scale)
@@ -535,11 +533,11 @@ def make_mono_tracker(
     return HeadTracker(people)
 
 
-def _known_scale(known: Arrays, camera: Camera) -> float:
+def _known_scale(known: Arrays, scaling: Scaling) -> float:
     """The scale at which a learned face was seen, or the nearest."""
     if FOCAL_PX not in known:
         raise unusable_people(f"no array '{FOCAL_PX}'")
     focal = known[FOCAL_PX]
     if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
         raise unusable_people(f"'{FOCAL_PX}' as {focal.dtype} {focal.shape}, or not above 0")
-    return usable_scale(float(focal) / camera.fx, camera)
+    return scaling.usable(float(focal) / scaling.camera.fx)

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.head.config import LARGEST_SCALE
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.scaling import LARGEST
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.tracker.codecs import POSE, history_codecs, search_codec, template_codec, track_codec
@@ -184,7 +184,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         elsewhere=flag(),
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
         trust=real(floats(least=0.0, most=1.0)),
-        scale=Maybe(real(floats(least=_LEAST_SCALE, most=LARGEST))),
+        scale=Maybe(real(floats(least=_LEAST_SCALE, most=LARGEST_SCALE))),
     )
 
 

@@ -16,7 +16,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.metrics.pose_errors import rotation_errors_deg
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.config import LARGEST_SCALE, HeadMonoConfig
 from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
@@ -24,20 +24,17 @@ from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.face.scaling import (
-    LARGEST,
     LARGEST_SIDE_PX,
     LEAST_REDUCTION,
     MARGIN_PX,
     STEP,
     TOO_FAR,
     WHOLE,
+    Scaling,
     enlarged,
-    fitting_scale,
     reduced,
-    scale_for,
     scaled_camera,
     scaled_pixels,
-    usable_scale,
 )
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.tracker import mono
@@ -56,6 +53,7 @@ LENSES = {
     "plumb bob": replace(CAMERA, distortion=(-0.25, 0.1, 0.002, -0.003, 0.02)),
     "fisheye": replace(CAMERA, distortion=(0.05, -0.02, 0.01, 0.003), distortion_model="equidistant"),
 }
+USUAL = Scaling(80.0, LARGEST_SCALE, CAMERA)
 ROUNDING = 1e-9
 EVEN = 0.5
 """A scale at which 640 x 480 pixels become a whole number."""
@@ -129,7 +127,7 @@ def test_a_scaled_camera_sees_points_at_scaled_pixels(camera: Camera, seed: int)
     np.testing.assert_allclose(small, scaled_pixels(whole, EVEN), atol=ROUNDING)
 
 
-@given(st.sampled_from(np.arange(1.0 + STEP, LARGEST + STEP, STEP).tolist()), st.integers(0, 1000))
+@given(st.sampled_from(np.arange(1.0 + STEP, LARGEST_SCALE + STEP, STEP).tolist()), st.integers(0, 1000))
 def test_a_camera_of_enlarged_images_sees_points_there_exactly(scale: float, seed: int) -> None:
     """Also where sides are no whole number of pixels."""
     camera = replace(CAMERA, width=639, height=477)
@@ -172,7 +170,7 @@ def test_nothing_changes_at_full_size() -> None:
 @pytest.mark.parametrize(
     "corner", [(300.0, 200.0), (2.0, 3.0), (620.0, 470.0)], ids=["middle", "corner", "end"]
 )
-@given(st.sampled_from([1.25, 2.0, 2.75, LARGEST]))
+@given(st.sampled_from([1.25, 2.0, 2.75, LARGEST_SCALE]))
 def test_what_is_enlarged_about_a_face_is_a_piece_of_the_whole_enlarged(
     width: int, height: int, corner: tuple[float, float], scale: float
 ) -> None:
@@ -209,34 +207,36 @@ def test_a_face_outside_is_looked_for_in_the_dark(pixels: np.ndarray) -> None:
 
 @pytest.mark.parametrize("eyes", [80.0 * LEAST_REDUCTION, 80.0, 80.0 / LEAST_REDUCTION - 0.01])
 def test_faces_of_nearly_the_size_wanted_stay(eyes: float) -> None:
-    assert scale_for(eyes, 80.0, CAMERA) == WHOLE
+    assert USUAL.of_face(eyes) == WHOLE
 
 
 @given(st.floats(1.0, 2000.0))
 def test_others_come_to_the_size_wanted_or_near_it(eyes: float) -> None:
-    scale = scale_for(eyes, 80.0, CAMERA)
-    assert scale <= LARGEST and (scale < WHOLE or scale % STEP == 0.0)
-    if eyes > 80.0 / LARGEST:
+    scale = USUAL.of_face(eyes)
+    assert scale <= LARGEST_SCALE and (scale < WHOLE or scale % STEP == 0.0)
+    if eyes > 80.0 / LARGEST_SCALE:
         assert 80.0 * LEAST_REDUCTION <= scale * eyes <= 80.0 / LEAST_REDUCTION
 
 
 def test_no_image_is_enlarged_beyond_a_size() -> None:
     wide = replace(CAMERA, width=4000)
-    assert usable_scale(10.0, CAMERA) == LARGEST
-    assert usable_scale(10.0, wide) * wide.width <= LARGEST_SIDE_PX
-    assert usable_scale(10.0, replace(CAMERA, width=20_000)) == WHOLE
-    assert usable_scale(0.3, CAMERA) == 0.3
+    assert USUAL.usable(10.0) == LARGEST_SCALE
+    assert USUAL._replace(camera=wide).usable(10.0) * wide.width <= LARGEST_SIDE_PX
+    assert USUAL._replace(camera=replace(CAMERA, width=20_000)).usable(10.0) == WHOLE
+    assert USUAL.usable(0.3) == 0.3
+    never = USUAL._replace(largest=WHOLE)
+    assert never.of_face(5.0) == WHOLE and never.of_face(160.0) == 0.5
 
 
 @given(st.floats(10.0, 500.0), st.floats(10.0, 500.0))
 def test_a_scale_is_changed_only_where_another_is_much_better(first: float, later: float) -> None:
-    scale = scale_for(first, 80.0, CAMERA)
-    changed = fitting_scale(scale, later, 80.0, CAMERA)
+    scale = USUAL.of_face(first)
+    changed = USUAL.fitting(scale, later)
     if 1.0 / TOO_FAR < scale * later / 80.0 < TOO_FAR:
         assert changed == scale
     else:
-        assert changed == scale_for(later, 80.0, CAMERA)
-        assert fitting_scale(changed, later, 80.0, CAMERA) == changed
+        assert changed == USUAL.of_face(later)
+        assert USUAL.fitting(changed, later) == changed
 
 
 def test_a_large_face_is_tracked_in_reduced_images_from_the_frame_in_which_it_is_found() -> None:
@@ -305,7 +305,7 @@ def test_a_small_face_is_looked_for_in_recorded_images_and_tracked_in_enlarged_o
     for index in range(8):
         assert scene.step(index).status is Status.TRACKING
     assert scene.state is not None and scene.state.track is not None
-    assert scene.state.scale == scale_for(TINY * eyes_px(), 80.0, SCENE_CAMERA) > 3.0
+    assert scene.state.scale == USUAL.of_face(TINY * eyes_px()) > 3.0
     assert set(scene.told.sizes) == {(120, 160)}
     assert_lawful(scene.tracker.codec, scene.state)
 
@@ -320,7 +320,7 @@ def test_the_turn_of_a_small_face_is_seen_in_enlarged_images() -> None:
             errors.append(rotation_errors_deg(estimate.quaternion, pose_at(index).quaternion))
         return float(np.mean(errors[20:]))
 
-    as_recorded = AS_IT_IS.start.model_copy(update={"eye_distance_px": TINY * 80.0})
+    as_recorded = AS_IT_IS.start.model_copy(update={"largest_scale": WHOLE})
     assert wrong_deg(AS_IT_IS) < 0.5 * wrong_deg(AS_IT_IS.model_copy(update={"start": as_recorded}))
 
 
@@ -389,7 +389,7 @@ def test_what_was_learned_begins_at_the_size_that_it_was_seen_at() -> None:
     wider = mono.HeadTracker(
         mono.MonoPeople(AS_IT_IS, SCENE_CAMERA, MODEL, known=known | {"focal_px": np.array(1e5)})
     )
-    assert wider.start(frame(0), scene.rng).scale == LARGEST, "images are not enlarged beyond"
+    assert wider.start(frame(0), scene.rng).scale == LARGEST_SCALE, "images are not enlarged beyond"
     del known["focal_px"]
     with pytest.raises(ResultError, match="no array 'focal_px'"):
         Scene(known=known)
