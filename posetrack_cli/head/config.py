@@ -222,13 +222,18 @@ class HeadStereoConfig(Settings):
     output: HeadOutputSettings = HeadOutputSettings()
 
 
+LARGEST_SCALE = 4.0
+"""No image can be enlarged by more: faces whose eyes are 20 pixels apart are."""
+
+
 class MonoInitialisationSettings(Settings):
     """When a face counts as found (thesis, 4.4.1).
 
     It is found when it was detected in ``frames`` frames (n). A detection is rejected where the slopes of the
     K/2 segments between left and right points differ by more than ``slope_deg`` (standard deviation). The
     frames lie no more than ``span_s`` apart, so that a face seen now and then is not made one **[ours]**.
-    Images in which the eyes are farther apart than ``eye_distance_px`` are reduced to it **[ours]**.
+    Images in which the eyes are farther apart than ``eye_distance_px`` are reduced to it, and about a face
+    with eyes less far apart they are enlarged, ``largest_scale`` times at most **[ours]**.
     Points count as detected with ``pixel_sd`` times the noise of tracked ones. They must lie within
     ``residual`` (root mean square, of the eyes' distance in the image) of an average face's, and once
     adjusted of the person's **[ours]**.
@@ -239,6 +244,7 @@ class MonoInitialisationSettings(Settings):
     slope_deg: Positive = 4.0
     span_s: Positive = 2.0
     eye_distance_px: Positive = 80.0
+    largest_scale: Annotated[float, Field(ge=1.0, le=LARGEST_SCALE)] = LARGEST_SCALE
     pixel_sd: Positive = 2.0
     residual: Positive = 0.12
 

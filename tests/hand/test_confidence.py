@@ -44,19 +44,18 @@ def test_what_is_followed_as_the_persons_own_hand_is_right_and_what_jumps_about_
     st.floats(0.5, 5.0),
     st.floats(1.0, 1e4),
 )
-def test_each_sign_speaks_for_a_frame_or_against_it_and_never_the_other_way(
+def test_dearer_fits_larger_innovations_and_more_alternatives_are_never_more_probable(
     usual: float, innovation: float, count: int, contrast: float, raised: float, known: float
 ) -> None:
-    p = of_frames(signs_of(usual, innovation, modes(count, known, known), contrast, raised))
+    p = of_frames(signs_of(usual, innovation, modes(count, 10.0, known), contrast, raised))
     assert 0.0 <= p <= 1.0
     for worse in (
-        signs_of(usual + 1.0, innovation, modes(count, known, known), contrast, raised),
-        signs_of(usual, innovation + 1.0, modes(count, known, known), contrast, raised),
-        signs_of(usual, innovation, modes(count + 1, known, known), contrast, raised),
-        signs_of(usual, innovation, modes(count, 0.5 * known, known), contrast, raised),
-        signs_of(usual, innovation, modes(count, known, 0.5 * known), contrast, raised),
-        signs_of(usual, innovation, modes(count, known, known), contrast - 0.1, raised),
-        signs_of(usual, innovation, modes(count, known, known), contrast, raised + 0.2),
+        signs_of(usual + 1.0, innovation, modes(count, 10.0, known), contrast, raised),
+        signs_of(usual, innovation + 1.0, modes(count, 10.0, known), contrast, raised),
+        signs_of(usual, innovation, modes(count + 1, 10.0, known), contrast, raised),
+        signs_of(usual, innovation, modes(count, 10.0, 0.5 * known), contrast, raised),
+        signs_of(usual, innovation, modes(count, 10.0, known), contrast - 0.1, raised),
+        signs_of(usual, innovation, modes(count, 10.0, known), contrast, raised + 0.2),
     ):
         assert of_frames(worse) <= p
 
@@ -64,7 +63,8 @@ def test_each_sign_speaks_for_a_frame_or_against_it_and_never_the_other_way(
 def test_it_is_the_stated_regression() -> None:
     """Against the formula of the module, number by number."""
     logit = 9.98 - 1.94 * np.log(5.0) - 1.51 * np.log(4.5) - 1.04 * 2 + 1.06 * 2.0 - 3.19 * 1.0 + 1.56 * 0.5
-    found = of_frames(signs_of(5.0, 4.0, modes(2, 10.0, 100.0), 0.5))
+    logit -= 3.0 * np.log(1.25)
+    found = of_frames(signs_of(5.0, 4.0, modes(2, 10.0, 100.0), 0.5, 1.25))
     assert found == pytest.approx(1.0 / (1.0 + np.exp(-logit)), rel=1e-9)
 
 

@@ -8,13 +8,14 @@ was seen in whose points looked most like themselves **[ours]**.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.scaling import scaled_pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,10 @@ class PointView:
     weights: FloatArray
     pose: HeadPose
     deformation: FloatArray
+
+    def seen_larger(self, ratio: float) -> PointView:
+        """Return the frame as an image shows it that is so many times as large."""
+        return replace(self, pixels=scaled_pixels(self.pixels, ratio))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +106,15 @@ class Album:
         if len(views) <= count:
             return views
         return tuple(views[i] for i in np.linspace(0, len(views) - 1, count).astype(int))
+
+    def seen_larger(self, ratio: float) -> Album:
+        """Return the same frames as images show them that are so many times as large."""
+        return Album(
+            {
+                cell: tuple((score, view.seen_larger(ratio)) for score, view in page)
+                for cell, page in self.pages.items()
+            }
+        )
 
     def with_view(self, view: PointView, score: float) -> Album:
         """Return the album with a frame, if none better shows that direction."""

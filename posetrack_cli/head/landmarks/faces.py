@@ -11,9 +11,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.detection.points import EYE_DISTANCE_MM, FacePoints
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
 from posetrack_cli.head.face.rig_images import project
+from posetrack_cli.head.face.scaling import WHOLE, scaled_pixels
 from posetrack_cli.head.initialisation.single_view import pose_of
 from posetrack_cli.head.landmarks.file import LandmarkFile
-from posetrack_cli.head.tracker.reduction import WHOLE, reduced_pixels
 from posetrack_cli.recording.base import Frame
 
 SLID_NOISE, SLID_EYES = 4.0, 0.08
@@ -49,7 +49,7 @@ class Landmarks:
     Args:
         file: as it was read.
         camera: of the images that are looked at.
-        scale: that they are reduced by.
+        scale: of them beside the recorded ones.
     """
 
     def __init__(self, file: LandmarkFile, camera: Camera, scale: float = WHOLE) -> None:
@@ -87,7 +87,7 @@ class Landmarks:
         sets = self._file.sets
         known = np.isfinite(sets.points[row, :, 0]) & (sets.scores[row] > 0.0)
         scores = np.where(known, sets.scores[row], 0.0)
-        pixels = reduced_pixels(sets.points[row, :, :2], self._scale)
+        pixels = scaled_pixels(sets.points[row, :, :2], self._scale)
         try:
             pose, _ = pose_of(pixels, scores * FEATURE_SD.min() / FEATURE_SD, self._camera, FEATURES)
         except ValueError:

@@ -18,6 +18,14 @@ from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig, PersonSe
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
+from posetrack_cli.head.face.scaling import (
+    WHOLE,
+    Scaling,
+    enlarged,
+    reduced,
+    scaled_camera,
+    scaled_pixels,
+)
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.initialisation.mono import (
     DetectedFace,
@@ -39,7 +47,6 @@ from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, Trac
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
 from posetrack_cli.head.tracker.person import PersonFitter, new_person, person_shape
-from posetrack_cli.head.tracker.reduction import WHOLE, reduced, reduced_camera, reduced_pixels, scale_for
 from posetrack_cli.head.tracker.size import PupilDistance, Size
 from posetrack_cli.head.tracker.whole_face import shift_of
 from posetrack_cli.recording.base import Frame
@@ -74,8 +81,8 @@ FORGOTTEN_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Reduction:
-    """What looks at images that were reduced by one scale; the adjuster's camera would take them."""
+class _Scaled:
+    """What looks at images of one scale; the adjuster's camera would take them."""
 
     adjuster: Adjuster
     initialiser: MonoInitialiser
@@ -85,8 +92,8 @@ class _Reduction:
 class MonoPeople:
     """The people in the images of one camera; a ``Faces``.
 
-    Images are reduced to where faces are as large as patches ask for; see ``reduction``. Until a face is
-    found they are looked at as they are.
+    Images are scaled to where faces are as large as patches ask for; see ``scaling``. Until a face is found
+    they are looked at as they are, and so are those in which a small face is looked for.
 
     Args:
         config: parameters.
@@ -117,7 +124,8 @@ class MonoPeople:
         self._landmarks, self._told = landmarks, told_distance(config.person, config.accuracy)
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
-        self._reductions: dict[float, _Reduction] = {}
+        self._scaling = Scaling(config.start.eye_distance_px, config.start.largest_scale, camera)
+        self._scaled: dict[float, _Scaled] = {}
         self._people = people_codec(model, config.adjustment)
         self.codec: Codec[MonoState] = mono_codec(self._people)
         self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
@@ -127,7 +135,11 @@ class MonoPeople:
         return self._first
 
     def look(self, state: MonoState, frame: Frame) -> tuple[MonoState, Frame]:
-        """Return the reduced frame, and the state that knows whether the scene was cut to another."""
+        """Return the frame, reduced for a large face, and the state that knows of a cut to another scene.
+
+        Of a head that came nearer or went away the state is at another scale.
+        """
+        state = self._at_fitting_scale(state)
         frame = reduced(frame, state.scale or WHOLE)
         (image,) = frame.images
         if image is None:
@@ -142,7 +154,7 @@ class MonoPeople:
 
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Look for a face, where the head was last if that was not long ago."""
-        return self._at(state).initialiser.detect(frame.frame, self._last_pixels(state, frame))
+        return self._detect_near(state, frame, self._last_pixels(state, frame))
 
     def begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Look for a person who is not known; the first who is found decides the scale of images.
@@ -165,7 +177,8 @@ class MonoPeople:
         from elsewhere tell that where the fit does not.
         """
         fitter, settings = self._at(state).fitter, self._config.status
-        fit = self._or_followed(state, track, frame, fitter.fit(state.person, track, frame))
+        here = self._enlarged(state, frame, self._pixels_of(state, track))
+        fit = self._or_followed(state, track, here, fitter.fit(state.person, track, here))
         recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
         if recent or (fit.score >= settings.check_below and not self._has_slid(state, frame, fit)):
             return state, fit
@@ -173,7 +186,8 @@ class MonoPeople:
         found = self.detect(state, frame)
         if isinstance(found, InitFailure):
             return state, fit
-        again = fitter.fit_detection(state.person, found, track.stamp_ns, frame)
+        there = self._enlarged(state, frame, found.pixels)
+        again = fitter.fit_detection(state.person, found, track.stamp_ns, there)
         return state, again if again.score > fit.score + CLEARLY_BETTER else fit
 
     def _or_followed(
@@ -217,6 +231,7 @@ class MonoPeople:
         self, state: MonoState, found: DetectedFace, frame: SeededFrame
     ) -> Iterator[tuple[MonoState, FrameFit]]:
         """Follow a face for one frame as each of the known people, the last one first."""
+        frame = self._enlarged(state, frame, found.pixels)
         fitter, last_seen_ns = self._at(state).fitter, state.last_seen_ns(frame)
         last: FrameFit | None = None
         for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
@@ -316,9 +331,10 @@ class MonoPeople:
             return self._begin_with_clicks(self._clicked, state, frame)
         initialiser = self._at(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(self._config.start.span_s * 1e9))
-        found = initialiser.detect(frame.frame, state.candidates[-1].pixels if state.candidates else None)
+        found = self._detect_near(state, frame, state.candidates[-1].pixels if state.candidates else None)
         if isinstance(found, InitFailure):
             return state, found
+        frame = self._enlarged(state, frame, found.pixels)
         alone = initialiser.initialise((found,))
         if isinstance(alone, InitFailure):
             return state, alone
@@ -337,7 +353,8 @@ class MonoPeople:
     ) -> tuple[MonoState, FrameFit]:
         """Begin at once, from points that a person clicked."""
         at = self._at(state)
-        pixels = reduced_pixels(clicked.pixels[0], state.scale or WHOLE)
+        pixels = scaled_pixels(clicked.pixels[0], state.scale or WHOLE)
+        frame = self._enlarged(state, frame, pixels)
         face = face_at(pixels, frame.stamp_ns, at.adjuster.camera)
         start = at.initialiser.initialise((face,))
         if isinstance(start, InitFailure):
@@ -368,9 +385,32 @@ class MonoPeople:
         track = state.track
         if track is None or state.cut or frame.stamp_ns - track.stamp_ns > FORGOTTEN_S * 1e9:
             return None
+        return self._pixels_of(state, track)
+
+    def _pixels_of(self, state: MonoState, track: TrackState) -> FloatArray:
+        """Where a tracked head's points (K, 2) are in images of the state's scale."""
         camera = self._at(state).adjuster.camera
         pixels: FloatArray = project((camera,), track.pose.points(track.shape)).pixels[0]
         return pixels
+
+    def _detect_near(
+        self, state: MonoState, frame: SeededFrame, near: FloatArray | None
+    ) -> DetectedFace | InitFailure:
+        """Look for a face; a small one in the image as recorded, as a larger one would show no more of it."""
+        scale = state.scale or WHOLE
+        if scale <= WHOLE:
+            return self._at(state).initialiser.detect(frame.frame, near)
+        recorded = None if near is None else scaled_pixels(near, 1.0 / scale)
+        found = self._at_scale(WHOLE).initialiser.detect(frame.frame, recorded)
+        if isinstance(found, InitFailure):
+            return found
+        pixels, camera = scaled_pixels(found.pixels, scale), self._at(state).adjuster.camera
+        return face_at(pixels, found.stamp_ns, camera, found.responses)
+
+    def _enlarged(self, state: MonoState, frame: SeededFrame, pixels: FloatArray) -> SeededFrame:
+        """The frame, about a face with points (K, 2) as large as the state's scale asks for."""
+        scale = state.scale or WHOLE
+        return frame if scale <= WHOLE else replace(frame, frame=enlarged(frame.frame, scale, pixels))
 
     def _diagnostics(self, state: MonoState, fit: FrameFit | None) -> MonoDiagnostics:
         score, weights = (np.nan, None) if fit is None else (fit.score, fit.weights)
@@ -392,16 +432,19 @@ class MonoPeople:
             None if fit is None else fit.track.shape - neutral,
         )
 
-    def _at(self, state: MonoState) -> _Reduction:
+    def _at(self, state: MonoState) -> _Scaled:
         """What looks at images of a state's scale; at whole ones before a face is first found."""
-        scale = state.scale or WHOLE
-        if scale not in self._reductions:
-            config, camera = self._config, reduced_camera(self._recorded, scale)
+        return self._at_scale(state.scale or WHOLE)
+
+    def _at_scale(self, scale: float) -> _Scaled:
+        """What looks at images of a scale."""
+        if scale not in self._scaled:
+            config, camera = self._config, scaled_camera(self._recorded, scale)
             adjuster = Adjuster(self._model, camera, config.adjustment)
             told = None if self._landmarks is None else Landmarks(self._landmarks, camera, scale)
             initialiser = MonoInitialiser(config, adjuster, self._detector, self._choice, told)
-            self._reductions[scale] = _Reduction(adjuster, initialiser, PersonFitter(config, adjuster))
-        return self._reductions[scale]
+            self._scaled[scale] = _Scaled(adjuster, initialiser, PersonFitter(config, adjuster))
+        return self._scaled[scale]
 
     def _scale_of(self, state: MonoState) -> float | None:
         """The scale for the face that was found in a whole image; None where none was found yet."""
@@ -411,18 +454,25 @@ class MonoPeople:
             distance = eye_distance_px(state.track.pose, self._recorded)
         else:
             return None
-        return scale_for(distance, self._config.start.eye_distance_px)
+        return self._scaling.of_face(distance)
+
+    def _at_fitting_scale(self, state: MonoState) -> MonoState:
+        """The state at the scale that a head which is tracked asks for."""
+        if state.track is None or state.scale is None or state.lost:
+            return state
+        distance = eye_distance_px(state.track.pose, self._recorded)
+        return state.at_scale(self._scaling.fitting(state.scale, distance))
 
     def _clicked_scale(self) -> float | None:
         """The scale for the face whose points were clicked; None where none were."""
         if self._clicked is None:
             return None
         face = face_at(self._clicked.pixels[0], 0, self._recorded)
-        return scale_for(face.eye_distance, self._config.start.eye_distance_px)
+        return self._scaling.of_face(face.eye_distance)
 
     def _known_state(self, known: Arrays) -> MonoState:
         """The state that begins with people whom another tracker has learned."""
-        scale = _known_scale(known, self._recorded)
+        scale = _known_scale(known, self._scaling)
         people = known_people(known, self._people)
         sized = (one.with_size(self._told_of(who), self._model) for who, one in enumerate(people))
         return MonoState(people=tuple(sized), scale=scale)
@@ -483,11 +533,11 @@ def make_mono_tracker(
     return HeadTracker(people)
 
 
-def _known_scale(known: Arrays, camera: Camera) -> float:
-    """The scale at which a learned face was seen; images are not enlarged."""
+def _known_scale(known: Arrays, scaling: Scaling) -> float:
+    """The scale at which a learned face was seen, or the nearest."""
     if FOCAL_PX not in known:
         raise unusable_people(f"no array '{FOCAL_PX}'")
     focal = known[FOCAL_PX]
     if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
         raise unusable_people(f"'{FOCAL_PX}' as {focal.dtype} {focal.shape}, or not above 0")
-    return min(WHOLE, float(focal) / camera.fx)
+    return scaling.usable(float(focal) / scaling.camera.fx)

@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.head.config import LARGEST_SCALE
 from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.tracker.codecs import POSE, history_codecs, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
 from posetrack_cli.head.tracker.person import KnownPerson
-from posetrack_cli.head.tracker.reduction import WHOLE
 from posetrack_cli.results.layouts import LayoutError, counts, floats, places
 from posetrack_cli.tracking.state_codec import Codec, Fields, Maybe, Stacked, Value, flag, real, stamp, whole
 
@@ -48,7 +48,7 @@ class MonoState(HeadState):
         elsewhere: whether a face that looks like nobody was then found at another place, or of another size.
         changes: (frame, and index of the person) of every change to another person.
         trust: the score of the last tracked frame, 0 to 1.
-        scale: that images are reduced by, 1 for none; None before a face is first found.
+        scale: that images are looked at at, 1 for as recorded; None before a face is first found.
     """
 
     people: tuple[KnownPerson, ...] = ()
@@ -112,6 +112,13 @@ class MonoState(HeadState):
             elsewhere=False,
             changes=(*self.changes, (frame_index, index)) if index else self.changes,
         )
+
+    def at_scale(self, scale: float) -> MonoState:
+        """Return the state that looks at images of another scale; a search that was begun begins anew."""
+        if self.scale is None or scale == self.scale:
+            return self
+        people = tuple(one.seen_larger(scale / self.scale) for one in self.people)
+        return replace(self.clear_candidates(), people=people, scale=scale)
 
     def with_candidate(self, face: DetectedFace, templates: TemplateSet) -> MonoState:
         """Return the state with another frame with a face."""
@@ -177,7 +184,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         elsewhere=flag(),
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
         trust=real(floats(least=0.0, most=1.0)),
-        scale=Maybe(real(floats(least=_LEAST_SCALE, most=WHOLE))),
+        scale=Maybe(real(floats(least=_LEAST_SCALE, most=LARGEST_SCALE))),
     )
 
 

@@ -77,6 +77,14 @@ class KnownPerson:
         templates = tuple(one.of_size(size.factor / self.factor) for one in self.templates)
         return replace(self, size=size, shape=person_shape(model, self.person, size), templates=templates)
 
+    def seen_larger(self, ratio: float) -> KnownPerson:
+        """Return the person as images show it that are so many times as large.
+
+        Templates know how large they are, and stay.
+        """
+        views = tuple(one.seen_larger(ratio) for one in self.views)
+        return replace(self, views=views, album=self.album.seen_larger(ratio), rms_px=ratio * self.rms_px)
+
     def with_score(self, score: float) -> KnownPerson:
         """Return what is known after a frame with a score."""
         before = score if np.isnan(self.usual_score) else self.usual_score

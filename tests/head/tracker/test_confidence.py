@@ -14,7 +14,14 @@ from posetrack_cli.head.face.pose import HeadPose, rigid_model
 from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker import mono
-from posetrack_cli.head.tracker.confidence import MONO, NO_SIGNS, STEREO, doubts, signs_of
+from posetrack_cli.head.tracker.confidence import (
+    MONO,
+    NO_SIGNS,
+    SMALL_ENLARGED,
+    STEREO,
+    doubts,
+    signs_of,
+)
 from posetrack_cli.head.tracker.frame_tracker import NO_RECORD, FrameFit, TrackRecord, TrackState, initial_fit
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.tracking.confidence import Regression
@@ -40,6 +47,18 @@ def test_signs_are_what_is_stated() -> None:
     np.testing.assert_allclose(signs, [np.log(1.4), np.log(80 / 90), np.log(0.2), 0.4, open_], rtol=1e-6)
     assert 0.8 < open_ < 1.0 and signs_of(None, fit_of(), CAMERA, None)[4] == 0.0
     assert len(signs) == len(SIGN_NAMES) == len(NO_SIGNS)
+
+
+def test_a_small_face_tells_less_where_it_is_not_enlarged() -> None:
+    """Several cameras track it as it is; one camera doubts it less, if more than a larger one."""
+    small = replace(CAMERA, fx=250.0, fy=250.0)
+    alone, fit = signs_of(None, fit_of(), small, None), fit_of()
+    several = signs_of(None, replace(fit, pixels=np.zeros((2, POINT_COUNT, 2))), small, None)
+    assert several[1] == pytest.approx(np.log(80 / 25))
+    assert alone[1] == pytest.approx(SMALL_ENLARGED * np.log(80 / 25))
+    smaller = signs_of(None, fit_of(), replace(CAMERA, fx=200.0, fy=200.0), None)
+    larger = signs_of(None, fit_of(), CAMERA, None)
+    assert MONO.probability(smaller) < MONO.probability(alone) < MONO.probability(larger)
 
 
 def test_points_that_no_camera_sees_do_not_tell() -> None:
