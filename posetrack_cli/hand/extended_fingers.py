@@ -183,7 +183,8 @@ def _hypotheses(
     stiff = np.zeros(POSE_SIZE)
     stiff[6] = 1.0
     joints = joint_positions(anatomy, stiff[None])[0]
-    for order in (fingers, fingers[::-1]):
+    laid = [[_joints_along(finger, f, anatomy) for f in range(len(FINGERS))] for finger in fingers]
+    for order in (laid, laid[::-1]):
         for which in combinations(range(len(FINGERS)), len(fingers)):
             about, pose = _places(order, which, observation, anatomy), stiff.copy()
             known = np.flatnonzero(about.precision[:, 0])
@@ -194,20 +195,34 @@ def _hypotheses(
             yield _Hypothesis(which, about, pose, float((weights * off).mean()))
 
 
+def _joints_along(finger: ExtendedFinger, f: int, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
+    """Where the joints (4, 3) are of an extended finger that is the hand's f-th, and precisions (4,)."""
+    reach = float(np.linalg.norm(finger.base - finger.tip))
+    from_tip = np.append(np.cumsum(anatomy.segments[f, ::-1])[::-1], 0.0)  # of MCP, PIP, DIP and tip
+    skin = finger.tip + from_tip[:, None] / reach * (finger.base - finger.tip)
+    depths = anatomy.radii[f] * [1.0, 1.0, 1.0, 0.5]  # a tip is the skin's
+    seen = from_tip <= reach + _INSIDE_PALM_MM * anatomy.scale
+    return _behind(skin, depths), 1.0 / np.square(np.where(seen, _SEEN_SD_MM, _UNSEEN_SD_MM) * anatomy.scale)
+
+
 def _places(
-    fingers: Sequence[ExtendedFinger], which: tuple[int, ...], observation: Observation, anatomy: HandAnatomy
+    laid: Sequence[Sequence[tuple[FloatArray, FloatArray]]],
+    which: tuple[int, ...],
+    observation: Observation,
+    anatomy: HandAnatomy,
 ) -> PlacesToFit:
-    """Where joints are if these are the extended fingers: along each, as deep as it is thick; the wrist."""
+    """Where joints are if these are the extended fingers: along each, as deep as it is thick; the wrist.
+
+    Args:
+        laid: of the fingers that are seen, in order: their joints as each of the five (``_joints_along``).
+        which: of the five they are.
+        observation: tells the wrist.
+        anatomy: the hand.
+    """
     places, precision = np.zeros((21, 3)), np.zeros((21, 3))
-    for finger, f in zip(fingers, which, strict=True):
-        reach = float(np.linalg.norm(finger.base - finger.tip))
-        from_tip = np.append(np.cumsum(anatomy.segments[f, ::-1])[::-1], 0.0)  # of MCP, PIP, DIP and tip
-        skin = finger.tip + from_tip[:, None] / reach * (finger.base - finger.tip)
-        depths = anatomy.radii[f] * [1.0, 1.0, 1.0, 0.5]  # a tip is the skin's
-        seen = from_tip <= reach + _INSIDE_PALM_MM * anatomy.scale
+    for of_finger, f in zip(laid, which, strict=True):
         rows = slice(1 + 4 * f, 5 + 4 * f)
-        places[rows] = _behind(skin, depths)
-        precision[rows] = 1.0 / np.square(np.where(seen, _SEEN_SD_MM, _UNSEEN_SD_MM) * anatomy.scale)[:, None]
+        places[rows], precision[rows] = of_finger[f][0], of_finger[f][1][:, None]
     if observation.inner[:3].any():
         places[:1] = _behind(observation.wrist[None], np.array([_WRIST_DEEP_MM * anatomy.scale]))
         precision[0] = 1.0 / (_WRIST_SD_MM * anatomy.scale) ** 2
