@@ -26,6 +26,7 @@ KERNEL_SOURCES = (
     "geometry/kernels.py",
     "hand/anatomy.py",
     "hand/fitting/*.py",
+    "hand/inner.py",
     "hand/observation.py",
     "rendering/cpu/tile_sums.py",
     "rendering/pixel_model.py",
