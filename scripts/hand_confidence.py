@@ -18,13 +18,13 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc_area
 from posetrack_cli.evaluation.metrics.measures import rows_of
+from posetrack_cli.evaluation.subjects.hand import FAR_MM
 from posetrack_cli.hand.confidence import RIGHT_MM, SIGN_NAMES
 from posetrack_cli.results import read_result
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from reproduction.regression import AGAINST, FOR, fitted_regression
 from reproduction.strangers.measuring import frames_of
 
-FAR_MM = 40.0
 OFFSETS = "*"
 MEANINGS = (AGAINST, AGAINST, AGAINST, FOR, FOR, FOR, AGAINST)
 """What signs can mean: costs, innovation and alternatives against, information and contrast for a frame."""

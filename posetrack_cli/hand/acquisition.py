@@ -274,6 +274,8 @@ class Acquisition:
     def starts_of_fingers(self, observation: Observation) -> FloatArray:
         """Return the likeliest poses (K, 22) that extended fingers tell of: starts of a frame's fits."""
         poses, fitter = self._of_fingers(observation), self.local_fitter.fitter
+        if not len(poses):
+            return poses
         costs = fitter.costs(fitter.tile(observation), poses)
         return poses[np.argsort(costs, kind="stable")[:_OF_FINGERS]]
 

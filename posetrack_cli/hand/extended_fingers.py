@@ -16,18 +16,14 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.hand.anatomy import FINGERS, POSE_SIZE, HandAnatomy
-from posetrack_cli.hand.fitting.anatomy_terms import plausibility_of
-from posetrack_cli.hand.fitting.gauss_newton import Steps
-from posetrack_cli.hand.fitting.points import PlacesToFit, fit_places, make_point_workspace
-from posetrack_cli.hand.fitting.skeleton import skeleton_of
+from posetrack_cli.hand.fitting.points import PlaceFitter, PlacesToFit, lay_on
+from posetrack_cli.hand.keypoints.places import WRIST_MM
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.segmentation.region import thin_mask
-from posetrack_cli.hand.segmentation.surfaces import jump_mm, pixel_mm, points_of, surface_labels
+from posetrack_cli.hand.observer import thin_part
+from posetrack_cli.hand.segmentation.surfaces import jump_mm, surface_labels
 
 FEWEST = 3
 """Extended fingers that tell how a hand is turned."""
@@ -39,12 +35,10 @@ _INSIDE_PALM_MM = 15.0
 """So far a straight finger goes on in what a palm's disc covers."""
 _SEEN_SD_MM, _UNSEEN_SD_MM, _WRIST_SD_MM = 8.0, 14.0, 25.0
 """Of a joint along a finger that is seen, of one farther back, where it may be bent, and of the wrist."""
-_WRIST_DEEP_MM = 18.0
-"""From the skin to the joint at the wrist."""
 _STEEPEST = 3.0
 """Neighbours farther apart in depth than so many pixels are of two fingers."""
-_LIKELIEST, _ITERATIONS = 6, 14
-_STEPS = Steps(60.0, 0.6, 0.6)
+_LIKELIEST = 6
+"""Hypotheses that a bending hand is laid on."""
 _CLOSED = (1.2, 1.5)  # MCP and PIP flexion, rad
 _BLOCK = np.ones((3, 3), np.uint8)
 
@@ -92,11 +86,9 @@ def poses_of_fingers(observation: Observation, anatomy: HandAnatomy, camera: Cam
     if not FEWEST <= len(fingers) <= len(FINGERS):
         return np.empty((0, POSE_SIZE))
     likeliest = sorted(_hypotheses(fingers, observation, anatomy), key=lambda one: one.misfit)[:_LIKELIEST]
-    # a finger that is seen is not hidden: where closed fingers usually are is no evidence of it
-    plausibility = plausibility_of(anatomy)._replace(closed_odds=-np.inf)
-    skeleton, workspace = skeleton_of(anatomy), make_point_workspace()
+    fitter = PlaceFitter(anatomy)
     for which, about, pose, _ in likeliest:
-        fit_places(skeleton, plausibility, about, pose, _STEPS, _ITERATIONS, workspace)
+        fitter.fit(about, pose)
         for finger in set(range(1, len(FINGERS))) - set(which):
             pose[[7 + 3 * finger, 9 + 3 * finger]] = _CLOSED
     return np.array([one.pose for one in likeliest])
@@ -112,12 +104,7 @@ def extended_fingers(observation: Observation, scale: float, camera: Camera) -> 
         scale: of the hand.
         camera: of the depth image.
     """
-    image, window, arm = observation.image, observation.window, observation.inner[:3]
-    target = image > 0
-    apart = float(pixel_mm(float(np.median(image[target])), window, camera))
-    points = points_of(image, window, camera).astype(np.float64)
-    hand = target & ((points - observation.wrist) @ arm <= 0.0)  # all of it where no arm is seen
-    thin = thin_mask(target, apart / scale) & hand
+    image, (points, apart, hand, thin) = observation.image, thin_part(observation, camera, scale)
     palm = hand & ~thin
     if not palm.any():
         return []
@@ -126,7 +113,7 @@ def extended_fingers(observation: Observation, scale: float, camera: Camera) -> 
     beside = cv2.dilate(palm.astype(np.uint8), _BLOCK) > 0
     parts = (_finger(numbers == k, beside, points, apart, scale) for k in range(1, count))
     fingers = [finger for finger in parts if finger is not None]
-    return _clockwise(fingers, points[_middle_of(palm)], arm) if fingers else []
+    return _clockwise(fingers, points[_middle_of(palm)], observation.inner[:3]) if fingers else []
 
 
 def _finger(
@@ -188,11 +175,9 @@ def _hypotheses(
         for which in combinations(range(len(FINGERS)), len(fingers)):
             about, pose = _places(order, which, observation, anatomy), stiff.copy()
             known = np.flatnonzero(about.precision[:, 0])
-            weights, places = about.precision[known, 0], about.places[known]
-            turn, pose[:3] = rigid_alignment(joints[known], places, weights)
-            pose[3:7] = rotations.canonical(rotations.quaternions_from_matrices(turn))
-            off = np.square(joints[known] @ turn.T + pose[:3] - places).sum(axis=1)
-            yield _Hypothesis(which, about, pose, float((weights * off).mean()))
+            turn = lay_on(about, known, joints, pose)
+            off = np.square(joints[known] @ turn.T + pose[:3] - about.places[known]).sum(axis=1)
+            yield _Hypothesis(which, about, pose, float((about.precision[known, 0] * off).mean()))
 
 
 def _joints_along(finger: ExtendedFinger, f: int, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
@@ -224,7 +209,7 @@ def _places(
         rows = slice(1 + 4 * f, 5 + 4 * f)
         places[rows], precision[rows] = of_finger[f][0], of_finger[f][1][:, None]
     if observation.inner[:3].any():
-        places[:1] = _behind(observation.wrist[None], np.array([_WRIST_DEEP_MM * anatomy.scale]))
+        places[:1] = _behind(observation.wrist[None], np.array([WRIST_MM * anatomy.scale]))
         precision[0] = 1.0 / (_WRIST_SD_MM * anatomy.scale) ** 2
     return PlacesToFit(places, np.tile(np.eye(3), (21, 1, 1)), precision, np.ones(21))
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig, ObservationSettings
@@ -115,6 +115,38 @@ def _in_image(window: Window, camera: Camera) -> ImageArray:
     return np.outer((rows >= 0) & (rows < camera.height), (columns >= 0) & (columns < camera.width))
 
 
+class ThinPart(NamedTuple):
+    """What of an observed hand is as thin as fingers are.
+
+    Attributes:
+        points: (h, w, 3) of all pixels, camera axes, mm.
+        apart: distance of neighbouring pixels at the hand's depth, mm.
+        hand: (h, w) target pixels before the forearm; all of them where none is seen.
+        thin: (h, w) those of them that are thin.
+    """
+
+    points: FloatArray
+    apart: float
+    hand: BoolArray
+    thin: BoolArray
+
+
+def thin_part(observation: Observation, camera: Camera, scale: float = 1.0) -> ThinPart:
+    """Look for what no disc inside a hand covers that is thicker than a finger (``region.thin_mask``).
+
+    Args:
+        observation: with at least one target pixel.
+        camera: of the depth image.
+        scale: of the hand.
+    """
+    image, window = observation.image, observation.window
+    target = image > 0
+    apart = float(pixel_mm(float(np.median(image[target])), window, camera))
+    points = points_of(image, window, camera).astype(np.float64)
+    hand = target & ((points - observation.wrist) @ observation.inner[:3] <= 0.0)
+    return ThinPart(points, apart, hand, thin_mask(target, apart / scale) & hand)
+
+
 _FOREARM_MM = 160.0
 """Length of a detected arm behind the wrist that is ignored, besides what lies beyond the window."""
 _STEP_MM = 25.0
@@ -172,14 +204,10 @@ class Observer:
 
     def fingers_mm2(self, observation: Observation) -> float:
         """How much of the hand before its forearm is as thin as fingers, mm^2 (``Detection.fingers_mm2``)."""
-        target = observation.image > 0
-        if not target.any():
+        if not observation.target_pixels:
             return 0.0
-        depth = float(np.median(observation.image[target]))
-        thin = thin_mask(target, float(pixel_mm(depth, observation.window, self._camera)))
-        offset = points_of(observation.image, observation.window, self._camera) - observation.wrist
-        before = thin & (offset @ observation.inner[:3] <= 0.0)  # all of it where no forearm is seen
-        apart = pixel_mm(observation.image[before], observation.window, self._camera)
+        thin = thin_part(observation, self._camera).thin
+        apart = pixel_mm(observation.image[thin], observation.window, self._camera)
         return float(np.square(apart).sum())
 
     def outline(self, depth: ImageArray, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> Outline:

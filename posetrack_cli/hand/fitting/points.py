@@ -14,10 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import kernel
-from posetrack_cli.hand.anatomy import TANGENT_SIZE
-from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
+from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.rigid import rigid_alignment
+from posetrack_cli.hand.anatomy import JOINT_NAMES, TANGENT_SIZE, HandAnatomy
+from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy, plausibility_of
 from posetrack_cli.hand.fitting.gauss_newton import Steps, step_pose
 from posetrack_cli.hand.fitting.normal_equations import (
     RESIDUAL,
@@ -28,11 +30,20 @@ from posetrack_cli.hand.fitting.normal_equations import (
     empty_equations,
     gather,
 )
-from posetrack_cli.hand.fitting.skeleton import PALM, Posed, Skeleton, empty_posed, point_row, pose_bones
+from posetrack_cli.hand.fitting.skeleton import (
+    PALM,
+    Posed,
+    Skeleton,
+    empty_posed,
+    point_row,
+    pose_bones,
+    skeleton_of,
+)
 from posetrack_cli.hand.inner import NO_INNER
 
 _WIDEST, _NARROWEST = 12.0, 2.5
 """Standard deviations at which a point's weight is a quarter, in the first and in the last iteration."""
+_ITERATIONS, _STEPS = 14, Steps(60.0, 0.6, 0.6)
 _LEAST = (1e-4, 1e-2, 1e-2)
 """Precisions of position, 1 / mm^2, rotation and angles, 1 / rad^2, about the last iteration's pose."""
 
@@ -160,3 +171,40 @@ def misfits(skeleton: Skeleton, about: PlacesToFit, pose: FloatArray, posed: Pos
     for k in range(21):
         _joint(posed, k, at)
         out[k] = np.sqrt(_misfit(about, k, at, e, p))
+
+
+class PlaceFitter:
+    """Lays a hand on places of its joints.
+
+    Args:
+        anatomy: the hand. No finger is hidden whose joints are told, so where closed fingers usually are is
+            no evidence.
+    """
+
+    def __init__(self, anatomy: HandAnatomy) -> None:
+        self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
+        self._plausibility = plausibility_of(anatomy)._replace(closed_odds=-np.inf)
+
+    def fit(self, about: PlacesToFit, pose: FloatArray) -> None:
+        """Move a pose (22,) to places (``fit_places``)."""
+        fit_places(self._skeleton, self._plausibility, about, pose, _STEPS, _ITERATIONS, self._workspace)
+
+    def misfits(self, about: PlacesToFit, pose: FloatArray) -> FloatArray:
+        """Return how many standard deviations each joint (21,) of a pose (22,) is off its place."""
+        off = np.empty(len(JOINT_NAMES))
+        misfits(self._skeleton, about, pose, self._workspace.posed, off)
+        return off
+
+
+def lay_on(about: PlacesToFit, known: IntArray, joints: FloatArray, pose: FloatArray) -> FloatArray:
+    """Lay a hand that does not bend on places, as well as it can be; return its rotation (3, 3).
+
+    Args:
+        about: the places.
+        known: which of them count.
+        joints: (21, 3) of the pose as it is: at the origin, not turned.
+        pose: (22,) is written to.
+    """
+    turn, pose[:3] = rigid_alignment(joints[known], about.places[known], about.precision[known, 0])
+    pose[3:7] = rotations.canonical(rotations.quaternions_from_matrices(turn))
+    return turn

@@ -32,7 +32,7 @@ _HAND_DEEP_MM = 120.0
 _SURFACE_MM = 15.0
 """As deep a patch's nearest surface is."""
 _NEAR_PERCENT = 25.0
-_WRIST_MM, _KNUCKLE_MM = 18.0, 13.0
+WRIST_MM, _KNUCKLE_MM = 18.0, 13.0
 """From the skin to the joint at the wrist, and where fingers begin, of a hand of scale 1."""
 FEWEST = 8
 """Known points of a set that is used."""
@@ -43,7 +43,7 @@ def skin_to_joint(anatomy: HandAnatomy) -> FloatArray:
     depths = anatomy.radii.copy()
     depths[1:, 0] = _KNUCKLE_MM * anatomy.scale
     depths[:, 3] *= 0.5
-    return np.concatenate([[_WRIST_MM * anatomy.scale], depths.ravel()])
+    return np.concatenate([[WRIST_MM * anatomy.scale], depths.ravel()])
 
 
 def places_in_space(points: FloatArray, scores: FloatArray) -> PlacesToFit | None:

@@ -13,18 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
-from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.hand.acquisition import Acquisition, Candidate, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
-from posetrack_cli.hand.fitting.anatomy_terms import RELAXED, plausibility_of
+from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
 from posetrack_cli.hand.fitting.fitter import PosePrior
-from posetrack_cli.hand.fitting.gauss_newton import Steps
-from posetrack_cli.hand.fitting.points import PlacesToFit, fit_places, make_point_workspace, misfits
-from posetrack_cli.hand.fitting.skeleton import skeleton_of
+from posetrack_cli.hand.fitting.points import PlaceFitter, PlacesToFit, lay_on
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
-from posetrack_cli.hand.keypoints.joints import POINTS
 from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
 from posetrack_cli.hand.kinematics import joint_positions, mean_joint_distances
 from posetrack_cli.hand.local_fits import NOT_TOLD, TOLD_PRECISION
@@ -34,8 +29,6 @@ MOST_HANDS = 4
 """Sets of one frame that are looked at, those of the highest scores."""
 NEAR_MM = 80.0
 """Mean distance of the joints up to which a set is of the hand that is tracked, and a start of its fits."""
-_ITERATIONS = 14
-_STEPS = Steps(60.0, 0.6, 0.6)
 _OPEN, _BENT = 0.0, 2.5
 """Shapes that fits begin with, in relaxed angles."""
 _PALM = (0, 1, 5, 9, 13, 17)
@@ -74,23 +67,19 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
     known = palm if len(palm) >= 4 else np.flatnonzero(about.precision[:, 0] > 0.0)
     if len(known) < 4:
         return None
-    # no finger is hidden whose joints are told, so where closed fingers usually are is no evidence
-    plausibility = plausibility_of(anatomy)._replace(closed_odds=-np.inf)
-    skeleton, workspace = skeleton_of(anatomy), make_point_workspace()
+    fitter = PlaceFitter(anatomy)
     found: list[tuple[float, FloatArray]] = []
-    off = np.empty(POINTS)
     weights = about.precision[:, 0] / about.precision[:, 0].sum()
     for bend in (_OPEN, _BENT):
         pose = _laid_on(about, known, anatomy, bend)
-        fit_places(skeleton, plausibility, about, pose, _STEPS, _ITERATIONS, workspace)
-        misfits(skeleton, about, pose, workspace.posed, off)
+        fitter.fit(about, pose)
+        off = fitter.misfits(about, pose)
         if np.isfinite(pose).all():
             found.append((float(weights @ (off < _OFF_SD) - weights @ np.minimum(off, 10.0) * 1e-2), pose))
     if not found:
         return None
     pose = max(found, key=lambda one: one[0])[1]
-    misfits(skeleton, about, pose, workspace.posed, off)
-    return pose, float(weights @ (off < _OFF_SD))
+    return pose, float(weights @ (fitter.misfits(about, pose) < _OFF_SD))
 
 
 def _laid_on(about: PlacesToFit, known: IntArray, anatomy: HandAnatomy, bend: float) -> FloatArray:
@@ -98,9 +87,7 @@ def _laid_on(about: PlacesToFit, known: IntArray, anatomy: HandAnatomy, bend: fl
     pose = np.zeros(POSE_SIZE)
     pose[6] = 1.0
     pose[ANGLES] = bend * RELAXED
-    joints = joint_positions(anatomy, pose[None])[0]
-    turn, pose[:3] = rigid_alignment(joints[known], about.places[known], about.precision[known, 0])
-    pose[3:7] = rotations.canonical(rotations.quaternions_from_matrices(turn))
+    lay_on(about, known, joint_positions(anatomy, pose[None])[0], pose)
     return pose
 
 
