@@ -2,7 +2,8 @@
 
 A result's ``sign_...`` numbers are what its confidence was made from. ``scripts/hand-confidence`` reads some,
 tells the weights of ``hand.confidence`` that fit them best, and what these are worth on people that they were
-not fitted to: each person, in all recordings, is left out in turn.
+not fitted to: each person, in all recordings, is left out in turn. Recordings made by a program and real ones
+count alike, however many there are of either: rendered hands alone make one doubt real ones.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc
 from posetrack_cli.evaluation.metrics.measures import rows_of
 from posetrack_cli.evaluation.subjects.hand import FAR_MM
 from posetrack_cli.hand.confidence import RIGHT_MM, SIGN_NAMES
-from posetrack_cli.results import read_result
+from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from reproduction.regression import AGAINST, FOR, fitted_regression
 from reproduction.strangers.measuring import frames_of
 
 OFFSETS = "*"
-MEANINGS = (AGAINST, AGAINST, AGAINST, FOR, FOR, FOR, AGAINST)
-"""What signs can mean: costs, innovation and alternatives against, information and contrast for a frame."""
+MEANINGS = (AGAINST, AGAINST, AGAINST, FOR, AGAINST)
+"""What signs can mean: costs, innovation and alternatives against, contrast for a frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,7 @@ class Frames:
         right: (M,) whether the joints are.
         far: (M,) whether they are more than 40 mm off.
         stated: (M,) the result's own confidence.
+        is_real: whether a sensor recorded it.
     """
 
     person: str
@@ -47,6 +49,7 @@ class Frames:
     right: BoolArray
     far: BoolArray
     stated: FloatArray
+    is_real: bool = False
 
 
 def read_frames(person: str, result: Path, *, without_offsets: bool) -> Frames:
@@ -58,17 +61,41 @@ def read_frames(person: str, result: Path, *, without_offsets: bool) -> Frames:
         raise click.ClickException(
             f"{result}: no truth with a wrist, expected: a recording's that carries it"
         )
-    numbers = read_result(result).numbers()
-    signs = np.stack([np.asarray(numbers[name]) for name in SIGN_NAMES], axis=1)[found.pairs.estimate]
-    seen, error = np.isfinite(signs).all(axis=1), frames.error
+    signs, error = read_signs(result)[found.pairs.estimate], frames.error
+    seen = np.isfinite(signs).all(axis=1)
     stated = rows_of(found.track.confidence, found.pairs.estimate)
-    return Frames(person, signs[seen], error[seen] < RIGHT_MM, error[seen] > FAR_MM, stated[seen])
+    right, far = error[seen] < RIGHT_MM, error[seen] > FAR_MM
+    return Frames(person, signs[seen], right, far, stated[seen], is_real=without_offsets)
+
+
+def read_signs(result: Path) -> FloatArray:
+    """Return the signs (M, S) of all frames of a result; NaN where it has none."""
+    numbers = read_result(result).numbers()
+    return np.stack([np.asarray(numbers[name]) for name in SIGN_NAMES], axis=1)
+
+
+def read_judged(person: str, result: Path, right: Sequence[int], wrong: Sequence[int]) -> Frames:
+    """Read frames of a real recording without a truth that somebody has looked at, and found right or wrong.
+
+    What is wrong to the eye need not be far off, and counts as not.
+    """
+    chosen = np.array([*right, *wrong], dtype=np.int64)
+    stated = np.asarray(load_arrays(result)["confidence"])[chosen]
+    is_right = np.arange(len(chosen)) < len(right)
+    far = np.zeros(len(chosen), dtype=bool)
+    return Frames(person, read_signs(result)[chosen], is_right, far, stated, is_real=True)
 
 
 def fitted(frames: Sequence[Frames]) -> Regression:
-    """Return the regression of most likelihood, every recording counting alike."""
+    """Return the regression of most likelihood: recordings of a kind count alike, and both kinds."""
     signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
-    weights = np.concatenate([np.full(len(one.right), 1.0 / max(len(one.right), 1)) for one in frames])
+    alike = [sum(other.is_real == one.is_real for other in frames) for one in frames]
+    weights = np.concatenate(
+        [
+            np.full(len(one.right), 1.0 / (n * max(len(one.right), 1)))
+            for one, n in zip(frames, alike, strict=True)
+        ]
+    )
     return fitted_regression(signs, right, weights, MEANINGS)
 
 
@@ -105,13 +132,21 @@ def report(frames: Sequence[Frames]) -> list[str]:
 @click.command(help=__doc__)
 @click.argument("results", nargs=-1, required=True)
 def main(results: tuple[str, ...]) -> None:
-    """Fit to RESULTS, each PERSON,RESULT; PERSON* where joints are marked by another convention."""
-    frames = []
-    for one in results:
-        person, result = one.split(",")
-        name = person.removesuffix(OFFSETS)
-        frames.append(read_frames(name, Path(result), without_offsets=person.endswith(OFFSETS)))
-    print("\n".join(report(frames)))
+    """Fit to RESULTS, each PERSON,RESULT.
+
+    PERSON*,RESULT for a real recording, whose joints are marked by another convention, and
+    NAME,RESULT,RIGHT,WRONG for a real one without truth: numbers of frames that were looked at, such as
+    0-8-16.
+    """
+    print("\n".join(report([_read(*one.split(",")) for one in results])))
+
+
+def _read(person: str, result: str, *judged: str) -> Frames:
+    if judged:
+        right, wrong = ([int(k) for k in some.split("-") if k] for some in judged)
+        return read_judged(person, Path(result), right, wrong)
+    name = person.removesuffix(OFFSETS)
+    return read_frames(name, Path(result), without_offsets=person.endswith(OFFSETS))
 
 
 if __name__ == "__main__":

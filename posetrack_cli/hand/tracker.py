@@ -421,7 +421,7 @@ class HandTracker:
         expected = self.predict(seen.state, seen.dt)
         innovation = float(mean_joint_distances(self.anatomy, expected, pose[None])[0])
         raised = monitor.raised(seen.fits.cost)
-        return before.after(signs_of(usual_mm, innovation, seen.fits.modes, outline.contrast, raised))
+        return before.after(signs_of(usual_mm, innovation, len(seen.fits.modes), outline.contrast, raised))
 
     def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:
         """The record of the track's quality after a frame."""
