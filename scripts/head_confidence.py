@@ -2,7 +2,8 @@
 
 ``harden`` makes a recording with truth harder, as both right and wrong frames are needed. ``fit`` reads
 results with their truth and tells the weights of ``head.tracker.confidence``, and what they are worth on
-people they were not fitted to: each person, in all recordings, is left out in turn.
+people they were not fitted to: each person, in all recordings, is left out in turn. Rendered heads and real
+ones count alike, however many recordings there are of either.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ COVER_PX, COVER_FROM = (110, 90), 15
 """Height and width of what passes before the face, and the first frame with it."""
 USUAL_WEIGHT = 4.0
 """A recording as it is counts as so many hardened ones."""
+USUAL, REAL = "+", "~"
+UNSURE_DEG, UNSURE_MM = 3.0, 1.0
+"""A reference of a real recording, points of another detector and the pose that they tell, errs as much
+itself: frames that are off by this and twice this more than what is right are neither right nor wrong."""
 
 
 def _small(images: Sequence[ImageArray], index: int, rng: np.random.Generator) -> ImageArray:
@@ -112,6 +117,7 @@ class Frames:
         right: (M,) whether rotation and points are right.
         turned_right: (M,) whether the rotation is.
         far: (M,) whether it is off by more than 10 degrees.
+        is_real: whether a camera recorded it.
     """
 
     person: str
@@ -120,30 +126,45 @@ class Frames:
     right: BoolArray
     turned_right: BoolArray
     far: BoolArray
+    is_real: bool = False
 
 
-def read_frames(person: str, result: Path, truth: Path | None, weight: float) -> Frames:
+def read_frames(
+    person: str, result: Path, truth: Path | None, weight: float, *, is_real: bool = False
+) -> Frames:
     """Read a result, and compare it with a truth; None for the truth that it carries.
 
-    Errors are those beside constant offsets: of the head's frame, and of each point in it.
+    Errors are those beside constant offsets: of the head's frame, and of each point in it. Of a real
+    recording the truth is a reference that is unsure itself.
     """
     one, numbers = compare(result, truth), read_result(result).numbers()
     signs = np.stack([np.asarray(numbers[name]) for name in SIGN_NAMES], axis=1)
     stamps = np.asarray(load_arrays(result)["stamp_ns"])
     signs = signs[np.searchsorted(stamps, np.asarray(one.track.stamp_ns))]
-    seen = np.isfinite(signs).all(axis=1)
-    turned = one.rotation_deg <= RIGHT_DEG
-    right = turned & (one.shapes_mm.mean(axis=1) <= RIGHT_MM)
-    return Frames(person, weight, signs[seen], right[seen], turned[seen], (one.rotation_deg > 10.0)[seen])
+    off_deg, off_mm = one.rotation_deg, one.shapes_mm.mean(axis=1)
+    unsure = np.array([UNSURE_DEG, UNSURE_MM]) if is_real else np.zeros(2)
+    (turned, right), (_, near) = (
+        (off_deg <= RIGHT_DEG + more[0], (off_deg <= RIGHT_DEG + more[0]) & (off_mm <= RIGHT_MM + more[1]))
+        for more in (unsure, 2.0 * unsure)
+    )
+    chosen = np.isfinite(signs).all(axis=1) & (right | ~near)
+    far = off_deg > 10.0
+    return Frames(person, weight, signs[chosen], right[chosen], turned[chosen], far[chosen], is_real)
 
 
 def fitted(frames: Sequence[Frames]) -> Regression:
-    """Return the regression of most likelihood, each recording counting by its weight.
+    """Return the regression of most likelihood: recordings count by their weights, both kinds alike.
 
     Every sign speaks against a frame or not at all: a weight above 0 would be of these people alone.
     """
     signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
-    weights = np.concatenate([np.full(len(one.right), one.weight / max(len(one.right), 1)) for one in frames])
+    alike = [sum(other.weight for other in frames if other.is_real == one.is_real) for one in frames]
+    weights = np.concatenate(
+        [
+            np.full(len(one.right), one.weight / (whole * max(len(one.right), 1)))
+            for one, whole in zip(frames, alike, strict=True)
+        ]
+    )
     return fitted_regression(signs, right, weights, [AGAINST] * signs.shape[1])
 
 
@@ -153,10 +174,10 @@ def report(frames: Sequence[Frames]) -> list[str]:
     for one in frames:
         others = fitted([other for other in frames if other.person != one.person])
         stated.append(np.array([others.probability(signs) for signs in one.signs]))
-    usual = [one.weight > 1.0 for one in frames]
+    usual, real = [one.weight > 1.0 for one in frames], [one.is_real for one in frames]
     final = fitted(frames)
     lines = [f"bias {final.bias:.2f}, weights {', '.join(f'{w:.2f}' for w in final.weights)}"]
-    for what, chosen in (("recordings as they are", usual), ("all", [True] * len(frames))):
+    for what, chosen in (("recordings as they are", usual), ("real", real), ("all", [True] * len(frames))):
         if not any(chosen):
             continue
         p = np.concatenate([s for s, c in zip(stated, chosen, strict=True) if c])
@@ -196,13 +217,17 @@ def harden_command(recording: Path, output: Path, kind: str) -> None:
 @main.command("fit")
 @click.argument("results", nargs=-1, required=True)
 def fit_command(results: tuple[str, ...]) -> None:
-    """Fit to RESULTS, each PERSON,RESULT[,TRUTH]; PERSON+ for a recording that is not hardened."""
+    """Fit to RESULTS, each PERSON,RESULT[,TRUTH].
+
+    PERSON+ for a recording that is not hardened, PERSON~ for a real one with a reference.
+    """
     frames = []
     for one in results:
         person, result, *truth = one.split(",")
-        weight = USUAL_WEIGHT if person.endswith("+") else 1.0
+        name, kind = person.rstrip(USUAL + REAL), person[-1]
         told = Path(truth[0]) if truth else None
-        frames.append(read_frames(person.removesuffix("+"), Path(result), told, weight))
+        weight = USUAL_WEIGHT if kind == USUAL else 1.0
+        frames.append(read_frames(name, Path(result), told, weight, is_real=kind == REAL))
     print("\n".join(report(frames)))
 
 
