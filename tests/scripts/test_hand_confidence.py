@@ -1,4 +1,4 @@
-"""The confidence of hands is fitted: a known regression is found, kinds count alike, judged frames are read."""
+"""The confidence of hands is fitted: a regression is found, kinds count alike, judged frames are read."""
 
 from __future__ import annotations
 

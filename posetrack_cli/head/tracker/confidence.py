@@ -11,7 +11,6 @@ running means (``tracking.confidence``) of
                                     camera, which enlarges small faces, SMALL_ENLARGED of what is above 0
     unsteadiness    log (u + .2)    u how many degrees off the head is from where its velocity led
     unseen          1 - W           W how much the points counted on average, 0 (hidden or unlike) to 1
-    expression      |g|             g the strengths of the face's actions (``head.actions``)
 
 The weights were fitted, every recording counting alike and those as they are four times, to twelve rendered
 heads (person-a to person-l of the study) and five drawn ones, as they are, and the rendered ones also at .3
@@ -32,14 +31,13 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.actions import strengths
 from posetrack_cli.head.initialisation.mono import EYE_DISTANCE_MM, eye_distance_px
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackRecord, TrackState
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 
-MONO = Regression(4.44, np.array([-1.03, -2.15, -0.72, -9.65, -2.72]))
-STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07, 0.0]))
+MONO = Regression(4.47, np.array([-2.33, -0.95, -0.10, -10.22]))
+STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07]))
 SMALL_ENLARGED = 0.22
 """What smallness counts where small faces are enlarged, beside where they are tracked as they are."""
 _USUAL_PX, _STEADY_DEG, _EXACT = 80.0, 0.2, 0.4
@@ -69,16 +67,13 @@ def doubts(record: TrackRecord) -> tuple[str, ...]:
     return (f"{'; '.join(found)}: {help_}",)
 
 
-def signs_of(
-    before: TrackState | None, fit: FrameFit, camera: Camera, moved: FloatArray | None
-) -> FloatArray:
-    """Return the signs (5,) of a frame in which a head was followed.
+def signs_of(before: TrackState | None, fit: FrameFit, camera: Camera) -> FloatArray:
+    """Return the signs (4,) of a frame in which a head was followed.
 
     Args:
         before: the head after the frame before; None without.
         fit: of the frame.
         camera: of the recorded image, the reference.
-        moved: (K, 3) mm, the points' displacements from the neutral face; None of a face that is not known.
     """
     track = fit.track
     beside = track.shape - track.particles.model.shapes(fit.coefficients)
@@ -90,7 +85,6 @@ def signs_of(
             _smallness(eye_distance_px(track.pose, camera), is_enlarged=len(fit.pixels) == 1),
             np.log(_off_deg(before, fit) + _STEADY_DEG),
             1.0 - float(fit.weights.mean()),
-            0.0 if moved is None else float(np.linalg.norm(strengths(moved).values)),
         ]
     )
 

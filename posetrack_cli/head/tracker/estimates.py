@@ -31,14 +31,12 @@ class Description:
         diagnostics: (M,) what ``head.subject`` names.
         systematic: (6,) variances of what the whole track is wrong by, mm^2 in camera axes and rad^2 in the
             head's, beside those of a frame; None where nothing is known.
-        moved: (K, 3) mm, the points' displacements from the neutral face; None where that is not known.
     """
 
     coefficients: FloatArray
     deviations: FloatArray
     diagnostics: FloatArray
     systematic: FloatArray | None = None
-    moved: FloatArray | None = None
 
 
 def tracked_estimate(

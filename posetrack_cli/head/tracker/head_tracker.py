@@ -204,7 +204,7 @@ class HeadTracker(Generic[State, Found]):
     ) -> tuple[State, Estimate]:
         """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
         face = self._faces.describe(state, fit)
-        evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0], face.moved))
+        evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0]))
         confidence = self._faces.regression.probability(evidence.signs)
         record = state.record.tracked(frame.index, doubtful=confidence < PROBABLY)
         status = Status.REINITIALISED if found_anew else Status.TRACKING

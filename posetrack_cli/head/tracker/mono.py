@@ -291,13 +291,11 @@ class MonoPeople:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
         size = state.person.size if state.people else None
-        diagnostics = self._diagnostics(state, fit)
         return Description(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
-            diagnostics.numbers(),
+            self._diagnostics(state, fit).numbers(),
             None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
-            diagnostics.moved,
         )
 
     def export_model(self, state: MonoState) -> Learned:

@@ -177,12 +177,10 @@ class StereoFace:
         """Return deformation and diagnostics of a frame."""
         count, face = components_of(self._config), state.face
         nothing = np.zeros(0)
-        diagnostics = _diagnostics(face, fit)
         return Description(
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
-            diagnostics.numbers(count),
-            moved=diagnostics.moved,
+            _diagnostics(face, fit).numbers(count),
         )
 
     def export_model(self, state: StereoState) -> Learned:

@@ -42,7 +42,7 @@ STATES = {
     "with a past": replace(
         KNOWN,
         track=TRACK,
-        evidence=RunningSigns(np.random.default_rng(5).normal(size=5), 7),
+        evidence=RunningSigns(np.random.default_rng(5).normal(size=len(SIGNS)), 7),
         record=TrackRecord(frames=9, doubtful=2, gap_ns=10**9, gap_frame=4, last_frame=8),
     ),
     "another person": replace(
