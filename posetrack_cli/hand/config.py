@@ -266,7 +266,9 @@ class StatusSettings(Settings):
     less. A share 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
     hand is then searched for in the whole image. A fit that costs more than good ones of the recording, and
     more than ``well_mm``, is looked for anew where it is. A track is left for a hand at another place once
-    ``leave_after_frames`` searches in a row found that better.
+    ``leave_after_frames`` searches in a row found that better. Confidence falls by what a fit costs over
+    ``good_mm``, too, what good ones of the whole recording cost: 0 for unknown, which a shape that is
+    estimated from the recording replaces.
     """
 
     doubt_factor: Positive = 1.5
@@ -275,6 +277,7 @@ class StatusSettings(Settings):
     better: Fraction = 0.7
     better_mm: Positive = 2.0
     well_mm: NotNegative = 2.2
+    good_mm: NotNegative = 0.0
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5
     leave_after_frames: Annotated[int, Field(ge=1)] = 5

@@ -78,9 +78,14 @@ class TrackMonitor:
         """
         return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
 
-    def raised(self, cost_mm: float) -> float:
-        """What a fit costs over what good ones of this recording do; 1 before the first."""
-        return cost_mm / self.good_mm if self.good_mm > 0.0 else 1.0
+    def raised(self, cost_mm: float, settings: StatusSettings) -> float:
+        """What a fit costs over what good ones of this recording do; 1 before the first.
+
+        That is known from the frames so far, and before them of some recordings (``settings.good_mm``): in
+        one that begins with poor fits these would else be its good ones.
+        """
+        levels = [level for level in (self.good_mm, settings.good_mm) if level > 0.0]
+        return max(1.0, cost_mm / min(levels)) if levels else 1.0
 
     def is_raised(self, cost_mm: float) -> bool:
         """Whether a fit costs more than good ones do, be it ever so little for a hand of another shape."""

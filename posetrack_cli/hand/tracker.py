@@ -420,7 +420,7 @@ class HandTracker:
             return before
         expected = self.predict(seen.state, seen.dt)
         innovation = float(mean_joint_distances(self.anatomy, expected, pose[None])[0])
-        raised = monitor.raised(seen.fits.cost)
+        raised = monitor.raised(seen.fits.cost, self.config.status)
         return before.after(signs_of(usual_mm, innovation, len(seen.fits.modes), outline.contrast, raised))
 
     def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:

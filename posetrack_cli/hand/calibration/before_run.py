@@ -96,7 +96,7 @@ def find_hand(
     if found is not None:
         more = doubts_of(found)
         line = f"{told}, {found.length_mm:.0f} mm long{doubt}{more}"
-        return HandFound(_with_hand(sized, found.settings), line, bool(doubt or more))
+        return HandFound(_judged_by(_with_hand(sized, found.settings), found), line, bool(doubt or more))
     changed = sized.hand.scale != config.hand.scale
     line = told + (f" of scale {sized.hand.scale:.2f}" if changed else "") + doubt
     return HandFound(sized, line if len(sides) > 1 or changed else "", bool(doubt))
@@ -152,3 +152,11 @@ def _sized(config: HandConfig, trial: Trial, side: str) -> HandConfig:
 
 def _with_hand(config: HandConfig, changes: dict[str, object]) -> HandConfig:
     return config.model_copy(update={"hand": config.hand.model_copy(update=changes)})
+
+
+def _judged_by(config: HandConfig, found: Calibration) -> HandConfig:
+    """The configuration with what good fits of the recording cost, where it says nothing of that."""
+    if config.status.good_mm > 0.0:
+        return config
+    status = config.status.model_copy(update={"good_mm": round(found.good_mm, 4)})
+    return config.model_copy(update={"status": status})

@@ -43,6 +43,8 @@ _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
 _ITERATIONS = 8
+_GOOD_PERCENT = 20.0
+"""Of the frames' costs: what good fits cost."""
 
 Report = Callable[[str], None]
 _DECIMALS = 4  # of the numbers in a hand file
@@ -76,6 +78,7 @@ class Calibration:
         residual_mm: weighted root mean square of their residuals.
         costs_mm: median costs of the frames for the average hand of that size, and for the hand that was
             adjusted to them first.
+        good_mm: what that hand costs in frames in which it fits well.
     """
 
     side: str
@@ -85,6 +88,7 @@ class Calibration:
     frames_used: int
     residual_mm: float
     costs_mm: tuple[float, float]
+    good_mm: float
 
     @property
     def length_mm(self) -> float:
@@ -121,8 +125,8 @@ def shape_of(
         shape = found.shape
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
-    cost = medians[0], medians[-1]
-    return Calibration(side, shape, numbers, calibrator.seen, len(chosen), found.residual_mm, cost)
+    cost, good = (medians[0], medians[-1]), float(np.percentile(costs, _GOOD_PERCENT))
+    return Calibration(side, shape, numbers, calibrator.seen, len(chosen), found.residual_mm, cost, good)
 
 
 class _Calibrator:
