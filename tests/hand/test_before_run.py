@@ -20,7 +20,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.writing import write_synthetic
-from support.calibrations import calibration_of
+from support.calibrations import GOOD_MM, calibration_of
 
 FRAMES = 24
 HALF_A_STEP = 0.077  # 1.16^(1/2) - 1
@@ -192,7 +192,8 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
     told: list[str] = []
     found = find_hand(open_path(seen[1]), config, start=3, report=told.append)
     assert found.config.hand.side == "right" and found.config.hand.shape == SHAPE
-    assert found.config.model_copy(update={"hand": config.hand}) == config
+    assert found.config.status == config.status.model_copy(update={"good_mm": GOOD_MM})
+    assert found.config.model_copy(update={"hand": config.hand, "status": config.status}) == config
     ((known, options),) = asked
     assert known.hand.side == "right" and known.hand.scale == 1.0
     assert options == CalibrationOptions("right", start=3)
@@ -216,6 +217,16 @@ def test_a_shape_that_explains_no_more_or_something_else_is_not_taken(
     monkeypatch.setattr(before_run, "shape_of", lambda *arguments: other)
     found = find_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.shape == HandShape() and found.line == "a right hand"
+
+
+@pytest.mark.usefixtures("strange")
+def test_what_good_fits_cost_is_believed_where_it_is_configured(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: calibration_of(SHAPE))
+    told = HandConfig.model_validate({"status": {"good_mm": 3.0}})
+    found = find_hand(open_path(seen[1]), told, start=0)
+    assert found.config.hand.shape == SHAPE and found.config.status == told.status
 
 
 @pytest.mark.usefixtures("strange")

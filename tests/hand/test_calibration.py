@@ -424,6 +424,7 @@ def test_side_size_and_proportions_are_found_without_truth(recording: Path, cali
     assert 4 <= calibration.frames_used <= 8
     before, after = calibration.costs_mm
     assert after < before
+    assert 0.0 < calibration.good_mm <= after
     assert calibration.length_mm == calibration.measured.values["hand_length"]
 
 

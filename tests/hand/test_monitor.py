@@ -191,6 +191,20 @@ def test_a_bad_second_stays_a_bad_second() -> None:
     assert not monitor.is_worse(12.0, SETTINGS)
 
 
+def test_poor_fits_in_the_beginning_are_no_good_ones_where_the_whole_recording_tells_better() -> None:
+    monitor, told = TrackMonitor(), StatusSettings(good_mm=6.0)
+    assert monitor.raised(9.0, SETTINGS) == 1.0
+    assert monitor.raised(9.0, told) == 1.5
+    for _ in range(30):
+        monitor = monitor.after_fit(9.0, 1.0, told)
+    assert monitor.raised(9.0, SETTINGS) == 1.0
+    assert monitor.raised(9.0, told) == 1.5
+    for _ in range(30):
+        monitor = monitor.after_fit(4.5, 1.0, told)
+    assert monitor.raised(9.0, told) == pytest.approx(2.0, rel=1e-3)  # better ones than were told of
+    assert monitor.raised(4.0, told) == 1.0
+
+
 def test_looks_that_do_not_help_come_seldom_and_one_is_due_when_fits_get_worse() -> None:
     monitor, waits = TrackMonitor(good_mm=5.0), []
     for _ in range(4):

@@ -9,6 +9,8 @@ from posetrack_cli.hand.calibration.measures import measured
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.shape import HandShape, PopulationSpace
 
+GOOD_MM = 1.8
+
 
 def calibration_of(
     shape: HandShape, side: str = "right", costs_mm: tuple[float, float] = (4.0, 2.0), known: float = 0.2
@@ -16,4 +18,4 @@ def calibration_of(
     """What a calibration that found a shape says; ``known`` is the share of the prior's deviations left."""
     space = PopulationSpace()
     numbers = measured(average_hand, space, side, shape, np.diag((known * space.sd) ** 2))
-    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm)
+    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM)

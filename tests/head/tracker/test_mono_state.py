@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.initialisation.search import Search
+from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.codecs import people_codec
 from posetrack_cli.head.tracker.frame_tracker import TrackRecord
 from posetrack_cli.head.tracker.mono_state import HEIGHT, WIDTH, MonoState, is_cut, mono_codec, thumbnail
