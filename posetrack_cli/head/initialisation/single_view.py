@@ -146,13 +146,7 @@ def pose_of(
     Raises:
         ValueError: fewer than four points count.
     """
-    used = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
-    if used.sum() < LEAST_POINTS:
-        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
-    places, roots = normalised_from_pixels(camera, pixels[used]), np.sqrt(weights[used] / weights[used].max())
-    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
-    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
-    seen = _Seen(places, roots[:, None, None] * scales, roots, shape[used])
+    seen = _seen(pixels, weights, camera, shape)
     poses = [seen.descended(start, np.inf, ROUGHLY) for start in seen.starts()]
     poses.sort(key=lambda pose: _cost(seen.lengths(pose), np.inf))
     if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
@@ -165,6 +159,26 @@ def pose_of(
             break
     best = seen.descended(poses[0], bound, CONVERGED)
     return best, float(np.sqrt(np.sum(seen.lengths(best) ** 2) / np.sum(seen.roots**2)))
+
+
+def pose_near(
+    pose: HeadPose, pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray
+) -> HeadPose:
+    """Return the pose near a known one that lays a shape's projection on pixels; see ``pose_of``."""
+    seen = _seen(pixels, weights, camera, shape)
+    for _ in range(ROUNDS):
+        pose = seen.descended(pose, seen.bound(pose), ROUGHLY)
+    return pose
+
+
+def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
+    used = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
+    if used.sum() < LEAST_POINTS:
+        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
+    places, roots = normalised_from_pixels(camera, pixels[used]), np.sqrt(weights[used] / weights[used].max())
+    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
+    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
+    return _Seen(places, roots[:, None, None] * scales, roots, shape[used])
 
 
 def weak_perspective(

@@ -37,6 +37,7 @@ from posetrack_cli.head.initialisation.mono import (
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.head.landmarks.file import LandmarkFile
+from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
@@ -199,7 +200,7 @@ class MonoPeople:
         moment ago: the score is that of the frame before times how alike they are; what slides is soon
         doubted.
         """
-        if fit.score >= self.least_score(state) or track.templates is None:
+        if fit.score >= max(self.least_score(state), self._config.status.check_below) or track.templates is None:
             return fit
         (image,), fitter = frame.frame.images, self._at(state).fitter
         there = None if image is None else self._moved_as_a_whole(state, track, image)
@@ -207,11 +208,11 @@ class MonoPeople:
             return fit
         again = fitter.fit_from(state.person, track, there, frame)
         best = again if again.score > fit.score else fit
-        if best.score >= self.least_score(state):
+        if best.score >= self._config.status.check_below:
             return best
         as_before = replace(state.person, templates=(track.templates,))
         followed = fitter.fit_from(as_before, track, there, frame)
-        score = KEPT * state.trust * max(followed.score, 0.0)
+        score = KEPT * state.trust * min(max(followed.score, 0.0) / 0.8, 1.0)
         if score <= best.score:
             return best
         weights = np.minimum(followed.weights, best.weights)  # a moment ago it may have been wrong already
@@ -225,7 +226,8 @@ class MonoPeople:
         if shift is None or shift.likeness < WHOLE_FACE_LIKE:
             return None
         aside = shift.pixels / np.array([camera.fx, camera.fy]) * track.pose.position[2]
-        return replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
+        moved = replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
+        return pose_near(moved, shift.places, shift.weights, camera, track.shape)
 
     def recognise(
         self, state: MonoState, found: DetectedFace, frame: SeededFrame

@@ -18,7 +18,9 @@ from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 
 REDUCED = 2
 """Images and windows are looked at at half their size: a pixel more or less is no matter for a start."""
-REACH_PX = 64
+SLACK = 4
+"""Reduced pixels by which each point may have moved otherwise than the whole."""
+REACH_PX = 96
 """The longest shift along an axis: three quarters of the eyes' distance in images as they are reduced."""
 
 
@@ -28,10 +30,14 @@ class Shift(NamedTuple):
     Attributes:
         pixels: (2,) x and y.
         likeness: mean correlation there, -1 to 1.
+        places: (K, 2) where each point then looks most like itself, pixels; NaN where it was not seen before.
+        weights: (K,) its correlation there, 0 where it is below 0 or the point was not seen.
     """
 
     pixels: FloatArray
     likeness: float
+    places: FloatArray
+    weights: FloatArray
 
 
 def shift_of(image: ImageArray, templates: TemplateSet, pixels: FloatArray) -> Shift | None:
@@ -51,10 +57,18 @@ def shift_of(image: ImageArray, templates: TemplateSet, pixels: FloatArray) -> S
     corners = np.rint((pixels - templates.centres[0]) / REDUCED).astype(int)
     corners = np.clip(corners, 0, np.array(small.shape[::-1]) - WINDOW // REDUCED)
     each = [_likeness(wide, templates.windows[0, k], corners[k] + margin) for k in seen]
-    mean = np.mean(each, axis=0)
+    near = np.ones((2 * SLACK + 1, 2 * SLACK + 1), np.uint8)
+    mean = np.mean([cv2.dilate(one, near) for one in each], axis=0)
     row, column = np.unravel_index(int(np.argmax(mean)), mean.shape)
     moved = REDUCED * np.array([column, row], dtype=np.float64) - REACH_PX
-    return Shift(moved, float(mean[row, column]))
+    places, weights = np.full(pixels.shape, np.nan), np.zeros(len(pixels))
+    for k, one in zip(seen, each, strict=True):
+        top, left = max(row - SLACK, 0), max(column - SLACK, 0)
+        part = one[top : row + SLACK + 1, left : column + SLACK + 1]
+        y, x = np.unravel_index(int(np.argmax(part)), part.shape)
+        places[k] = pixels[k] + REDUCED * np.array([left + x, top + y], dtype=np.float64) - REACH_PX
+        weights[k] = max(float(part[y, x]), 0.0)
+    return Shift(moved, float(mean[row, column]), places, weights)
 
 
 def _likeness(wide: ImageArray, window: ImageArray, corner: IntArray) -> Float32Array:
