@@ -211,7 +211,8 @@ class MonoPeople:
         if there is None:
             return fit
         again = fitter.fit_from(state.person, track, there, frame)
-        best = again if again.score > fit.score else fit
+        # by weights, not by scores: points that are not in the image do not count for the place that they left
+        best = again if again.weights.mean() > fit.weights.mean() else fit
         if best.score >= clear:
             return best
         as_before = replace(state.person, templates=(track.templates,))
