@@ -211,7 +211,7 @@ class MonoPeople:
         if there is None:
             return fit
         again = fitter.fit_from(state.person, track, there, frame)
-        # by weights, not by scores: points that are not in the image do not count for the place that they left
+        # by weights, not by scores: for a place beyond the image the points that are not seen say nothing
         best = again if again.weights.mean() > fit.weights.mean() else fit
         if best.score >= clear:
             return best

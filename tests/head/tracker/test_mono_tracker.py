@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import fields, replace
 from unittest.mock import patch
@@ -16,7 +17,9 @@ from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates, tangents
 from posetrack_cli.head.initialisation.mono import MonoInitialiser
 from posetrack_cli.head.tracker.estimates import UNSEEN
+from posetrack_cli.head.tracker.frame_tracker import FrameFit
 from posetrack_cli.head.tracker.mono_state import MonoState
+from posetrack_cli.head.tracker.person import PersonFitter
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.two_pass import NothingFoundError
@@ -256,6 +259,25 @@ def test_a_head_that_jumps_and_turns_within_a_frame_is_followed_without_a_search
         assert found.status is Status.TRACKING
         assert angle_between(found.quaternion, true.quaternion) < JUMPED_RAD
     assert scene.told.asked == STARTING
+
+
+def scored(method: Callable[..., FrameFit], score: float, weights: np.ndarray) -> Callable[..., FrameFit]:
+    """A way to fit that comes to a score of its own."""
+    return lambda *where: replace(method(*where), score=score, weights=weights)
+
+
+def test_of_two_places_the_one_counts_in_which_more_of_the_face_is_seen() -> None:
+    """Beyond the image no point contradicts: the score is the mean of those that are left."""
+    scene, half = Scene(), np.repeat([0.65, 0.0], 5)
+    for index in range(STARTING + 6):
+        scene.step(index)
+    scene.told.there, scene.state = False, replace(scene.state, trust=0.0)
+    with (
+        patch.object(PersonFitter, "fit_from", scored(PersonFitter.fit_from, 0.6, np.full(10, 0.6))),
+        patch.object(PersonFitter, "fit", scored(PersonFitter.fit, 0.65, half)),
+    ):
+        found = scene.step(STARTING + 6)
+    assert numbers_of(scene, found)["score"] == 0.6
 
 
 def test_a_face_that_dissolves_is_doubted_though_each_frame_looks_like_the_one_before() -> None:
