@@ -312,7 +312,8 @@ class MonoStatusSettings(HeadStatusSettings):
     """When a head counts as tracked **[ours]**; see ``HeadStatusSettings``.
 
     A blink changes four of ten points: a frame counts with a lower score than a stereo tracker's. A score
-    below ``check_below`` is compared with that of a face detected anew, every ``check_every_s`` at most.
+    below ``check_below`` is compared with what begins where the whole face went, and if that is below it,
+    too, with that of a face detected anew, every ``check_every_s`` at most.
     """
 
     tracking_above: Fraction = 0.45

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import normalised_from_pixels
@@ -146,13 +146,9 @@ def pose_of(
     Raises:
         ValueError: fewer than four points count.
     """
-    used = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
-    if used.sum() < LEAST_POINTS:
-        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
-    places, roots = normalised_from_pixels(camera, pixels[used]), np.sqrt(weights[used] / weights[used].max())
-    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
-    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
-    seen = _Seen(places, roots[:, None, None] * scales, roots, shape[used])
+    if (count := int(_counts(pixels, weights, camera).sum())) < LEAST_POINTS:
+        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {count}")
+    seen = _seen(pixels, weights, camera, shape)
     poses = [seen.descended(start, np.inf, ROUGHLY) for start in seen.starts()]
     poses.sort(key=lambda pose: _cost(seen.lengths(pose), np.inf))
     if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
@@ -165,6 +161,36 @@ def pose_of(
             break
     best = seen.descended(poses[0], bound, CONVERGED)
     return best, float(np.sqrt(np.sum(seen.lengths(best) ** 2) / np.sum(seen.roots**2)))
+
+
+def pose_near(
+    pose: HeadPose, pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray
+) -> HeadPose:
+    """Return the pose nearest to a given one that lays a shape's projection on pixels.
+
+    The cost and the arguments are those of ``pose_of``; no mirror image is considered. Where fewer than four
+    points count it is the pose given.
+    """
+    if _counts(pixels, weights, camera).sum() < LEAST_POINTS:
+        return pose
+    seen = _seen(pixels, weights, camera, shape)
+    for _ in range(ROUNDS):
+        pose = seen.descended(pose, seen.bound(pose), ROUGHLY)
+    return pose
+
+
+def _counts(pixels: FloatArray, weights: FloatArray, camera: Camera) -> BoolArray:
+    """Return (K,) which points count: those with a weight and a pixel that the lens sees."""
+    counts: BoolArray = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
+    return counts
+
+
+def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
+    used = _counts(pixels, weights, camera)
+    places, roots = normalised_from_pixels(camera, pixels[used]), np.sqrt(weights[used] / weights[used].max())
+    lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
+    scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
+    return _Seen(places, roots[:, None, None] * scales, roots, shape[used])
 
 
 def weak_perspective(

@@ -35,6 +35,7 @@ from posetrack_cli.head.initialisation.mono import (
     face_at,
 )
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
@@ -72,8 +73,9 @@ STRANGER_OFF_AXIS_DEG = 25.0
 """Only a face that looks at the camera tells: from the side one's own looks strange, too."""
 WHOLE_FACE_LIKE = 0.4
 """Mean correlation of a face's windows from which on it is the same face a moment later."""
-KEPT = 0.98
-"""What is left of a score after a frame that only looks like the one before, were they equal."""
+KEPT, THE_SAME = 0.98, 0.8
+"""What is left of a score after a frame that only looks like the one before, and the mean correlation from
+which on the two look the same: between sharp and blurred it is no more."""
 CLEARLY_BETTER = 0.03
 """Minimum score gain for a new detection to replace the track."""
 FORGOTTEN_S = 1.0
@@ -193,39 +195,49 @@ class MonoPeople:
     def _or_followed(
         self, state: MonoState, track: TrackState, frame: SeededFrame, fit: FrameFit
     ) -> FrameFit:
-        """Return a fit, or where it is none one that begins where the whole face went **[ours]**.
+        """Return a fit, or where it is poor a better one that begins where the whole face went **[ours]**.
 
-        A face that is blurred, or looks where it never was seen to, then looks like no template but as a
-        moment ago: the score is that of the frame before times how alike they are; what slides is soon
-        doubted.
+        A head that moves otherwise than before is not where its velocity leads, and its points find other
+        places that look a little like theirs. A face that is blurred, looks where it never was seen to or
+        has an expression of its own looks hardly like its templates wherever it is, but as a moment ago: the
+        score of being followed by that is the frame's before times how alike they are, so that what slides
+        is doubted in time.
         """
-        if fit.score >= self.least_score(state) or track.templates is None:
+        clear = max(self.least_score(state), self._config.status.check_below)
+        if fit.score >= clear or track.templates is None:
             return fit
         (image,), fitter = frame.frame.images, self._at(state).fitter
         there = None if image is None else self._moved_as_a_whole(state, track, image)
         if there is None:
             return fit
         again = fitter.fit_from(state.person, track, there, frame)
-        best = again if again.score > fit.score else fit
-        if best.score >= self.least_score(state):
+        # by weights, not by scores: for a place beyond the image the points that are not seen say nothing
+        best = again if again.weights.mean() > fit.weights.mean() else fit
+        if best.score >= clear:
             return best
         as_before = replace(state.person, templates=(track.templates,))
         followed = fitter.fit_from(as_before, track, there, frame)
-        score = KEPT * state.trust * max(followed.score, 0.0)
+        alike = float(np.clip(followed.score / THE_SAME, 0.0, 1.0))
+        score = KEPT * state.trust * alike
         if score <= best.score:
             return best
         weights = np.minimum(followed.weights, best.weights)  # a moment ago it may have been wrong already
         return replace(followed, score=score, weights=weights, is_anchored=True)
 
     def _moved_as_a_whole(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
-        """Return a track's pose where its whole face went in an image, None where that is not seen."""
+        """Return a track's pose where its whole face went in an image, None where that is not seen.
+
+        The shift comes first; places that the points then have by themselves tell how the head turned and
+        came nearer.
+        """
         camera, templates = self._at(state).adjuster.camera, track.templates
         before = project((camera,), track.pose.points(track.shape)).pixels[0]
         shift = None if templates is None else shift_of(image, templates, before)
         if shift is None or shift.likeness < WHOLE_FACE_LIKE:
             return None
         aside = shift.pixels / np.array([camera.fx, camera.fy]) * track.pose.position[2]
-        return replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
+        moved = replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
+        return pose_near(moved, shift.places, shift.likenesses, camera, track.shape)
 
     def recognise(
         self, state: MonoState, found: DetectedFace, frame: SeededFrame

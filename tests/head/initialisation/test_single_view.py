@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.geometry.projection import pixels_and_jacobian
 from posetrack_cli.head.face.points import FEATURES
-from posetrack_cli.head.initialisation.single_view import pose_of
+from posetrack_cli.head.initialisation.single_view import pose_near, pose_of
 from support.initialisation_scenes import BENT, FISHEYE, PLAIN, head, pixels_of
 
 SURE = np.ones(10)
@@ -33,6 +33,28 @@ def test_exact_pixels_give_the_exact_pose(camera, truth):
     pose, rms = pose_of(pixels_of(truth, camera), SURE, camera, FEATURES)
     np.testing.assert_allclose(truth.difference(pose), 0.0, atol=EXACT)
     assert rms < 1e-3
+
+
+@pytest.mark.parametrize("camera", [PLAIN, BENT, FISHEYE], ids=lambda camera: camera.name)
+def test_from_nearby_the_same_pose_is_found(camera):
+    truth = head(5.0, -20.0, 25.0, 60.0, -30.0)
+    near = truth.moved(np.array([30.0, -20.0, 40.0, 0.1, -0.2, 0.1]))
+    pose = pose_near(near, pixels_of(truth, camera), SURE, camera, FEATURES)
+    np.testing.assert_allclose(truth.difference(pose), 0.0, atol=1e-3)  # a descent ends at a thousandth
+
+
+def test_a_point_that_is_elsewhere_hardly_moves_the_pose_found_from_nearby():
+    truth = head(5.0, -20.0, 25.0, 60.0, -30.0)
+    pixels = pixels_of(truth, PLAIN)
+    pixels[5] += [25.0, -20.0]
+    pose = pose_near(truth.moved(np.full(6, 0.05)), pixels, SURE, PLAIN, FEATURES)
+    assert np.degrees(np.linalg.norm(truth.difference(pose)[3:])) < 1.0
+
+
+def test_of_fewer_than_four_points_the_pose_stays():
+    truth, near = head(5.0, -20.0, 25.0, 60.0, -30.0), head(0.0, 0.0, 0.0, 0.0, 0.0)
+    weights = np.array([1.0, 1.0, 1.0, *[0.0] * 7])
+    assert pose_near(near, pixels_of(truth, PLAIN), weights, PLAIN, FEATURES) is near
 
 
 def information(truth, camera, deviation):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import fields, replace
 from unittest.mock import patch
@@ -16,13 +17,15 @@ from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates, tangents
 from posetrack_cli.head.initialisation.mono import MonoInitialiser
 from posetrack_cli.head.tracker.estimates import UNSEEN
+from posetrack_cli.head.tracker.frame_tracker import FrameFit
 from posetrack_cli.head.tracker.mono_state import MonoState
+from posetrack_cli.head.tracker.person import PersonFitter
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same
-from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, Scene, Told
+from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, NOISE, Scene, Told
 from support.textured_face import SHAPE, pose_at, textured_face
 
 ACROSS_MM = 0.2
@@ -31,6 +34,8 @@ DEPTH_MM = 2.5
 """0.35 % of 700 mm: the size of the face, some 100 mm, is adjusted to 0.35 mm, and depth is in proportion."""
 ROTATION_RAD = np.radians(0.8)
 """Points 40 mm from the middle, of which priors and little parallax tell the depth to half a millimetre."""
+JUMPED_RAD = np.radians(1.5)
+"""In a direction in which no template was taken."""
 STARTING = FEW.start.frames
 PATIENT = FEW.model_copy(update={"status": FEW.status.model_copy(update={"lost_after_frames": 3})})
 ROUNDING = 1e-9
@@ -237,6 +242,42 @@ def test_a_head_that_jumps_is_followed_without_a_search(blurred: bool) -> None:
         )
         np.testing.assert_allclose(pixels, wanted + np.array([jump, 0.0]), atol=4.0)
     assert scene.told.asked <= STARTING + 1, "compared once at most, as the blurred face looks hardly like it"
+
+
+def test_a_head_that_jumps_and_turns_within_a_frame_is_followed_without_a_search() -> None:
+    """By 75 px, 17 degrees of yaw and 11 of pitch: a shift alone does not lead there."""
+    scene = Scene()
+    for index in range(STARTING + 6):
+        scene.step(index)
+    scene.told.there = False
+    for index in range(STARTING + 6, STARTING + 9):
+        true = pose_at(index).moved(np.array([60.0, 10.0, 0.0, 0.2, 0.3, 0.0]))
+        images = FACE.render((CAMERA,), true, SHAPE, noise=NOISE, seed=index)
+        scene.state, found = scene.tracker.step(
+            scene.state, Frame(index, index * FRAME_NS, images), scene.rng
+        )
+        assert found.status is Status.TRACKING
+        assert angle_between(found.quaternion, true.quaternion) < JUMPED_RAD
+    assert scene.told.asked == STARTING
+
+
+def scored(method: Callable[..., FrameFit], score: float, weights: np.ndarray) -> Callable[..., FrameFit]:
+    """A way to fit that comes to a score of its own."""
+    return lambda *where: replace(method(*where), score=score, weights=weights)
+
+
+def test_of_two_places_the_one_counts_in_which_more_of_the_face_is_seen() -> None:
+    """Beyond the image no point contradicts: the score is the mean of those that are left."""
+    scene, half = Scene(), np.repeat([0.65, 0.0], 5)
+    for index in range(STARTING + 6):
+        scene.step(index)
+    scene.told.there, scene.state = False, replace(scene.state, trust=0.0)
+    with (
+        patch.object(PersonFitter, "fit_from", scored(PersonFitter.fit_from, 0.6, np.full(10, 0.6))),
+        patch.object(PersonFitter, "fit", scored(PersonFitter.fit, 0.65, half)),
+    ):
+        found = scene.step(STARTING + 6)
+    assert numbers_of(scene, found)["score"] == 0.6
 
 
 def test_a_face_that_dissolves_is_doubted_though_each_frame_looks_like_the_one_before() -> None:
