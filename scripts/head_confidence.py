@@ -2,8 +2,8 @@
 
 ``harden`` makes a recording with truth harder, as both right and wrong frames are needed. ``fit`` reads
 results with their truth and tells the weights of ``head.tracker.confidence``, and what they are worth on
-people they were not fitted to: each person, in all recordings, is left out in turn. Rendered heads and real
-ones count alike, however many recordings there are of either.
+people they were not fitted to: each person, in all recordings, is left out in turn. Real heads count a
+quarter of rendered ones, however many recordings there are of either, as their references err.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ COVER_PX, COVER_FROM = (110, 90), 15
 USUAL_WEIGHT = 4.0
 """A recording as it is counts as so many hardened ones."""
 USUAL, REAL = "+", "~"
+REAL_SHARE = 0.25
+"""Of real recordings beside rendered ones."""
 UNSURE_DEG, UNSURE_MM = 3.0, 1.0
 """A reference of a real recording, points of another detector and the pose that they tell, errs as much
 itself: frames that are off by this and twice this more than what is right are neither right nor wrong."""
@@ -153,17 +155,19 @@ def read_frames(
 
 
 def fitted(frames: Sequence[Frames]) -> Regression:
-    """Return the regression of most likelihood: recordings count by their weights, both kinds alike.
+    """Return the regression of most likelihood: recordings count by their weights, real ones a quarter.
 
     Every sign speaks against a frame or not at all: a weight above 0 would be of these people alone.
     """
     signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
-    alike = [sum(other.weight for other in frames if other.is_real == one.is_real) for one in frames]
+    shares = [
+        (REAL_SHARE if one.is_real else 1.0)
+        * one.weight
+        / sum(other.weight for other in frames if other.is_real == one.is_real)
+        for one in frames
+    ]
     weights = np.concatenate(
-        [
-            np.full(len(one.right), one.weight / (whole * max(len(one.right), 1)))
-            for one, whole in zip(frames, alike, strict=True)
-        ]
+        [np.full(n := len(one.right), share / max(n, 1)) for one, share in zip(frames, shares, strict=True)]
     )
     return fitted_regression(signs, right, weights, [AGAINST] * signs.shape[1])
 

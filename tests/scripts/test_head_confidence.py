@@ -30,13 +30,14 @@ def test_a_known_regression_is_found() -> None:
     np.testing.assert_allclose([found.bias, *found.weights], [TRUE.bias, *TRUE.weights], atol=0.2)
 
 
-def test_rendered_and_real_recordings_count_alike() -> None:
+def test_real_recordings_count_a_quarter_of_rendered_ones_however_many_there_are() -> None:
     """Ten alike say what one says, but for the penalty, which is of the signs' deviations over all frames."""
     rendered, one = drawn("a", 0), drawn("b", 1)
     real = Frames("b", 1.0, one.signs, one.right, one.right, ~one.right, is_real=True)
     wrong = Frames("a", 1.0, rendered.signs, ~rendered.right, ~rendered.right, rendered.right)
     many, few = fitted([*[wrong] * 10, real]), fitted([wrong, real])
     np.testing.assert_allclose([many.bias, *many.weights], [few.bias, *few.weights], atol=0.02)
+    assert few.probability(np.zeros(4)) < 0.5  # four fifths speak against what is right
 
 
 def test_people_are_judged_by_what_was_fitted_to_others(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,6 @@ from posetrack_cli.head.tracker import mono
 from posetrack_cli.head.tracker.confidence import (
     MONO,
     NO_SIGNS,
-    SMALL_ENLARGED,
     STEREO,
     doubts,
     signs_of,
@@ -45,16 +44,16 @@ def test_signs_are_what_is_stated() -> None:
     assert len(signs) == len(SIGN_NAMES) == len(NO_SIGNS)
 
 
-def test_a_small_face_tells_less_where_it_is_not_enlarged() -> None:
-    """Several cameras track it as it is; one camera doubts it less, if more than a larger one."""
-    small = replace(CAMERA, fx=250.0, fy=250.0)
-    alone, fit = signs_of(None, fit_of(), small), fit_of()
-    several = signs_of(None, replace(fit, pixels=np.zeros((2, POINT_COUNT, 2))), small)
-    assert several[1] == pytest.approx(np.log(80 / 25))
-    assert alone[1] == pytest.approx(SMALL_ENLARGED * np.log(80 / 25))
-    smaller = signs_of(None, fit_of(), replace(CAMERA, fx=200.0, fy=200.0))
+def test_a_small_face_tells_less() -> None:
+    small, smaller = (
+        signs_of(None, fit_of(), replace(CAMERA, fx=focal, fy=focal)) for focal in (250.0, 200.0)
+    )
+    assert (small[1], smaller[1]) == pytest.approx((np.log(80 / 25), np.log(80 / 20)))
     larger = signs_of(None, fit_of(), CAMERA)
-    assert MONO.probability(smaller) < MONO.probability(alone) < MONO.probability(larger)
+    for regression in (MONO, STEREO):
+        assert (
+            regression.probability(smaller) < regression.probability(small) < regression.probability(larger)
+        )
 
 
 def test_points_that_no_camera_sees_do_not_tell() -> None:
