@@ -290,7 +290,7 @@ def test_a_face_that_dissolves_is_doubted_though_each_frame_looks_like_the_one_b
     texture = cv2.GaussianBlur(np.random.default_rng(0).uniform(0.0, 255.0, face.shape), (0, 0), 3.0)
     texture = (texture - texture.mean()) / texture.std() * face.std() + face.mean()
     found = []
-    for index, share in enumerate(np.minimum(np.arange(1, 14) / 12.0, 1.0), start=STARTING + 6):
+    for index, share in enumerate(np.minimum(np.arange(1, 17) / 12.0, 1.0), start=STARTING + 6):
         image = np.clip((1.0 - share) * face + share * texture, 0.0, 255.0).astype(np.uint8)
         scene.state, one = scene.tracker.step(
             scene.state, Frame(index, index * FRAME_NS, (image,)), scene.rng
