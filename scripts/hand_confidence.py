@@ -23,7 +23,7 @@ from posetrack_cli.evaluation.subjects.hand import FAR_MM
 from posetrack_cli.hand.confidence import RIGHT_MM, SIGN_NAMES
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
-from reproduction.regression import AGAINST, FOR, fitted_regression
+from reproduction.regression import AGAINST, FOR, left_out, regression_of
 from reproduction.strangers.measuring import frames_of
 
 OFFSETS = "*"
@@ -88,24 +88,12 @@ def read_judged(person: str, result: Path, right: Sequence[int], wrong: Sequence
 
 def fitted(frames: Sequence[Frames]) -> Regression:
     """Return the regression of most likelihood: recordings of a kind count alike, and both kinds."""
-    signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
-    alike = [sum(other.is_real == one.is_real for other in frames) for one in frames]
-    weights = np.concatenate(
-        [
-            np.full(len(one.right), 1.0 / (n * max(len(one.right), 1)))
-            for one, n in zip(frames, alike, strict=True)
-        ]
-    )
-    return fitted_regression(signs, right, weights, MEANINGS)
+    return regression_of(frames, [1.0] * len(frames), 1.0, MEANINGS)
 
 
 def report(frames: Sequence[Frames]) -> list[str]:
     """Return the weights in words, and what they are worth on people they were not fitted to."""
-    probabilities = []
-    for one in frames:
-        others = fitted([other for other in frames if other.person != one.person])
-        probabilities.append(np.array([others.probability(signs) for signs in one.signs]))
-    final = fitted(frames)
+    probabilities, final = left_out(frames, fitted), fitted(frames)
     lines = [f"bias {final.bias:.2f}, weights {', '.join(f'{w:.2f}' for w in final.weights)}"]
     for name in ("all", *sorted({one.person for one in frames})):
         chosen = [k for k, one in enumerate(frames) if name in ("all", one.person)]

@@ -21,12 +21,13 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc_area
+from posetrack_cli.evaluation.subjects.head import FAR_DEG
 from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM, SIGN_NAMES
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import Regression
 from reproduction.heads_data import CALIBRATION, TRUTH
-from reproduction.one_camera.measuring import compare
-from reproduction.regression import AGAINST, fitted_regression
+from reproduction.one_camera.measuring import Compared, compare
+from reproduction.regression import AGAINST, left_out, regression_of
 
 REDUCED = 0.3
 """Of a small image's width beside the recorded one's: eyes some 27 pixels apart."""
@@ -143,15 +144,17 @@ def read_frames(
     signs = np.stack([np.asarray(numbers[name]) for name in SIGN_NAMES], axis=1)
     stamps = np.asarray(load_arrays(result)["stamp_ns"])
     signs = signs[np.searchsorted(stamps, np.asarray(one.track.stamp_ns))]
-    off_deg, off_mm = one.rotation_deg, one.shapes_mm.mean(axis=1)
-    unsure = np.array([UNSURE_DEG, UNSURE_MM]) if is_real else np.zeros(2)
-    (turned, right), (_, near) = (
-        (off_deg <= RIGHT_DEG + more[0], (off_deg <= RIGHT_DEG + more[0]) & (off_mm <= RIGHT_MM + more[1]))
-        for more in (unsure, 2.0 * unsure)
-    )
-    chosen = np.isfinite(signs).all(axis=1) & (right | ~near)
-    far = off_deg > 10.0
+    turned, right = _are_right(one, float(is_real))
+    _, nearly = _are_right(one, 2.0 * is_real)
+    chosen = np.isfinite(signs).all(axis=1) & (right | ~nearly)
+    far = one.rotation_deg > FAR_DEG
     return Frames(person, weight, signs[chosen], right[chosen], turned[chosen], far[chosen], is_real)
+
+
+def _are_right(one: Compared, unsure: float) -> tuple[BoolArray, BoolArray]:
+    """Whether rotations (M,) are right, and points (M,), too, to so many errors of a reference."""
+    turned = one.rotation_deg <= RIGHT_DEG + unsure * UNSURE_DEG
+    return turned, turned & (one.shapes_mm.mean(axis=1) <= RIGHT_MM + unsure * UNSURE_MM)
 
 
 def fitted(frames: Sequence[Frames]) -> Regression:
@@ -159,27 +162,14 @@ def fitted(frames: Sequence[Frames]) -> Regression:
 
     Every sign speaks against a frame or not at all: a weight above 0 would be of these people alone.
     """
-    signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
-    shares = [
-        (REAL_SHARE if one.is_real else 1.0)
-        * one.weight
-        / sum(other.weight for other in frames if other.is_real == one.is_real)
-        for one in frames
-    ]
-    weights = np.concatenate(
-        [np.full(n := len(one.right), share / max(n, 1)) for one, share in zip(frames, shares, strict=True)]
-    )
-    return fitted_regression(signs, right, weights, [AGAINST] * signs.shape[1])
+    bounds = [AGAINST] * len(SIGN_NAMES)
+    return regression_of(frames, [one.weight for one in frames], REAL_SHARE, bounds)
 
 
 def report(frames: Sequence[Frames]) -> list[str]:
     """Return the weights in words, and what they are worth on people they were not fitted to."""
-    stated: list[FloatArray] = []
-    for one in frames:
-        others = fitted([other for other in frames if other.person != one.person])
-        stated.append(np.array([others.probability(signs) for signs in one.signs]))
+    stated, final = left_out(frames, fitted), fitted(frames)
     usual, real = [one.weight > 1.0 for one in frames], [one.is_real for one in frames]
-    final = fitted(frames)
     lines = [f"bias {final.bias:.2f}, weights {', '.join(f'{w:.2f}' for w in final.weights)}"]
     for what, chosen in (("recordings as they are", usual), ("real", real), ("all", [True] * len(frames))):
         if not any(chosen):

@@ -62,7 +62,7 @@ def signs_of(usual_mm: float, innovation_mm: float, fits: int, contrast: float, 
         innovation_mm: mean distance of the joints from their prediction.
         fits: how many local fits explain the frame about alike.
         contrast: of the outline.
-        raised: what the frame's best fit costs, over what good fits of the recording do.
+        raised: what the frame's best fit costs, over what good fits of the recording do, at least 1.
     """
     return np.array(
         [
@@ -70,7 +70,7 @@ def signs_of(usual_mm: float, innovation_mm: float, fits: int, contrast: float, 
             np.log(innovation_mm + _LEAST_INNOVATION_MM),
             float(fits),
             contrast,
-            np.log(max(raised, 1.0)),
+            np.log(raised),
         ]
     )
 

@@ -79,7 +79,7 @@ class TrackMonitor:
         return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
 
     def raised(self, cost_mm: float, settings: StatusSettings) -> float:
-        """What a fit costs over what good ones of this recording do; 1 before the first.
+        """What a fit costs over what good ones of this recording do, at least 1; 1 before the first.
 
         That is known from the frames so far, and before them of some recordings (``settings.good_mm``): in
         one that begins with poor fits these would else be its good ones.

@@ -24,6 +24,7 @@ from posetrack_cli.hand.calibration.calibrate import (
     Calibration,
     CalibrationOptions,
     _Calibrator,
+    good_cost,
     hand_text,
     write_hand_file,
 )
@@ -504,6 +505,13 @@ def test_every_factor_of_a_file_s_hand_is_in_the_file(tmp_path: Path) -> None:
     hand = load_settings(HandConfig, [path], {}).hand
     np.testing.assert_allclose(hand.shape.factors, factors, atol=1e-4)
     assert hand.mesh == str(tmp_path / "hand.glb") and not hand.coefficients
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("missing", [0, 4, 12])
+def test_frames_in_which_no_hand_is_found_tell_nothing_of_what_good_fits_cost(missing: int) -> None:
+    costs = np.concatenate([np.arange(16.0 - missing), np.full(missing, np.inf)])
+    assert good_cost(costs[::-1]) == 3.0
 
 
 def test_a_recording_without_a_hand_is_told(tmp_path: Path) -> None:

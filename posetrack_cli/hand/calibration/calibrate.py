@@ -125,8 +125,13 @@ def shape_of(
         shape = found.shape
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
-    cost, good = (medians[0], medians[-1]), float(np.percentile(costs, _GOOD_PERCENT))
+    cost, good = (medians[0], medians[-1]), good_cost(costs)
     return Calibration(side, shape, numbers, calibrator.seen, len(chosen), found.residual_mm, cost, good)
+
+
+def good_cost(costs: FloatArray) -> float:
+    """Return what good fits cost: one of the costs (F,), which are infinite where no hand is found."""
+    return float(np.percentile(costs, _GOOD_PERCENT, method="lower"))
 
 
 class _Calibrator:

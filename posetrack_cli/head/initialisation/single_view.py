@@ -146,9 +146,10 @@ def pose_of(
     Raises:
         ValueError: fewer than four points count.
     """
-    if (count := int(_counts(pixels, weights, camera).sum())) < LEAST_POINTS:
-        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {count}")
-    seen = _seen(pixels, weights, camera, shape)
+    used = _counts(pixels, weights, camera)
+    if used.sum() < LEAST_POINTS:
+        raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
+    seen = _seen(pixels[used], weights[used], camera, shape[used])
     poses = [seen.descended(start, np.inf, ROUGHLY) for start in seen.starts()]
     poses.sort(key=lambda pose: _cost(seen.lengths(pose), np.inf))
     if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
@@ -171,9 +172,10 @@ def pose_near(
     The cost and the arguments are those of ``pose_of``; no mirror image is considered. Where fewer than four
     points count it is the pose given.
     """
-    if _counts(pixels, weights, camera).sum() < LEAST_POINTS:
+    used = _counts(pixels, weights, camera)
+    if used.sum() < LEAST_POINTS:
         return pose
-    seen = _seen(pixels, weights, camera, shape)
+    seen = _seen(pixels[used], weights[used], camera, shape[used])
     for _ in range(ROUNDS):
         pose = seen.descended(pose, seen.bound(pose), ROUGHLY)
     return pose
@@ -186,11 +188,11 @@ def _counts(pixels: FloatArray, weights: FloatArray, camera: Camera) -> BoolArra
 
 
 def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
-    used = _counts(pixels, weights, camera)
-    places, roots = normalised_from_pixels(camera, pixels[used]), np.sqrt(weights[used] / weights[used].max())
+    """What is seen of points (n, 3) of a shape that count."""
+    places, roots = normalised_from_pixels(camera, pixels), np.sqrt(weights / weights.max())
     lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
     scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
-    return _Seen(places, roots[:, None, None] * scales, roots, shape[used])
+    return _Seen(places, roots[:, None, None] * scales, roots, shape)
 
 
 def weak_perspective(
