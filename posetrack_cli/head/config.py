@@ -350,6 +350,32 @@ class PersonSettings(Settings):
     corners_sd_mm: Positive = 1.1
 
 
+class SkinSettings(Settings):
+    """The skin between the feature points, which tells a second pass where a head is, too **[ours]**.
+
+    ``use`` without: the feature points alone. The first pass keeps a frame every ``every_s``, ``views`` at
+    most (of more every second goes, and the time doubles). In each of them up to ``points`` corners of skin
+    are chosen, ``distance_mm`` apart, and looked for in ``linked`` views that are near in time and as many
+    that are turned alike; ``rounds`` times poses and points are adjusted to what was found, in ``steps``. A
+    frame is compared with ``near`` and ``alike`` of them. The skin's poses err by about ``error_deg``; they
+    count nothing with ``least_points`` found, and in full from ``enough_points`` on.
+    """
+
+    use: bool = True
+    every_s: Positive = 0.25
+    views: Annotated[int, Field(ge=4, le=400)] = 120
+    points: Annotated[int, Field(ge=1, le=200)] = 40
+    distance_mm: Positive = 9.0
+    linked: Annotated[int, Field(ge=1, le=50)] = 6
+    rounds: Annotated[int, Field(ge=1, le=10)] = 2
+    steps: Annotated[int, Field(ge=1, le=50)] = 8
+    near: Annotated[int, Field(ge=0, le=20)] = 2
+    alike: Annotated[int, Field(ge=0, le=20)] = 4
+    error_deg: Positive = 2.0
+    least_points: Annotated[int, Field(ge=6)] = 15
+    enough_points: Annotated[int, Field(ge=7)] = 60
+
+
 class HeadMonoConfig(Settings):
     """Everything that a one-camera run depends on besides its recording and its seed."""
 
@@ -363,6 +389,7 @@ class HeadMonoConfig(Settings):
     status: MonoStatusSettings = MonoStatusSettings()
     person: PersonSettings = PersonSettings()
     accuracy: AccuracySettings = AccuracySettings()
+    skin: SkinSettings = SkinSettings()
     smoothing: HeadSmoothingSettings = HeadSmoothingSettings(
         velocity_mm=300.0,
         velocity_rad=2.0,

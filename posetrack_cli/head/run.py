@@ -120,7 +120,7 @@ class HeadRun(TwoPassRun):
         """Return the state in which the head has yet to be found."""
         return self.tracker.start(frame, rng)
 
-    def learned_by(self, state: Any) -> Learned:
+    def learned_by(self, state: Any, *, for_second_pass: bool = False) -> Learned:
         """Return what the tracker has learned of the face; NothingFoundError if it never found one."""
         searched = self.tracker.not_found(state)
         if searched:
@@ -130,7 +130,7 @@ class HeadRun(TwoPassRun):
                 found=searched,
                 hint=_hint(self._recording),
             )
-        return self.tracker.learned(state)
+        return self.tracker.learned(state, for_second_pass=for_second_pass)
 
     @contextmanager
     def open_memory(self, writer: ResultWriter) -> Iterator[HeadMemory | None]:

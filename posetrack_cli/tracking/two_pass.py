@@ -42,10 +42,11 @@ class LearningTracker(Tracker[State], Protocol[State]):
     def start(self, frame: Frame, rng: np.random.Generator) -> State:
         """Return the state before a first frame, in which the subject has yet to be found."""
 
-    def learned(self, state: State) -> Learned:
+    def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return what was learned; empty before anything is found.
 
-        Another tracker can begin with it: in a second pass, or of another recording of the same subject.
+        Another tracker can begin with it: of another recording of the same subject, or in a second pass, for
+        which it also says what holds in this recording alone.
         """
 
     def not_found(self, state: State) -> str:
@@ -90,8 +91,8 @@ class TwoPassRun(Run):
         self._learned: Learned = {}  # in the first of two passes, once the second has begun
 
     @abstractmethod
-    def learned_by(self, state: Any) -> Learned:
-        """Return what the tracker has learned.
+    def learned_by(self, state: Any, *, for_second_pass: bool = False) -> Learned:
+        """Return what the tracker has learned, see ``LearningTracker.learned``.
 
         Raises:
             NothingFoundError: nothing was found that it could learn.
@@ -145,7 +146,7 @@ class TwoPassRun(Run):
                     writer.save_checkpoint(within_first_pass(super().checkpoint(run_state, 0)))
                 if stopped():
                     return None
-        return self.learned_by(run_state.state)
+        return self.learned_by(run_state.state, for_second_pass=True)
 
     def _begin_second_pass(self, learned: Learned) -> None:
         self._learned = learned

@@ -19,11 +19,13 @@ from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import HeadParticles
+from posetrack_cli.head.skin.crops import HEIGHT, WIDTH, SkinAlbum, SkinView
+from posetrack_cli.head.skin.map import SkinMap
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import TrackRecord, TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 from posetrack_cli.head.tracker.size import LARGEST_SIZE, SMALLEST_SIZE, Size
-from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, units
+from posetrack_cli.results.layouts import Arrays, Layout, LayoutError, counts, floats, places, stamps, units
 from posetrack_cli.tracking.confidence import signs_codec
 from posetrack_cli.tracking.state_codec import (
     Array,
@@ -162,6 +164,8 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
             )
         ),
         album=_AlbumCodec(model),
+        skin=_skin_codec(model),
+        skin_map=Maybe(_map_codec()),
         views=Stacked(Fields(_view, **_view_parts(model)), "views"),
         sets=("templates", Stacked(template_codec(1), "sets", least=1)),
     )
@@ -218,6 +222,38 @@ class _AlbumCodec(Codec[Album]):
         for score, view in self._frames.build(arrays):
             album = album.with_view(view, score)
         return album
+
+
+def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
+    """Return the codec of the frames that show the skin."""
+    view: Codec[SkinView] = Fields(
+        SkinView,
+        view=Fields(_view, **_view_parts(model)),
+        crop=Value(Layout("uint8", (HEIGHT, WIDTH))),
+        placement=Value(floats(2, 3)),
+    )
+    return Fields(SkinAlbum, views=Stacked(view, "skin"), every_ns=whole())
+
+
+def _map_codec() -> Codec[SkinMap]:
+    """Return the codec of a map of the skin."""
+
+    def build(views: Array, **parts: Any) -> SkinMap:
+        if np.any(np.diff(views) < 0) or views[-1] >= len(parts["stamps"]):
+            raise LayoutError("'views' that do not rise from view to view")
+        return SkinMap(views=views, **parts)
+
+    return Fields(
+        build,
+        stamps=Value(stamps("views")),
+        crops=Value(Layout("uint8", ("views", HEIGHT, WIDTH))),
+        positions=Value(floats("views", 3)),
+        quaternions=Value(units("views", 4)),
+        views=Value(counts("points")),
+        places=Value(floats("points", 2)),
+        points=Value(floats("points", 3)),
+        share=real(floats(least=0.0, most=1.0)),
+    )
 
 
 def _view_parts(model: FaceModel) -> dict[str, tuple[Callable[[PointView], Any], Codec[Any]]]:

@@ -74,6 +74,9 @@ class Faces(Protocol[State, Found]):
     def learn(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
         """Learn from a frame in which the head was tracked; return what the frame then says."""
 
+    def state_fit(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
+        """Return what the result says of a frame, which may be better than what the track goes on from."""
+
     @property
     def regression(self) -> Regression:
         """How probable it is that a frame is right, by its signs."""
@@ -81,8 +84,11 @@ class Faces(Protocol[State, Found]):
     def describe(self, state: State, fit: FrameFit | None) -> Description:
         """Return the face as the result of a frame states it; without a fit, of one without a head."""
 
-    def export_model(self, state: State) -> Learned:
-        """Return what was learned of a known face, as arrays by name."""
+    def export_model(self, state: State, *, for_second_pass: bool) -> Learned:
+        """Return what was learned of a known face, as arrays by name.
+
+        For a second pass over the same images also what holds in them alone.
+        """
 
     def remarks(self, state: State) -> tuple[str, ...]:
         """Say what a user should know about a finished run beside its numbers; each is one line."""
@@ -122,9 +128,10 @@ class HeadTracker(Generic[State, Found]):
             return self._coast(state, now)
         return self._reacquire(state, now)
 
-    def learned(self, state: State) -> Learned:
+    def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return what was learned of the face as arrays by name; empty before it is known."""
-        return self._faces.export_model(state) if self._faces.is_known(state) else {}
+        known = self._faces.is_known(state)
+        return self._faces.export_model(state, for_second_pass=for_second_pass) if known else {}
 
     def not_found(self, state: State) -> str:
         """Say how a head was looked for that was found in no frame yet; empty once it was found."""
@@ -150,7 +157,7 @@ class HeadTracker(Generic[State, Found]):
         state, fit = self._faces.begin(state, frame)
         if isinstance(fit, InitFailure):
             return self._coast(self._failed(state, fit), frame)
-        return self._tracked(state, None, frame, fit, found_anew=is_another)
+        return self._tracked(state, None, frame, fit, fit, found_anew=is_another)
 
     def _update(
         self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
@@ -158,8 +165,8 @@ class HeadTracker(Generic[State, Found]):
         """Learn from a frame in which the head was tracked."""
         before = state.track
         state, fit = self._faces.learn(state, frame, fit)
-        state = replace(state, track=fit.track, lost=0)
-        return self._tracked(state, before, frame, fit, found_anew=found_anew)
+        state, stated = self._faces.state_fit(replace(state, track=fit.track, lost=0), frame, fit)
+        return self._tracked(state, before, frame, fit, stated, found_anew=found_anew)
 
     def _coast(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
         """Miss the head: nothing is learnt, and it is looked for where it was last."""
@@ -200,14 +207,21 @@ class HeadTracker(Generic[State, Found]):
         return replace(state, search=search)
 
     def _tracked(
-        self, state: State, before: TrackState | None, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
+        self,
+        state: State,
+        before: TrackState | None,
+        frame: SeededFrame,
+        fit: FrameFit,
+        stated: FrameFit,
+        *,
+        found_anew: bool,
     ) -> tuple[State, Estimate]:
         """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
-        face = self._faces.describe(state, fit)
+        face = self._faces.describe(state, stated)
         evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0]))
         confidence = self._faces.regression.probability(evidence.signs)
         record = state.record.tracked(frame.index, doubtful=confidence < PROBABLY)
         status = Status.REINITIALISED if found_anew else Status.TRACKING
         status = Status.LOST if confidence < self._faces.status.doubtful_below else status
-        estimate = tracked_estimate(frame.frame, fit, status, confidence, face, evidence.signs)
+        estimate = tracked_estimate(frame.frame, stated, status, confidence, face, evidence.signs)
         return replace(state, evidence=evidence, record=record), estimate

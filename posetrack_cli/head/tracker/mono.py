@@ -39,6 +39,7 @@ from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
+from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
 from posetrack_cli.head.tracker.confidence import MONO
@@ -46,7 +47,7 @@ from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
-from posetrack_cli.head.tracker.mono_state import MonoState, is_cut, mono_codec, thumbnail
+from posetrack_cli.head.tracker.mono_state import MonoState, Stated, is_cut, mono_codec, thumbnail
 from posetrack_cli.head.tracker.person import PersonFitter, new_person, person_shape
 from posetrack_cli.head.tracker.size import PupilDistance, Size
 from posetrack_cli.head.tracker.whole_face import shift_of
@@ -291,8 +292,27 @@ class MonoPeople:
             return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
         fitter, told = self._at(state).fitter, self._told_of(state.current)
         person, fit = fitter.update_person(state.person, state.track, frame, fit, told)
+        person = fitter.keep_skin(person, self._enlarged(state, frame, fit.pixels[0]), fit)
         state = state.update_person(person).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
+
+    def state_fit(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
+        """Return what the result says: in a second pass a pose that the skin tells, too **[ours]**.
+
+        The track goes on from its feature points, so that what goes wrong with the skin stays in its frame.
+        """
+        before = state.stated
+        if state.person.skin_map is None or fit.is_anchored:
+            return replace(state, stated=None), fit
+        stated = self._at(state).fitter.fit_on_skin(
+            state.person, self._enlarged(state, frame, fit.pixels[0]), fit
+        )
+        now = stated.track
+        if before is not None and np.any(now.velocity):
+            velocity = velocity_between(before.pose, now.pose, fit.dt)
+            rate = (stated.coefficients - before.coefficients) / fit.dt
+            stated = replace(stated, track=replace(now, velocity=velocity), coefficient_rate=rate)
+        return replace(state, stated=Stated(now.pose, stated.coefficients)), stated
 
     @property
     def regression(self) -> Regression:
@@ -310,12 +330,15 @@ class MonoPeople:
             None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
         )
 
-    def export_model(self, state: MonoState) -> Learned:
+    def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
         """Return what was learned of the people seen, and how large they were seen."""
-        adjuster = self._at(state).adjuster
+        adjuster, skin = self._at(state).adjuster, self._config.skin
+        people = tuple(one.over_album(adjuster) for one in state.people)
         people = tuple(
-            one.over_album(adjuster).with_size(self._told_of(index), self._model)
-            for index, one in enumerate(state.people)
+            (one.with_skin_map(adjuster, skin) if for_second_pass else one.without_skin()).with_size(
+                self._told_of(index), self._model
+            )
+            for index, one in enumerate(people)
         )
         focal = (state.scale or WHOLE) * self._recorded.fx
         return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}

@@ -16,6 +16,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.head.config import LARGEST_SCALE
 from posetrack_cli.head.face.points import POINT_COUNT
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.tracker.codecs import POSE, history_codecs, search_codec, template_codec, track_codec
@@ -30,6 +31,19 @@ SAME_SCENE = 0.9
 """Correlation of two thumbnails. Heads that move fast before a camera leave it above .95; cuts came to .55,
 and to .83 where only the face changed."""
 _LEAST_EYES_PX, _LEAST_SCALE = 1e-3, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """What a result says of a frame.
+
+    Attributes:
+        pose: of the head.
+        coefficients: (B,) of its deformation, less the mean.
+    """
+
+    pose: HeadPose
+    coefficients: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +63,7 @@ class MonoState(HeadState):
         changes: (frame, and index of the person) of every change to another person.
         trust: the score of the last tracked frame, 0 to 1.
         scale: that images are looked at at, 1 for as recorded; None before a face is first found.
+        stated: what the result says of the last frame that was tracked, where that is not the track.
     """
 
     people: tuple[KnownPerson, ...] = ()
@@ -63,6 +78,7 @@ class MonoState(HeadState):
     changes: tuple[tuple[int, int], ...] = ()
     trust: float = 0.0
     scale: float | None = None
+    stated: Stated | None = None
 
     @property
     def is_found(self) -> bool:
@@ -185,6 +201,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
         trust=real(floats(least=0.0, most=1.0)),
         scale=Maybe(real(floats(least=_LEAST_SCALE, most=LARGEST_SCALE))),
+        stated=Maybe(Fields(Stated, pose=POSE, coefficients=Value(floats("stated")))),
     )
 
 

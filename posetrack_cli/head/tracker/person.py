@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.projection import normalised_from_pixels
+from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_and_jacobian
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView, choose_views
-from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.config import HeadMonoConfig, SkinSettings
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
@@ -18,6 +18,9 @@ from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialisat
 from posetrack_cli.head.initialisation.single_view import pose_of
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import velocity_between
+from posetrack_cli.head.refinement.refine import LEAST_DEVIATION_MM, point_values
+from posetrack_cli.head.skin.crops import SkinAlbum
+from posetrack_cli.head.skin.map import SkinMap, cut_view, make_map, pose_on_map
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
@@ -49,6 +52,8 @@ class KnownPerson:
         is_settled: whether a whole recording has said who it is; single frames then do no more **[ours]**.
         is_held: whether a user has said who it is: nothing is adjusted.
         size: what was told of it; None where nothing was.
+        skin: frames of this recording that show it, for a second pass; as large as the views.
+        skin_map: made of those of a first pass; None in a first one.
     """
 
     person: PersonParameters
@@ -63,6 +68,8 @@ class KnownPerson:
     is_settled: bool = False
     is_held: bool = False
     size: Size | None = None
+    skin: SkinAlbum = field(default_factory=SkinAlbum)
+    skin_map: SkinMap | None = None
 
     @property
     def factor(self) -> float:
@@ -82,8 +89,13 @@ class KnownPerson:
 
         Templates know how large they are, and stay.
         """
-        views = tuple(one.seen_larger(ratio) for one in self.views)
-        return replace(self, views=views, album=self.album.seen_larger(ratio), rms_px=ratio * self.rms_px)
+        return replace(
+            self,
+            views=tuple(one.seen_larger(ratio) for one in self.views),
+            album=self.album.seen_larger(ratio),
+            skin=self.skin.seen_larger(ratio),
+            rms_px=ratio * self.rms_px,
+        )
 
     def with_score(self, score: float) -> KnownPerson:
         """Return what is known after a frame with a score."""
@@ -132,6 +144,30 @@ class KnownPerson:
             adjusted_frames=self.adjusted_frames + 1,
             rms_px=rms(adjusted.residuals),
         )
+
+    def with_skin_map(self, adjuster: Adjuster, settings: SkinSettings) -> KnownPerson:
+        """Return the person with a map of the skin, for a second pass over these images **[ours]**.
+
+        The frames' poses are those that the person's points, as they are now known, have there.
+        """
+        if not self.skin.views:
+            return replace(self, skin=SkinAlbum(), skin_map=None)
+        closely, shown = adjuster.over_recording, self.skin.views
+        adjusted = closely.adjust(
+            [one.view for one in shown],
+            self.person,
+            iterations=adjuster.settings.start_iterations,
+            hold_person=True,
+            wide=True,
+            deviations=False,
+        )
+        views = [replace(one, view=view) for one, view in zip(shown, adjusted.views, strict=True)]
+        shape = person_shape(adjuster.model, self.person).mean
+        return replace(self, skin=SkinAlbum(), skin_map=make_map(views, shape, adjuster.camera, settings))
+
+    def without_skin(self) -> KnownPerson:
+        """Return the person without what holds for images of one recording alone."""
+        return replace(self, skin=SkinAlbum(), skin_map=None)
 
     def over_album(self, adjuster: Adjuster) -> KnownPerson:
         """Return the person adjusted from the whole album, for a second pass **[ours]**."""
@@ -295,6 +331,51 @@ class PersonFitter:
             keyframe = self._keyframe(fit.track.templates, fit.correlations)
             person = replace(person, templates=(*person.templates, keyframe))
         return person, fit
+
+    def keep_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> KnownPerson:
+        """Return the person with what a frame shows of the skin, if it is one to keep **[ours]**.
+
+        Args:
+            person: who is seen.
+            frame: its image as large as the face's points are in it.
+            fit: of the frame.
+        """
+        settings, (image,) = self._config.skin, frame.frame.images
+        album = person.skin if person.skin.views else SkinAlbum(every_ns=round(settings.every_s * 1e9))
+        wanted = settings.use and person.skin_map is None and album.wants(frame.stamp_ns)
+        if not wanted or image is None:
+            return person
+        shown = cut_view(image, self._camera, self._view(person, frame, fit))
+        return replace(person, skin=album.with_view(shown, settings.views))
+
+    def fit_on_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> FrameFit:
+        """Return what a frame says with a pose between its feature points' and its skin's **[ours]**.
+
+        The points stay where they are in the image, the deformation is the likeliest of those.
+        """
+        (image,) = frame.frame.images
+        if person.skin_map is None or image is None:
+            return fit
+        by_points, factor = fit.track.pose, person.factor
+        told = farther(by_points, 1.0 / factor)
+        found = pose_on_map(person.skin_map, image, frame.stamp_ns, told, self._camera, self._config.skin)
+        pose, pixels = farther(found, factor), fit.pixels[0]
+        coefficients = self._deformation_at(pose, person.shape, pixels, fit.weights)
+        shape = self._on_rays(pose, person.shape.shapes(coefficients), pixels)
+        return replace(fit, track=replace(fit.track, pose=pose, shape=shape), coefficients=coefficients)
+
+    def _deformation_at(
+        self, pose: HeadPose, face: ShapeModel, pixels: FloatArray, weights: FloatArray
+    ) -> FloatArray:
+        """The likeliest coefficients (B,) of a face at a pose whose points are seen at pixels (K, 2)."""
+        expected, slopes = pixels_and_jacobian(self._camera, pose.points(face.mean))
+        seen = np.isfinite(pixels).all(axis=1) & (weights > 0.0)
+        scale = np.sqrt(weights[seen]) / point_values(self._adjuster.over_recording.settings.pixel_sd)[seen]
+        J = scale[:, None, None] * (slopes[seen] @ (pose.rotation @ face.basis[seen]))
+        rest = scale[:, None] * (pixels[seen] - expected[seen])
+        precision = np.diag(np.maximum(face.deviations, LEAST_DEVIATION_MM) ** -2)
+        matrix = precision + np.einsum("kia,kib->ab", J, J)
+        return np.linalg.solve(matrix, np.einsum("kia,ki->a", J, rest))
 
     def _shows_person(self, person: KnownPerson, fit: FrameFit) -> bool:
         """Whether a face looks at the camera and like itself (4.4.3), and is little deformed **[ours]**.

@@ -168,6 +168,12 @@ class StereoFace:
             templates = (*templates, now.templates)
         return replace(state, face=face, templates=templates), fit
 
+    def state_fit(
+        self, state: StereoState, frame: SeededFrame, fit: FrameFit
+    ) -> tuple[StereoState, FrameFit]:
+        """Return what the track goes on from."""
+        return state, fit
+
     @property
     def regression(self) -> Regression:
         """How probable it is that a frame is right."""
@@ -183,7 +189,7 @@ class StereoFace:
             _diagnostics(face, fit).numbers(count),
         )
 
-    def export_model(self, state: StereoState) -> Learned:
+    def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
         """Return what was learned of the face, shape model and templates."""
         return self._codecs.to_model(state)
 

@@ -1,0 +1,196 @@
+"""A map of a person's skin, made of a first pass, and where it says that a head is.
+
+Ten feature points of a real face slide: by 2 to 4 % of the eyes' distance, which is 3 to 5 degrees of yaw.
+Corners of the skin between them, some 200 in a frame, are matched between frames all over a recording, and
+poses and their depths are adjusted together; then a frame's pose is where its skin lies on the map's. On
+real faces the skin is nearer to what others say of them, on rendered ones the feature points are, and the
+mean of the two is better than either: ``share`` says how far the skin is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_wherever
+from posetrack_cli.head.adjustment.views import PointView
+from posetrack_cli.head.config import SkinSettings
+from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.skin.adjustment import Observations, adjust_pose, adjust_skin
+from posetrack_cli.head.skin.crops import PX_PER_MM, SkinView, cut, place_crop, to_crop, to_image
+from posetrack_cli.head.skin.matching import find_again, views_for
+from posetrack_cli.head.skin.surface import surface_of
+
+LEAST_VIEWS = 4
+"""A map of fewer says nothing that is not in the frame."""
+POSE_STEPS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class SkinMap:
+    """Views of the skin, and points in them.
+
+    Attributes:
+        stamps: (n,) of the views, ns.
+        crops: (n, HEIGHT, WIDTH).
+        positions, quaternions: (n, 3) mm, (n, 4), adjusted.
+        views: (M,) in which view each point was chosen, in order.
+        places: (M, 2) where, in its crop.
+        points: (M, 3) adjusted, mm in the head's frame.
+        share: 0 to 1, how far a pose by the skin is believed, beside that by feature points.
+    """
+
+    stamps: IntArray
+    crops: ImageArray
+    positions: FloatArray
+    quaternions: FloatArray
+    views: IntArray
+    places: FloatArray
+    points: FloatArray
+    share: float
+
+    @cached_property
+    def bounds(self) -> IntArray:
+        """(n + 1,) points of view i are those from bounds[i] up to bounds[i + 1]."""
+        return np.searchsorted(self.views, np.arange(len(self.stamps) + 1))
+
+    def of_view(self, index: int) -> slice:
+        """Return which points were chosen in a view."""
+        return slice(int(self.bounds[index]), int(self.bounds[index + 1]))
+
+
+def make_map(
+    views: Sequence[SkinView], shape: FloatArray, camera: Camera, settings: SkinSettings
+) -> SkinMap | None:
+    """Return the map of views whose poses are those of one person's points; None of too few.
+
+    Args:
+        views: in the order of their time.
+        shape: (K, 3) the person's neutral face, mm.
+        camera: that took them.
+        settings: how many points, and with which views they are matched.
+    """
+    if len(views) < LEAST_VIEWS:
+        return None
+    begun = _with_points(views, shape, camera, settings)
+    if not len(begun.points):
+        return None
+    told, surface = [one.view.pose for one in views], begun.points
+    focal, found = np.array([camera.fx, camera.fy]), begun
+    for _ in range(settings.rounds):
+        observed = _observe(found, views, camera, settings)
+        poses, points = adjust_skin(observed, told, surface, focal, settings.steps)
+        positions, quaternions = _stacked(poses)
+        found = replace(found, points=points, positions=positions, quaternions=quaternions)
+    apart = [one.difference(pose) for one, pose in zip(told, poses, strict=True)]
+    return replace(found, share=_share(np.array(apart), settings))
+
+
+def _with_points(
+    views: Sequence[SkinView], shape: FloatArray, camera: Camera, settings: SkinSettings
+) -> SkinMap:
+    """The map with its points on the surface, and the poses as the feature points tell them."""
+    surface, owners, places, points = surface_of(shape), [], [], []
+    for index, one in enumerate(views):
+        pixels = pixels_wherever(camera, one.view.pose.points(surface.points))
+        there = to_crop(one.placement, pixels)
+        chosen = surface.corners(one.crop, there, settings.points, settings.distance_mm * PX_PER_MM)
+        owners += [index] * len(chosen)
+        places.append(there[chosen])
+        points.append(surface.points[chosen])
+    return SkinMap(
+        np.array([one.view.stamp_ns for one in views]),
+        np.stack([one.crop for one in views]),
+        *_stacked([one.view.pose for one in views]),
+        views=np.array(owners, dtype=np.int64),
+        places=np.concatenate(places),
+        points=np.concatenate(points),
+        share=0.0,
+    )
+
+
+def _stacked(poses: Sequence[HeadPose]) -> tuple[FloatArray, FloatArray]:
+    """Positions (n, 3) and quaternions (n, 4)."""
+    return np.array([pose.position for pose in poses]), np.array([pose.quaternion for pose in poses])
+
+
+def _observe(
+    found: SkinMap, views: Sequence[SkinView], camera: Camera, settings: SkinSettings
+) -> Observations:
+    """Find the points of all views in those that are near in time or turned alike."""
+    in_views, of_points, pixels = [], [], []
+    for index, one in enumerate(views):
+        own = found.of_view(index)
+        matches = [(np.arange(own.start, own.stop), found.places[own])]
+        away = np.abs(found.stamps - found.stamps[index]).astype(np.float64)
+        away[index] = np.inf
+        pose = HeadPose(found.positions[index], found.quaternions[index])
+        for other in views_for(pose.quaternion, away, found.quaternions, settings.linked, settings.linked):
+            matches.append(_matched(found, other, one.crop, one.placement, pose, camera))
+        for which, places in matches:
+            in_views.append(np.full(len(which), index))
+            of_points.append(which)
+            pixels.append(to_image(one.placement, places))
+    rays = normalised_from_pixels(camera, np.concatenate(pixels))
+    return Observations(np.concatenate(in_views), np.concatenate(of_points), rays)
+
+
+def _matched(
+    found: SkinMap, view: int, crop: ImageArray, placement: FloatArray, pose: HeadPose, camera: Camera
+) -> tuple[IntArray, FloatArray]:
+    """Return which points of a view are found in a crop, and where in it."""
+    which = found.of_view(view)
+    if which.start == which.stop:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    expected = to_crop(placement, pixels_wherever(camera, pose.points(found.points[which])))
+    places, there = find_again(found.crops[view], found.places[which], crop, expected)
+    return which.start + np.flatnonzero(there), places[there]
+
+
+def _share(apart: FloatArray, settings: SkinSettings) -> float:
+    """How far the skin is believed: d^2 / (d^2 + s^2), d how far the two poses of views (n, 6) are apart.
+
+    Both err; the skin by about s, ``error_deg``, on all faces, the feature points the more the more d is.
+    """
+    turns = apart[:, 3:] - np.median(apart[:, 3:], axis=0)
+    squared = float(np.mean(np.sum(np.degrees(turns) ** 2, axis=1)))
+    return squared / (squared + settings.error_deg**2)
+
+
+def pose_on_map(
+    found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera, settings: SkinSettings
+) -> HeadPose:
+    """Return the pose of a head, between what its feature points tell and where its skin lies on a map.
+
+    Args:
+        found: the map.
+        image: grey, of the frame.
+        stamp_ns: of the frame.
+        told: pose by feature points.
+        camera: that took it.
+        settings: with how many views it is compared.
+    """
+    placement = place_crop(camera, told)
+    crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
+    chosen = views_for(told.quaternion, away, found.quaternions, settings.near, settings.alike)
+    matches = [_matched(found, view, crop, placement, told, camera) for view in chosen]
+    count = sum(len(which) for which, _ in matches)
+    if count <= settings.least_points:
+        return told
+    which = np.concatenate([one for one, _ in matches])
+    pixels = to_image(placement, np.concatenate([places for _, places in matches]))
+    rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
+    pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
+    sure = min((count - settings.least_points) / (settings.enough_points - settings.least_points), 1.0)
+    return told.moved(found.share * sure * told.difference(pose))
+
+
+def cut_view(image: ImageArray, camera: Camera, view: PointView) -> SkinView:
+    """Return what is kept of a frame whose points were found."""
+    placement = place_crop(camera, view.pose)
+    return SkinView(view, cut(image, placement), placement)
