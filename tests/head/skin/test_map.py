@@ -218,6 +218,14 @@ def test_few_points_count_the_more_of_them_there_are(known: SkinMap, enough: int
     np.testing.assert_allclose(half, 0.5 * far, atol=1e-9)
 
 
+@pytest.mark.parametrize("enough", [7, 40])
+def test_who_has_enough_with_the_least_believes_the_skin_from_there_on(known: SkinMap, enough: int) -> None:
+    """Not less than nothing, and not without end, where fewer are enough than count at all."""
+    told, usual = disturbed(7.3), SETTINGS.model_copy(update={"least_points": 6, "enough_points": 7})
+    settings = SETTINGS.model_copy(update={"least_points": 40, "enough_points": enough})
+    assert_same(located(known, 7.3, told, settings), located(known, 7.3, told, usual))
+
+
 def test_too_few_points_leave_what_is_told(known: SkinMap) -> None:
     """To the bit."""
     told = disturbed(7.3)
