@@ -14,7 +14,15 @@ from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MOUTH
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.skin import surface
 from posetrack_cli.head.skin.crops import GREY, HEIGHT, MIDDLE, PX_PER_MM, WIDTH
-from posetrack_cli.head.skin.surface import BORDER_PX, LIDS_MM, LIPS_MM, STEP_MM, Surface, surface_of
+from posetrack_cli.head.skin.surface import (
+    BORDER_PX,
+    LIDS_MM,
+    LIPS_MM,
+    MOST_STEPS,
+    STEP_MM,
+    Surface,
+    surface_of,
+)
 
 BESIDE_MM = 4.0
 """The nearest place of the grid is STEP / sqrt(2) away, over which a nose or cheek rises by as much: 1.4 mm;
@@ -68,6 +76,12 @@ def test_no_point_lies_on_lids_or_lips(size: float) -> None:
         away = np.abs(points[:, :2] - moving[:, :2].mean(axis=0))
         assert not np.any(np.all(away < size * np.array(half), axis=1))
     assert len(points) > 500, "the rest of the face is there"
+
+
+@pytest.mark.parametrize("size", [10.0, 1e3, 1e7, -1e7])
+def test_a_face_of_any_size_takes_no_more_memory(size: float) -> None:
+    """As a file may say that a face is."""
+    assert 0 < len(surface_of(size * MEAN_SHAPE).points) <= (MOST_STEPS + 1) ** 2
 
 
 def test_its_points_lie_on_a_grid_within_the_face() -> None:
