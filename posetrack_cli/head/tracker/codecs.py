@@ -245,13 +245,13 @@ def _map_codec() -> Codec[SkinMap]:
 
     return Fields(
         build,
-        stamps=Value(stamps("views")),
-        crops=Value(Layout("uint8", ("views", HEIGHT, WIDTH))),
-        positions=Value(floats("views", 3)),
-        quaternions=Value(units("views", 4)),
-        views=Value(counts("points")),
-        places=Value(floats("points", 2)),
-        points=Value(floats("points", 3)),
+        stamps=Value(stamps("map views")),
+        crops=Value(Layout("uint8", ("map views", HEIGHT, WIDTH))),
+        positions=Value(floats("map views", 3)),
+        quaternions=Value(units("map views", 4)),
+        views=Value(counts("map points")),
+        places=Value(floats("map points", 2)),
+        points=Value(floats("map points", 3)),
         share=real(floats(least=0.0, most=1.0)),
     )
 
