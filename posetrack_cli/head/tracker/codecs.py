@@ -48,6 +48,8 @@ FOCAL_PX = "focal_px"
 _ScoredView: TypeAlias = tuple[float, PointView]
 POSE: Codec[HeadPose] = Fields(HeadPose, position=Value(floats(3)), quaternion=Value(units(4)))
 _COEFFICIENTS = "coefficients?"
+_LEAST_AREA = 1e-18
+"""Pixels of an image that one of a crop takes."""
 
 
 def search_codec(cameras: int) -> Codec[Search]:
@@ -226,8 +228,15 @@ class _AlbumCodec(Codec[Album]):
 
 def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
     """Return the codec of the frames that show the skin."""
+
+    def build(placement: Array, **parts: Any) -> SkinView:
+        (a, b), (c, d) = turn = placement[:, :2]
+        if a * d - b * c < max(_LEAST_AREA, 0.4 * np.sum(turn**2)):  # .5 of what is only turned and scaled
+            raise LayoutError("'placement' that does not just turn, scale and move a crop")
+        return SkinView(placement=placement, **parts)
+
     view: Codec[SkinView] = Fields(
-        SkinView,
+        build,
         view=Fields(_view, **_view_parts(model)),
         crop=Value(Layout("uint8", (HEIGHT, WIDTH))),
         placement=Value(floats(2, 3)),
