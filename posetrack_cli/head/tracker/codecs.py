@@ -47,7 +47,8 @@ FOCAL_PX = "focal_px"
 """Name of the array that says at which focal length people were seen."""
 _ScoredView: TypeAlias = tuple[float, PointView]
 POSE: Codec[HeadPose] = Fields(HeadPose, position=Value(floats(3)), quaternion=Value(units(4)))
-_COEFFICIENTS = "coefficients?"
+COEFFICIENTS = "coefficients?"
+"""Name of how many coefficients the deformation of a tracked face has."""
 _LEAST_AREA = 1e-18
 """Pixels of an image that one of a crop takes."""
 
@@ -88,13 +89,13 @@ def track_codec(cameras: int) -> Codec[TrackState]:
     model = Fields(
         ShapeModel,
         mean=Value(floats(POINT_COUNT, 3)),
-        basis=Value(floats(POINT_COUNT, 3, _COEFFICIENTS)),
-        deviations=Value(floats(_COEFFICIENTS, least=0.0)),
+        basis=Value(floats(POINT_COUNT, 3, COEFFICIENTS)),
+        deviations=Value(floats(COEFFICIENTS, least=0.0)),
     )
     particles = Fields(
         _particles,
         pose=POSE,
-        coefficients=Value(floats(_COEFFICIENTS)),
+        coefficients=Value(floats(COEFFICIENTS)),
         deviations=Value(floats("particles", "state components")),
         weights=Value(Layout("float64", ("particles",), least=0.0, most=1.0, shares=True)),
         model=model,

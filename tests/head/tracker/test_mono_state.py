@@ -105,6 +105,13 @@ def test_faces_were_seen_at_some_scale(name: str) -> None:
         CODEC.from_arrays(arrays)
 
 
+def test_what_was_stated_deforms_as_what_is_tracked() -> None:
+    """The one is taken from the other, for a rate."""
+    arrays = CODEC.to_arrays(STATES["stated"])
+    with pytest.raises(LayoutError, match=r"'stated\.coefficients' as float64"):
+        CODEC.from_arrays(arrays | {"stated.coefficients": np.zeros(3)})
+
+
 def test_a_thumbnail_has_its_size() -> None:
     arrays = CODEC.to_arrays(STATES["after a cut"])
     with pytest.raises(LayoutError, match="'scene' of 10 pixels, not 768"):
