@@ -427,8 +427,15 @@ def test_landmarks_from_elsewhere_begin_a_run_at_the_features_near_them(
 
 
 def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, tmp_path: Path) -> None:
-    """Stopped while the face is collected, later in the first pass, and in the second: one run."""
-    config = HeadMonoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 2}})
+    """Stopped while the face is collected, later in the first pass, and in the second: one run.
+
+    The skin is kept so often that there is a map of it, though of its frames some went.
+    """
+    skin = {"every_s": 0.03, "views": 5, "least_points": 6}
+    config = HeadMonoConfig.model_validate(
+        {"particles": {"count": 50}, "output": {"flush_frames": 2}, "skin": skin}
+    )
+    begun = []
     source = open_recording(made, "grey")
     (camera,) = source.cameras
 
@@ -441,16 +448,18 @@ def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, 
             name="head-mono",
             subject=mono_subject(camera.name, load_face_model()),
             flush_frames=config.output.flush_frames,
-            make_tracker=lambda known: make_mono_tracker(config, camera, known),
+            make_tracker=lambda known: begun.append(known) or make_mono_tracker(config, camera, known),
         ).track(lambda estimate: None, lambda: next(asked) == stop_after)
 
     track("whole.mcap")
+    assert "person0.skin_map.points" in begun[-1]
     assert track("cut.mcap", 3).stopped
     assert track("cut.mcap", 4, resume=True).stopped
     assert not list(read_result(part_path(tmp_path / "cut.mcap")).estimates())  # the second pass is written
     assert track("cut.mcap", 8, resume=True).stopped
     assert list(read_result(part_path(tmp_path / "cut.mcap")).estimates())
     assert track("cut.mcap", resume=True).tracked < FRAMES
+    assert "person0.skin_map.points" in begun[-1]
     assert filecmp.cmp(tmp_path / "whole.mcap", tmp_path / "cut.mcap", shallow=False)
 
 
