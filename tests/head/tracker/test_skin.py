@@ -37,6 +37,8 @@ SHARE, SHARED = 0.6, "person0.skin_map.share"
 TURNED_RAD = np.radians(1.0)
 """By how much heads are turned that are adjusted to the same points in pixels of half the size: the priors
 count for a quarter then."""
+APART_RAD = np.radians(2.0)
+"""Points are 40 mm from the middle, and planes about them drawn where skin is expected a mm beside."""
 ROUNDING = 1e-9
 """mm, rad and pixels, of numbers below 1000."""
 
@@ -222,6 +224,19 @@ def test_a_velocity_over_a_gap_is_that_of_what_was_stated_before_and_after_it() 
     for one, other in ((before, back), (back, following)):
         dt = (other.stamp_ns - one.stamp_ns) * 1e-9
         assert_moves(other, velocity_between(pose_of(one), pose_of(other), dt))
+
+
+@pytest.mark.parametrize("eyes_px", [130.0, 176.0])
+def test_a_small_face_is_compared_in_enlarged_images(eyes_px: float) -> None:
+    """Skin and points say about the same there, too; at another scale they would be far apart."""
+    config = HeadMonoConfig.model_validate(ON_SKIN.model_dump() | {"start": {"eye_distance_px": eyes_px}})
+    scene = first_pass(config)
+    assert scene.state is not None and scene.state.scale is not None and scene.state.scale > 1.0
+    known = learned(config) | {SHARED: np.array(1.0)}
+    for estimate, state in second_pass(known, config):
+        assert state.track is not None
+        apart = angle_between(estimate.quaternion, state.track.pose.quaternion)
+        assert 0.0 < apart < APART_RAD
 
 
 # What a checkpoint keeps
