@@ -242,17 +242,24 @@ class HandFitter:
             poses: (N, 22).
             inner: (6,) inner numbers of all.
         """
-        out, workspace = np.empty(len(poses)), self._free[0]
-        potentials(
-            self.hand.plausibility,
-            self.hand.skeleton,
-            poses,
-            inner,
-            workspace.posed,
-            workspace.spheres,
-            workspace.whole,
-            out,
-        )
+        out, hand = np.empty(len(poses)), self.hand
+
+        def write_some(first: int, stride: int, workspace: Workspace) -> None:
+            posed, spheres, equations = workspace.posed, workspace.spheres, workspace.whole
+            potentials(
+                hand.plausibility,
+                hand.skeleton,
+                poses,
+                inner,
+                first,
+                stride,
+                posed,
+                spheres,
+                equations,
+                out,
+            )
+
+        self._share_out(len(poses), write_some)
         return out
 
     def _share_out(self, count: int, some: Callable[[int, int, Workspace], None]) -> None:
