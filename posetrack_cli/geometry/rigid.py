@@ -86,20 +86,25 @@ def _no_rotation(matrix: FloatArray, where: object) -> PosetrackError:
 def rigid_alignment(
     source: FloatArray, target: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return R (3, 3) and t (3,) that minimise sum_k w_k |R a_k + t - b_k|^2 (Kabsch 1976).
+    """Return R (..., 3, 3) and t (..., 3) that minimise sum_k w_k |R a_k + t - b_k|^2 (Kabsch 1976).
 
     With both sets about their weighted means, H = sum_k w_k a_k b_k^T = U S V^T and R = V D U^T, with
     D = diag(1, 1, det(V U^T)) so that no mirror image is taken.
 
     Args:
-        source: (K, 3) a.
-        target: (K, 3) b.
-        weights: (K,) w >= 0, not all zero.
+        source: (..., K, 3) a.
+        target: (..., K, 3) b.
+        weights: (..., K) w >= 0, not all zero.
     """
-    share = weights / weights.sum()
-    from_middle, to_middle = share @ source, share @ target
-    covariance = (source - from_middle).T @ (share[:, None] * (target - to_middle))
+    share = weights / weights.sum(axis=-1, keepdims=True)
+    from_middle, to_middle = share[..., None, :] @ source, share[..., None, :] @ target
+    covariance = _transposed(source - from_middle) @ (share[..., None] * (target - to_middle))
     U, _, Vt = np.linalg.svd(covariance)
-    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
-    R: FloatArray = Vt.T @ turn @ U.T
-    return R, to_middle - R @ from_middle
+    turn = np.broadcast_to(np.eye(3), covariance.shape).copy()
+    turn[..., 2, 2] = np.sign(np.linalg.det(_transposed(Vt) @ _transposed(U)))
+    R: FloatArray = _transposed(Vt) @ turn @ _transposed(U)
+    return R, to_middle[..., 0, :] - (R @ _transposed(from_middle))[..., 0]
+
+
+def _transposed(matrices: FloatArray) -> FloatArray:
+    return np.swapaxes(matrices, -1, -2)

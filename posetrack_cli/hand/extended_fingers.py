@@ -8,17 +8,19 @@ is laid on each, and on the best a hand that bends (``fitting.points``), its oth
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import combinations
+from collections.abc import Sequence
+from itertools import combinations, product
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.hand.anatomy import FINGERS, POSE_SIZE, HandAnatomy
-from posetrack_cli.hand.fitting.points import PlaceFitter, PlacesToFit, lay_on
+from posetrack_cli.hand.fitting.points import PlaceFitter, PlacesToFit
 from posetrack_cli.hand.keypoints.places import WRIST_MM
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.observation import Observation
@@ -55,20 +57,22 @@ class ExtendedFinger(NamedTuple):
     base: FloatArray
 
 
-class _Hypothesis(NamedTuple):
-    """Which fingers are extended, and a stiff hand laid on them.
+class _Hypotheses(NamedTuple):
+    """Which fingers are extended, and a stiff hand laid on them; the first axis is that of the hypotheses.
 
     Attributes:
-        which: of the five, in the order of ``about``'s places.
-        about: where their joints are then.
-        pose: (22,) of the stiff hand.
-        misfit: mean squared distance of its joints from their places, in standard deviations.
+        which: of the five, in the order of the fingers that are seen.
+        places: (H, 21, 3) where their joints are then, mm; 0 where nothing is said.
+        precision: (H, 21) 1 / mm^2; 0 where nothing is said.
+        poses: (H, 22) of the stiff hand.
+        misfits: (H,) mean squared distance of its joints from their places, in standard deviations.
     """
 
-    which: tuple[int, ...]
-    about: PlacesToFit
-    pose: FloatArray
-    misfit: float
+    which: Sequence[tuple[int, ...]]
+    places: FloatArray
+    precision: FloatArray
+    poses: FloatArray
+    misfits: FloatArray
 
 
 def poses_of_fingers(observation: Observation, anatomy: HandAnatomy, camera: Camera) -> FloatArray:
@@ -85,13 +89,14 @@ def poses_of_fingers(observation: Observation, anatomy: HandAnatomy, camera: Cam
     fingers = extended_fingers(observation, anatomy.scale, camera)
     if not FEWEST <= len(fingers) <= len(FINGERS):
         return np.empty((0, POSE_SIZE))
-    likeliest = sorted(_hypotheses(fingers, observation, anatomy), key=lambda one: one.misfit)[:_LIKELIEST]
-    fitter = PlaceFitter(anatomy)
-    for which, about, pose, _ in likeliest:
-        fitter.fit(about, pose)
-        for finger in set(range(1, len(FINGERS))) - set(which):
+    made, fitter = _hypotheses(fingers, observation, anatomy), PlaceFitter(anatomy)
+    likeliest = np.argsort(made.misfits, kind="stable")[:_LIKELIEST]
+    poses = made.poses[likeliest]
+    for k, pose in zip(likeliest.tolist(), poses, strict=True):
+        fitter.fit(_places_to_fit(made.places[k], made.precision[k]), pose)
+        for finger in set(range(1, len(FINGERS))) - set(made.which[k]):
             pose[[7 + 3 * finger, 9 + 3 * finger]] = _CLOSED
-    return np.array([one.pose for one in likeliest])
+    return poses
 
 
 def extended_fingers(observation: Observation, scale: float, camera: Camera) -> list[ExtendedFinger]:
@@ -165,56 +170,66 @@ def _clockwise(fingers: Sequence[ExtendedFinger], palm: FloatArray, arm: FloatAr
 
 def _hypotheses(
     fingers: Sequence[ExtendedFinger], observation: Observation, anatomy: HandAnatomy
-) -> Iterator[_Hypothesis]:
-    """Every choice of fingers that keeps the order, either way around."""
-    stiff = np.zeros(POSE_SIZE)
-    stiff[6] = 1.0
-    joints = joint_positions(anatomy, stiff[None])[0]
-    laid = [[_joints_along(finger, f, anatomy) for f in range(len(FINGERS))] for finger in fingers]
-    for order in (laid, laid[::-1]):
-        for which in combinations(range(len(FINGERS)), len(fingers)):
-            about, pose = _places(order, which, observation, anatomy), stiff.copy()
-            known = np.flatnonzero(about.precision[:, 0])
-            turn = lay_on(about, known, joints, pose)
-            off = np.square(joints[known] @ turn.T + pose[:3] - about.places[known]).sum(axis=1)
-            yield _Hypothesis(which, about, pose, float((about.precision[known, 0] * off).mean()))
+) -> _Hypotheses:
+    """Every choice of fingers that keeps the order, either way around.
+
+    Joints are along each finger, as deep as it is thick; so is the wrist, where an arm is seen.
+    """
+    laid = [_joints_along(finger, anatomy) for finger in fingers]
+    chosen = list(combinations(range(len(FINGERS)), len(fingers)))
+    which, count = 2 * chosen, len(chosen)
+    places, precision = np.zeros((2 * count, 21, 3)), np.zeros((2 * count, 21))
+    for n, (order, these) in enumerate(product((laid, laid[::-1]), chosen)):
+        for (joints, sharpness), f in zip(order, these, strict=True):
+            rows = slice(1 + 4 * f, 5 + 4 * f)
+            places[n, rows], precision[n, rows] = joints[f], sharpness[f]
+    if observation.inner[:3].any():
+        places[:, :1] = _behind(observation.wrist[None], np.array([WRIST_MM * anatomy.scale]))
+        precision[:, 0] = 1.0 / (_WRIST_SD_MM * anatomy.scale) ** 2
+    return _Hypotheses(which, places, precision, *_stiff_hands(places, precision, anatomy))
 
 
-def _joints_along(finger: ExtendedFinger, f: int, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
-    """Where the joints (4, 3) are of an extended finger that is the hand's f-th, and precisions (4,)."""
+def _stiff_hands(
+    places: FloatArray, precision: FloatArray, anatomy: HandAnatomy
+) -> tuple[FloatArray, FloatArray]:
+    """Poses (H, 22) of a hand that does not bend, laid on places (H, 21, 3), and their misfits (H,).
+
+    Args:
+        places: of joints, mm.
+        precision: (H, 21) of them, for all hypotheses of as many joints.
+        anatomy: the hand.
+    """
+    poses = np.zeros((len(places), POSE_SIZE))
+    poses[:, 6] = 1.0
+    joints = joint_positions(anatomy, poses[:1])[0]
+    known = np.nonzero(precision)[1].reshape(len(places), -1)
+    there, weights = (
+        np.take_along_axis(a, k, axis=1) for a, k in ((places, known[..., None]), (precision, known))
+    )
+    turns, poses[:, :3] = rigid_alignment(joints[known], there, weights)
+    poses[:, 3:7] = rotations.canonical(rotations.quaternions_from_matrices(turns))
+    laid = joints[known] @ np.swapaxes(turns, 1, 2) + poses[:, None, :3]
+    return poses, (weights * np.square(laid - there).sum(axis=2)).mean(axis=1)
+
+
+def _joints_along(finger: ExtendedFinger, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
+    """Where the joints (5, 4, 3) are of an extended finger that is any of the five, and precisions (5, 4)."""
     reach = float(np.linalg.norm(finger.base - finger.tip))
-    from_tip = np.append(np.cumsum(anatomy.segments[f, ::-1])[::-1], 0.0)  # of MCP, PIP, DIP and tip
-    skin = finger.tip + from_tip[:, None] / reach * (finger.base - finger.tip)
-    depths = anatomy.radii[f] * [1.0, 1.0, 1.0, 0.5]  # a tip is the skin's
+    from_tip = np.zeros((len(FINGERS), 4))  # of MCP, PIP, DIP and tip
+    from_tip[:, :3] = np.cumsum(anatomy.segments[:, ::-1], axis=1)[:, ::-1]
+    skin = finger.tip + from_tip[..., None] / reach * (finger.base - finger.tip)
+    depths = anatomy.radii * [1.0, 1.0, 1.0, 0.5]  # a tip is the skin's
     seen = from_tip <= reach + _INSIDE_PALM_MM * anatomy.scale
     return _behind(skin, depths), 1.0 / np.square(np.where(seen, _SEEN_SD_MM, _UNSEEN_SD_MM) * anatomy.scale)
 
 
-def _places(
-    laid: Sequence[Sequence[tuple[FloatArray, FloatArray]]],
-    which: tuple[int, ...],
-    observation: Observation,
-    anatomy: HandAnatomy,
-) -> PlacesToFit:
-    """Where joints are if these are the extended fingers: along each, as deep as it is thick; the wrist.
-
-    Args:
-        laid: of the fingers that are seen, in order: their joints as each of the five (``_joints_along``).
-        which: of the five they are.
-        observation: tells the wrist.
-        anatomy: the hand.
-    """
-    places, precision = np.zeros((21, 3)), np.zeros((21, 3))
-    for of_finger, f in zip(laid, which, strict=True):
-        rows = slice(1 + 4 * f, 5 + 4 * f)
-        places[rows], precision[rows] = of_finger[f][0], of_finger[f][1][:, None]
-    if observation.inner[:3].any():
-        places[:1] = _behind(observation.wrist[None], np.array([WRIST_MM * anatomy.scale]))
-        precision[0] = 1.0 / (_WRIST_SD_MM * anatomy.scale) ** 2
-    return PlacesToFit(places, np.tile(np.eye(3), (21, 1, 1)), precision, np.ones(21))
+def _places_to_fit(places: FloatArray, precision: FloatArray) -> PlacesToFit:
+    """Places (21, 3) that are told with a precision (21,) in all directions."""
+    axes = np.broadcast_to(np.eye(3), (21, 3, 3)).copy()
+    return PlacesToFit(places, axes, np.repeat(precision[:, None], 3, axis=1), np.ones(21))
 
 
 def _behind(skin: FloatArray, depths: FloatArray) -> FloatArray:
-    """Points (N, 3) so far (N,) behind others, as the camera sees them, mm."""
-    farther: FloatArray = skin * (1.0 + depths / np.linalg.norm(skin, axis=1))[:, None]
+    """Points (..., 3) so far (...) behind others, as the camera sees them, mm."""
+    farther: FloatArray = skin * (1.0 + depths / np.linalg.norm(skin, axis=-1))[..., None]
     return farther

@@ -211,12 +211,14 @@ class LocalFitter:
         chosen: list[Fit] = []
         joints: list[FloatArray] = []
         for fit in order:
+            if fit.cost[0] > limit or len(chosen) == self._settings.most_modes:
+                break
             here = joint_positions(self._anatomy, fit.pose[None])[0]
             apart = [np.linalg.norm(here - there, axis=1).max() for there in joints]
-            if fit.cost[0] <= limit and min(apart, default=np.inf) > self._settings.apart_mm:
+            if min(apart, default=np.inf) > self._settings.apart_mm:
                 chosen.append(fit)
                 joints.append(here)
-        return chosen[: self._settings.most_modes]
+        return chosen
 
 
 THUMB_LEFT = 0.25

@@ -371,7 +371,7 @@ class SkinSettings(Settings):
     steps: Annotated[int, Field(ge=1, le=50)] = 8
     near: Annotated[int, Field(ge=0, le=20)] = 2
     alike: Annotated[int, Field(ge=0, le=20)] = 4
-    error_deg: Positive = 2.0
+    error_deg: Positive = 1.5
     least_points: Annotated[int, Field(ge=6)] = 15
     enough_points: Annotated[int, Field(ge=7)] = 60
 

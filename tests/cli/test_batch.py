@@ -68,12 +68,12 @@ def synth(path: Path, seed: int, *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve, of which one is damaged; the others are of three motions."""
+    """Nine, of which one is damaged; the others are of three motions."""
     folder = tmp_path_factory.mktemp("in")
     made = [synth(folder / f"a{seed}.mcap", seed) for seed in (1, 2, 3)]
     shutil.copy(made[0], folder / "0-sleeps.mcap")
     (folder / "day").mkdir()
-    for k, name in enumerate(("b1", "b2", "b3", "aborts", "kills", "b4", "b5")):
+    for k, name in enumerate(("aborts", "kills", "b1", "b2")):
         shutil.copy(made[k % 3], folder / "day" / f"{name}.mcap")
     (folder / "damaged.mcap").write_bytes(made[0].read_bytes()[:20_000])
     return folder
@@ -151,7 +151,7 @@ def test_a_cluster_in_which_things_go_wrong(
     done = run_batch(*common, "--scheduler-file", cluster, "--timeout", TIMEOUT_S, "--junit", junit)
     wrong = {"day/aborts", "0-sleeps", "damaged"}
     found = states(out)
-    assert len(found) == 12
+    assert len(found) == 9
     assert {name for name, state in found.items() if state != "done"} == wrong, done.stderr
     assert (hooked / "killed").exists()  # a worker died, and another one did its job
     assert done.returncode == 3
@@ -163,7 +163,7 @@ def test_a_cluster_in_which_things_go_wrong(
     }
     assert failures == wrong
 
-    for name, recording in (("a1", "a1"), ("day/kills", "a2"), ("day/b3", "a3")):
+    for name, recording in (("a1", "a1"), ("day/kills", "a2"), ("day/b1", "a3")):
         alone = single(recordings / f"{recording}.mcap", tmp_path / f"alone-{recording}.mcap")
         assert read_result(out / f"{name}.mcap").run["input.name"] == f"{Path(name).name}.mcap"
         if name == recording:
@@ -195,7 +195,7 @@ def test_pieces_give_equal_bytes_for_any_number_of_workers(
 ) -> None:
     """And nothing shows where they meet: the error changes there as it does elsewhere."""
     results = []
-    for jobs in (1, 2, 4):
+    for jobs in (1, 4):  # one after the other, or all at once, and workers that have nothing to do
         out = tmp_path / str(jobs)
         pieces = ["--chunk-s", str(CHUNK_S), "--overlap-s", str(OVERLAP_S), "--jobs", str(jobs), "--smooth"]
         done = run_here(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)

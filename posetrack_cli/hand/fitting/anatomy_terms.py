@@ -257,12 +257,14 @@ def potentials(
     skeleton: Skeleton,
     poses: FloatArray,
     inner: FloatArray,
+    first: int,
+    stride: int,
     posed: Posed,
     spheres: FloatArray,
     equations: NormalEquations,
     out: FloatArray,
 ) -> None:
-    """Write U (N,) of poses (N, 22) with inner numbers (6,)."""
-    for n in range(len(poses)):
+    """Write U (N,) of every ``stride``-th of poses (N, 22) with inner numbers (6,)."""
+    for n in range(first, len(poses), stride):
         pose_bones(skeleton, poses[n], inner, posed)
         out[n] = add_anatomy(about, poses[n], posed, spheres, equations)

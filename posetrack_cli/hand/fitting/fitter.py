@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,12 +21,14 @@ from posetrack_cli.hand.fitting.gauss_newton import (
     Hand,
     Steps,
     Workspace,
-    align,
+    align_each,
     assess,
-    cost_of,
-    descend,
+    descend_each,
     empty_fit,
+    empty_fits,
     make_workspace,
+    taken_apart,
+    write_costs,
 )
 from posetrack_cli.hand.fitting.normal_equations import NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.skeleton import pose_bones, skeleton_of
@@ -161,33 +162,42 @@ class HandFitter:
 
     def aligned(self, tile: Tile, poses: FloatArray) -> FloatArray:
         """Return poses (K, 22) shifted so that what is drawn has the observed hand's middle."""
-        out = poses.copy()
-        for pose in out:
-            align(self.hand, tile, pose, self._free[0])
+        out = np.array(poses, order="C")
+
+        def align_some(first: int, stride: int, workspace: Workspace) -> None:
+            align_each(self.hand, tile, out, first, stride, workspace)
+
+        self._share_out(len(out), align_some)
         return out
 
     def descend(
         self, tile: Tile, starts: FloatArray, priors: Sequence[PosePrior], iterations: int
     ) -> list[Fit]:
         """Return a fit from each start (K, 22), with a prior of its own."""
+        if not priors:
+            return []
+        fits, starts = empty_fits(len(priors)), np.ascontiguousarray(starts)
+        means = np.array([prior.mean for prior in priors])
+        precisions = np.array([prior.precision for prior in priors])
 
-        def one(start: FloatArray, prior: PosePrior, workspace: Workspace) -> Fit:
-            fit = empty_fit()
-            descend(
+        def descend_some(first: int, stride: int, workspace: Workspace) -> None:
+            descend_each(
                 self.hand,
                 tile,
-                start,
-                prior.mean,
-                prior.precision,
+                starts,
+                means,
+                precisions,
+                first,
+                stride,
                 self._terms,
                 self._steps,
                 iterations,
                 workspace,
-                fit,
+                fits,
             )
-            return fit
 
-        return self._each(one, starts, priors)
+        self._share_out(len(priors), descend_some)
+        return taken_apart(fits)
 
     def swapped(self, tile: Tile, fits: Sequence[Fit]) -> FloatArray:
         """Return the best fit's pose (22,) with each finger taken from the fit where it fits best."""
@@ -217,11 +227,13 @@ class HandFitter:
 
     def costs(self, tile: Tile, poses: FloatArray) -> FloatArray:
         """Return union costs (N,), mm, of poses (N, 22)."""
+        costs, poses = np.empty(len(poses)), np.ascontiguousarray(poses)
 
-        def one(pose: FloatArray, workspace: Workspace) -> float:
-            return float(cost_of(self.hand, tile, pose, self._terms, workspace))
+        def write_some(first: int, stride: int, workspace: Workspace) -> None:
+            write_costs(self.hand, tile, poses, first, stride, self._terms, workspace, costs)
 
-        return np.array(self._each(one, poses))
+        self._share_out(len(poses), write_some)
+        return costs
 
     def potentials(self, poses: FloatArray, inner: FloatArray) -> FloatArray:
         """Return the anatomical potential U (N,); exp(-U) is a factor of the likelihood.
@@ -230,32 +242,42 @@ class HandFitter:
             poses: (N, 22).
             inner: (6,) inner numbers of all.
         """
-        out, workspace = np.empty(len(poses)), self._free[0]
-        potentials(
-            self.hand.plausibility,
-            self.hand.skeleton,
-            poses,
-            inner,
-            workspace.posed,
-            workspace.spheres,
-            workspace.whole,
-            out,
-        )
+        out, hand = np.empty(len(poses)), self.hand
+
+        def write_some(first: int, stride: int, workspace: Workspace) -> None:
+            posed, spheres, equations = workspace.posed, workspace.spheres, workspace.whole
+            potentials(
+                hand.plausibility,
+                hand.skeleton,
+                poses,
+                inner,
+                first,
+                stride,
+                posed,
+                spheres,
+                equations,
+                out,
+            )
+
+        self._share_out(len(poses), write_some)
         return out
 
-    def _each(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """Call a compiled function for every item, on all threads; each has a workspace of its own."""
-        count = len(arguments[0])
+    def _share_out(self, count: int, some: Callable[[int, int, Workspace], None]) -> None:
+        """Have compiled work on so many items done on all threads, this one among them.
+
+        Handing a hand and a tile to compiled code takes as long as a third of a drawing: it is done once a
+        thread, not once an item.
+
+        Args:
+            count: of the items.
+            some: does every so many-th item from a first one on; each thread has a workspace of its own.
+        """
         threads = min(len(self._free), count)
-        parts = [range(first, count, threads) for first in range(threads)]
-        results: list[Any] = [None] * count
-
-        def run(part: range, workspace: Workspace) -> None:
-            for k in part:
-                results[k] = function(*(a[k] for a in arguments), workspace)
-
-        list(self._threads.map(run, parts, self._free))
-        return results
+        others = [self._threads.submit(some, k, threads, self._free[k]) for k in range(1, threads)]
+        if threads:
+            some(0, threads, self._free[0])
+        for other in others:
+            other.result()
 
 
 def tile_of(observation: Observation, camera: Camera) -> Tile:

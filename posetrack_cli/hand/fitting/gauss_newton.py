@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import quaternion_product
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import SPHERES, Plausibility, add_anatomy
@@ -26,7 +26,7 @@ from posetrack_cli.hand.fitting.skin import Skin
 from posetrack_cli.hand.fitting.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
 from posetrack_cli.hand.inner import INNER_SIZE, IP_OFFSET
 from posetrack_cli.hand.observation import IGNORED
-from posetrack_cli.rendering.raster import Drawing, View, draw, empty_drawing
+from posetrack_cli.rendering.raster import Drawing, View, draw, draw_depth, empty_drawing
 
 STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # all pixels of the surface count in the last steps alone
 WIDENING = 1.3  # factor on the robust scales per iteration left
@@ -106,6 +106,28 @@ def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
 def empty_fit() -> Fit:
     """Return a fit to be filled in."""
     return Fit(np.zeros(POSE_SIZE), np.zeros(INNER_SIZE), empty_equations(), np.zeros(1))
+
+
+def empty_fits(count: int) -> Fit:
+    """Return so many fits to be filled in, as one whose arrays have an axis more, the first."""
+    one = empty_fit()
+    data = NormalEquations(*(np.zeros((count, *array.shape)) for array in one.data))
+    shapes = one.pose.shape, one.inner.shape, one.cost.shape
+    pose, inner, cost = (np.zeros((count, *shape)) for shape in shapes)
+    return Fit(pose, inner, data, cost)
+
+
+def taken_apart(fits: Fit) -> list[Fit]:
+    """Return the single ones of several fits, which share their memory."""
+    data = [NormalEquations(*arrays) for arrays in zip(*fits.data, strict=True)]
+    return [Fit(*parts) for parts in zip(fits.pose, fits.inner, data, fits.cost, strict=True)]
+
+
+@inlined
+def _fit_at(fits: Fit, k: int) -> Fit:
+    data = fits.data
+    one = NormalEquations(data.matrix[k], data.vector[k], data.blocks[k], data.thumb[k])
+    return Fit(fits.pose[k], fits.inner[k], one, fits.cost[k])
 
 
 @kernel
@@ -304,10 +326,56 @@ def descend(
 
 
 @kernel
+def descend_each(
+    hand: Hand,
+    tile: Tile,
+    starts: FloatArray,
+    means: FloatArray,
+    precisions: FloatArray,
+    first: int,
+    stride: int,
+    terms: Terms,
+    most: Steps,
+    iterations: int,
+    workspace: Workspace,
+    out: Fit,
+) -> None:
+    """Descend from every ``stride``-th of starts (K, 22) with priors (K, 22), (K, 21), and write K fits."""
+    for k in range(first, len(starts), stride):
+        fit, mean, precision = _fit_at(out, k), means[k], precisions[k]
+        descend(hand, tile, starts[k], mean, precision, terms, most, iterations, workspace, fit)
+
+
+@kernel
+def write_costs(
+    hand: Hand,
+    tile: Tile,
+    poses: FloatArray,
+    first: int,
+    stride: int,
+    terms: Terms,
+    workspace: Workspace,
+    out: FloatArray,
+) -> None:
+    """Write ``cost_of`` of every ``stride``-th of poses (N, 22) to (N,)."""
+    for n in range(first, len(poses), stride):
+        out[n] = cost_of(hand, tile, poses[n], terms, workspace)
+
+
+@kernel
+def align_each(
+    hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
+) -> None:
+    """``align`` every ``stride``-th of poses (N, 22)."""
+    for n in range(first, len(poses), stride):
+        align(hand, tile, poses[n], workspace)
+
+
+@kernel
 def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
     """The union cost D, mm, of a pose (22,)."""
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
-    if not draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
+    if not draw_depth(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
         return terms.clamp_mm
     return union_cost(tile, workspace.drawing, terms)
 
@@ -342,7 +410,7 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
     """
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     bones, drawing = workspace.posed.bones, workspace.drawing
-    if tile.observed == 0 or not draw(hand.skin.mesh, bones, tile.projection, drawing):
+    if tile.observed == 0 or not draw_depth(hand.skin.mesh, bones, tile.projection, drawing):
         return False
     drawn, target = np.zeros(3), np.zeros(3)
     count = _add_middle(drawing.inverse, tile.image, True, drawn)

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.hand.fitting.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
 from posetrack_cli.hand.fitting.skeleton import Posed, point_row
@@ -77,15 +77,26 @@ Pull: TypeAlias = tuple[float, float, float, float, float]
 
 
 class TermBuffers(NamedTuple):
-    """Buffers of ``add_terms``: unexplained points (h w, 3), vertices that face the camera (V,)."""
+    """Buffers of ``add_terms``.
+
+    Attributes:
+        points: (h w, 3) unexplained.
+        vertices: (V,) that face the camera.
+        places: (3, V) where these lie, a coordinate after the other.
+        squares: (V,) of their distances from a point.
+    """
 
     points: FloatArray
     vertices: IntArray
+    places: FloatArray
+    squares: FloatArray
 
 
 def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     """Return the buffers for one image."""
-    return TermBuffers(np.zeros((height * width, 3)), np.zeros(len(skin.mesh.vertices), dtype=np.int64))
+    count = len(skin.mesh.vertices)
+    points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
+    return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count))
 
 
 @inlined
@@ -120,38 +131,48 @@ def add_terms(
         buffers: are written to.
         equations: residuals are added to its blocks.
     """
-    view, row, points = tile.projection, np.empty(ROW), buffers.points
+    view, row, (image, inverses) = tile.projection, np.empty(ROW), (tile.image, drawing.inverse)
     fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
     error, both, missed, unexplained = 0.0, 0, 0.0, 0
-    for j in range(tile.image.shape[0]):
+    for j in range(image.shape[0]):
         y = (j + 0.5 - view.d) / view.c
-        for i in range(tile.image.shape[1]):
-            observed, inverse = tile.image[j, i], drawing.inverse[j, i]
-            x, z, offset = (i + 0.5 - view.b) / view.a, 0.0, np.inf
-            if inverse > 0.0:
-                z, t = 1.0 / inverse, drawing.triangle[j, i]
+        for i in range(image.shape[1]):
+            observed, inverse = image[j, i], inverses[j, i]
+            if not inverse > 0.0:
                 if observed > 0.0:
-                    both, offset = both + 1, observed - z
-                    error += min(abs(offset), terms.clamp_mm)
-                    normal = (normals[t, 0], normals[t, 1], normals[t, 2])
-                    pull = _depth_pull(offset, x, y, normal, widening, terms)
-                else:
-                    share = _missed(observed, z, terms)
-                    missed += share
-                    aside = (tile.nearest[0, j, i] - i) / view.a, (tile.nearest[1, j, i] - j) / view.c
-                    pull = _outline_pull(share if observed < 0.0 else 0.0, aside, x, y, z, widening, terms)
-                dx, dy, dz, row[RESIDUAL], weight = pull
-                if observed > 0.0:
-                    weight *= stride if (i + j) % stride == 0 else 0
-                if weight > 0.0:
-                    point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, dz, row)
-                    add_row(equations, fingers[t], row, weight)
-            if observed > 0.0 and abs(offset) > terms.explained_mm:
-                points[unexplained, 0], points[unexplained, 1] = x * observed, y * observed
-                points[unexplained, 2] = observed
-                unexplained += 1
+                    x = (i + 0.5 - view.b) / view.a
+                    unexplained = _note(buffers.points, unexplained, x, y, observed)
+                continue
+            x, z, t = (i + 0.5 - view.b) / view.a, 1.0 / inverse, drawing.triangle[j, i]
+            if observed > 0.0:
+                both, offset = both + 1, observed - z
+                error += min(abs(offset), terms.clamp_mm)
+                if abs(offset) > terms.explained_mm:
+                    unexplained = _note(buffers.points, unexplained, x, y, observed)
+                if (i + j) % stride != 0:
+                    continue
+                normal = (normals[t, 0], normals[t, 1], normals[t, 2])
+                pull = _depth_pull(offset, x, y, normal, widening, terms)
+            else:
+                share = _missed(observed, z, terms)
+                missed += share
+                aside = (tile.nearest[0, j, i] - i) / view.a, (tile.nearest[1, j, i] - j) / view.c
+                pull = _outline_pull(share if observed < 0.0 else 0.0, aside, x, y, z, widening, terms)
+            dx, dy, dz, row[RESIDUAL], weight = pull
+            if observed > 0.0:
+                weight *= stride
+            if weight > 0.0:
+                point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, dz, row)
+                add_row(equations, fingers[t], row, weight)
     _add_closest(posed, skin, drawing, terms, widening, buffers, unexplained, equations)
     return _union(error, both, missed, tile.observed, terms.clamp_mm)
+
+
+@inlined
+def _note(points: FloatArray, count: int, x: float, y: float, z: float) -> int:
+    """Write the point (x, y, 1) z behind the first ``count``, and return how many there are."""
+    points[count, 0], points[count, 1], points[count, 2] = x * z, y * z, z
+    return count + 1
 
 
 @inlined
@@ -209,14 +230,16 @@ def _add_closest(
     equations: NormalEquations,
 ) -> None:
     """Pull the nearest vertices that face the camera to the unexplained points."""
-    facing = _note_facing(drawing.facing, buffers.vertices)
-    if facing == 0 or count == 0:
+    if count == 0:
+        return
+    facing = _note_facing(drawing, buffers)
+    if facing == 0:
         return
     stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
     row, vertices = np.empty(ROW), drawing.vertices
     for k in range(0, count, stride):
         x, y, z = buffers.points[k, 0], buffers.points[k, 1], buffers.points[k, 2]
-        v = _nearest_vertex(vertices, buffers.vertices, facing, x, y, z)
+        v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, x, y, z)]
         px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         dx, dy, dz = x - px, y - py, z - pz
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -230,27 +253,35 @@ def _add_closest(
 
 
 @inlined
-def _note_facing(facing: BoolArray, vertices: IntArray) -> int:
-    """Write which vertices face the camera, and return how many do."""
+def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
+    """Write which vertices face the camera and where they lie, and return how many do."""
     count = 0
-    for v in range(len(facing)):
-        if facing[v]:
-            vertices[count] = v
+    for v in range(len(drawing.facing)):
+        if drawing.facing[v]:
+            buffers.vertices[count] = v
+            for i in range(3):
+                buffers.places[i, count] = drawing.vertices[v, i]
             count += 1
     return count
 
 
-@inlined
-def _nearest_vertex(points: FloatArray, among: IntArray, count: int, x: float, y: float, z: float) -> int:
-    """The one of the first ``count`` of some vertices that is nearest to a point."""
-    best, nearest = np.inf, 0
+@kernel
+def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: float, z: float) -> int:
+    """The first of the ``count`` first places (3, V) that none is nearer to a point than.
+
+    Numbers of 0 and above are in the order of their bits, and the least whole number is found many at a time.
+    """
     for m in range(count):
-        v = among[m]
-        ex, ey, ez = x - points[v, 0], y - points[v, 1], z - points[v, 2]
-        square = ex * ex + ey * ey + ez * ez
-        if square < best:
-            best, nearest = square, v
-    return nearest
+        ex, ey, ez = x - places[0, m], y - places[1, m], z - places[2, m]
+        squares[m] = ex * ex + ey * ey + ez * ez
+    bits = squares.view(np.int64)
+    least = bits[0]
+    for m in range(1, count):
+        least = min(least, bits[m])
+    first = 0
+    while bits[first] != least:
+        first += 1
+    return first
 
 
 @kernel

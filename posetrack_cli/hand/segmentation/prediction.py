@@ -114,12 +114,11 @@ def _pieces(
     across = np.sqrt(camera.fx * camera.fy) / window.step * thick / np.maximum(middle, 1.0)
     widths = np.maximum(1, np.rint(np.minimum(across, 255.0))).astype(int)
     skin = np.maximum(middle - np.where(_OF_PALM, _PALM_SKIN_MM, _FINGER_SKIN_MM) * scale, 1.0)
-    order = np.dstack(np.unravel_index(np.argsort(-middle, axis=None, kind="stable"), middle.shape))[0]
-    return [
-        (tuple(fixed[k, b]), tuple(fixed[k + 1, b]), float(skin[k, b]), int(widths[k, b]))
-        for k, b in order.tolist()
-        if safe[k, b] and safe[k + 1, b]
-    ]
+    drawn, order = (safe[:-1] & safe[1:]).ravel(), np.argsort(-middle, axis=None, kind="stable")
+    order = order[drawn[order]]
+    columns = fixed[:-1].reshape(-1, 2), fixed[1:].reshape(-1, 2), skin.ravel(), widths.ravel()
+    begin, end, depths, across_px = (column[order].tolist() for column in columns)  # numbers of Python's own
+    return list(zip(map(tuple, begin), map(tuple, end), depths, across_px, strict=True))
 
 
 def _inwards(bones: FloatArray, mm: float) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.rendering.pixel_model import LOGISTIC_OF_NORMAL, LOOKS_BESIDE, REACH_PX, PixelMixture
-from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw
+from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth
 from posetrack_cli.rendering.sums import Comparison
 
 _FAR = 80.0  # the exponent is bounded: beyond, both shares are 0 or 1
@@ -190,7 +190,7 @@ def sum_poses(
     """Draw every ``stride``-th of poses (N, B, 3, 4) and write its sums (N, 8)."""
     for n in range(first, len(bones), stride):
         rows[n, :] = 0.0
-        if draw(mesh, bones[n], view, drawing):
+        if draw_depth(mesh, bones[n], view, drawing):
             add_sums(drawing, reading, model, rows[n])
 
 
@@ -206,7 +206,7 @@ def draw_poses(
 ) -> None:
     """Draw every ``stride``-th of poses (N, B, 3, 4) and write its depth (N, h, w), mm; 0 for nothing."""
     for n in range(first, len(bones), stride):
-        drawn = draw(mesh, bones[n], view, drawing)
+        drawn = draw_depth(mesh, bones[n], view, drawing)
         for j in range(depth.shape[1]):
             for i in range(depth.shape[2]):
                 inverse = drawing.inverse[j, i]

@@ -67,12 +67,15 @@ class CompiledDepthRenderer:
         return TileSums.from_rows(rows, float(np.count_nonzero(comparison.observed > 0)))
 
     def _on_all_threads(self, work: Callable[[int, Drawing], None], count: int) -> None:
-        """Call a compiled function with a thread's first pose and drawing, on as many as poses need."""
-        parts = range(min(count, self._threads))
-        if len(parts) <= 1:
-            work(0, self._drawings[0])
-            return
-        list(self._pool.map(work, parts, self._drawings))
+        """Call a compiled function with a thread's first pose and drawing, on as many as poses need.
+
+        One of them is this thread.
+        """
+        parts = range(1, min(count, self._threads))
+        others = [self._pool.submit(work, first, self._drawings[first]) for first in parts]
+        work(0, self._drawings[0])
+        for other in others:
+            other.result()
 
 
 def _bones_of(transforms: Float32Array) -> FloatArray:
