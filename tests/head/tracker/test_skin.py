@@ -19,6 +19,7 @@ from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.skin.map import LEAST_VIEWS, pose_on_map
 from posetrack_cli.head.tracker.codecs import track_codec
 from posetrack_cli.head.tracker.mono_state import MonoState
+from posetrack_cli.head.tracker.person import farther
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import LayoutError
 from support.codecs import assert_lawful, assert_same_arrays
@@ -30,6 +31,8 @@ OFTEN = {"every_s": 0.1, "least_points": 6, "enough_points": 20}
 """The drawn face has skin about its points only, and is seen for less than a second."""
 ON_SKIN = HeadMonoConfig.model_validate(FEW.model_dump() | {"skin": OFTEN})
 WITHOUT = HeadMonoConfig.model_validate(FEW.model_dump() | {"skin": OFTEN | {"use": False}})
+LARGE = HeadMonoConfig.model_validate(ON_SKIN.model_dump() | {"person": {"interpupillary_mm": 72.0}})
+"""Somebody who is known to be larger than heads usually are."""
 FIRST, SECOND = 25, 8
 """Frames of the passes."""
 SHARE, SHARED = 0.6, "person0.skin_map.share"
@@ -56,8 +59,8 @@ def learned(config: HeadMonoConfig = ON_SKIN) -> Arrays:
     return scene.tracker.learned(scene.state, for_second_pass=True)
 
 
-def believed() -> Arrays:
-    return learned() | {SHARED: np.array(SHARE)}
+def believed(config: HeadMonoConfig = ON_SKIN) -> Arrays:
+    return learned(config) | {SHARED: np.array(SHARE)}
 
 
 def second_pass(known: Arrays, config: HeadMonoConfig = ON_SKIN) -> Iterator[tuple[Estimate, MonoState]]:
@@ -129,9 +132,11 @@ def test_a_frame_without_an_image_is_not_kept() -> None:
 # What a second pass states
 
 
-def test_a_pose_between_track_and_skin_is_stated() -> None:
-    """As far from the track as the map is believed; the track goes on from its points."""
-    scene = Scene(config=ON_SKIN, known=believed())
+@pytest.mark.parametrize("config", [ON_SKIN, LARGE], ids=["of any size", "of a size that was told"])
+def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None:
+    """As far from the track as the map is believed; the track goes on from its points. A map is as large as
+    heads usually are."""
+    scene = Scene(config=config, known=believed(config))
     apart = []
     for index in range(SECOND):
         estimate = scene.step(index)
@@ -139,13 +144,13 @@ def test_a_pose_between_track_and_skin_is_stated() -> None:
         assert state is not None and state.track is not None and state.stated is not None
         found, told = state.person.skin_map, state.track.pose
         assert found is not None
-        stated = pose_of(estimate)
-        (image,) = scene.frame(index).images
-        whole = replace(found, share=1.0)
-        on_skin = pose_on_map(whole, image, estimate.stamp_ns, told, CAMERA, ON_SKIN.skin)
-        apart.append(told.difference(stated))
-        np.testing.assert_allclose(apart[-1], SHARE * told.difference(on_skin), atol=ROUNDING)
-        assert_same(stated, state.stated.pose)
+        factor, (image,) = state.person.factor, scene.frame(index).images
+        assert (factor > 1.05) == (config is LARGE)
+        usual, whole = farther(told, 1.0 / factor), replace(found, share=1.0)
+        on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA, config.skin)
+        apart.append(usual.difference(farther(pose_of(estimate), 1.0 / factor)))
+        np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin), atol=ROUNDING)
+        assert_same(pose_of(estimate), state.stated.pose)
     assert np.linalg.norm(apart, axis=1).min() > 1e-3, "the two say something else"
 
 
