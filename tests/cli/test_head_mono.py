@@ -323,8 +323,9 @@ def test_another_seed_gives_other_estimates(made: Path, tracked: Path) -> None:
 
 
 def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: Path, tracked: Path) -> None:
+    """But for the skin, which tells in these images alone."""
     twice, loaded = made.with_name("twice.mcap"), made.with_name("loaded.mcap")
-    assert mono(made, twice) == 0
+    assert mono(made, twice, "--set", "skin.use=false") == 0
     assert mono(made, loaded, "--passes", "1", "--load-model", made.with_name("face.npz")) == 0
     mine, theirs, once = (load_arrays(path) for path in (twice, loaded, tracked))
     for name in mine:
@@ -335,6 +336,19 @@ def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: P
     few = ("--passes", "1", "--end", "4", "--load-model", tracked)
     assert mono(made, made.with_name("r.mcap"), *few) == 0
     np.testing.assert_array_equal(load_arrays(made.with_name("r.mcap"))["position"], mine["position"][:4])
+
+
+def test_the_skin_tells_in_a_second_pass_alone(made: Path, tracked: Path, tmp_path: Path) -> None:
+    """Asked for often enough that these few frames make a map."""
+    often = ("--set", "skin.every_s=0.05", "--set", "skin.least_points=6")
+    for name, more in (("once", ("--passes", "1")), ("skin", ()), ("points", ("--set", "skin.use=false"))):
+        assert mono(made, tmp_path / f"{name}.mcap", *often, *more) == 0
+    once, skin, points = (load_arrays(tmp_path / f"{name}.mcap") for name in ("once", "skin", "points"))
+    np.testing.assert_array_equal(once["position"], load_arrays(tracked)["position"])
+    for name in ("status", "confidence", "stamp_ns"):
+        np.testing.assert_array_equal(skin[name], points[name])
+    apart = np.any(skin["quaternion"] != points["quaternion"], axis=1)
+    assert apart.any() and np.all(apart[skin["status"] == "tracking"])
 
 
 @pytest.mark.parametrize("when", ["start", "never"])
@@ -427,8 +441,15 @@ def test_landmarks_from_elsewhere_begin_a_run_at_the_features_near_them(
 
 
 def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, tmp_path: Path) -> None:
-    """Stopped while the face is collected, later in the first pass, and in the second: one run."""
-    config = HeadMonoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 2}})
+    """Stopped while the face is collected, later in the first pass, and in the second: one run.
+
+    The skin is kept so often that there is a map of it, though of its frames some went.
+    """
+    skin = {"every_s": 0.03, "views": 5, "least_points": 6}
+    config = HeadMonoConfig.model_validate(
+        {"particles": {"count": 50}, "output": {"flush_frames": 2}, "skin": skin}
+    )
+    begun = []
     source = open_recording(made, "grey")
     (camera,) = source.cameras
 
@@ -441,16 +462,18 @@ def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, 
             name="head-mono",
             subject=mono_subject(camera.name, load_face_model()),
             flush_frames=config.output.flush_frames,
-            make_tracker=lambda known: make_mono_tracker(config, camera, known),
+            make_tracker=lambda known: begun.append(known) or make_mono_tracker(config, camera, known),
         ).track(lambda estimate: None, lambda: next(asked) == stop_after)
 
     track("whole.mcap")
+    assert "person0.skin_map.points" in begun[-1]
     assert track("cut.mcap", 3).stopped
     assert track("cut.mcap", 4, resume=True).stopped
     assert not list(read_result(part_path(tmp_path / "cut.mcap")).estimates())  # the second pass is written
     assert track("cut.mcap", 8, resume=True).stopped
     assert list(read_result(part_path(tmp_path / "cut.mcap")).estimates())
     assert track("cut.mcap", resume=True).tracked < FRAMES
+    assert "person0.skin_map.points" in begun[-1]
     assert filecmp.cmp(tmp_path / "whole.mcap", tmp_path / "cut.mcap", shallow=False)
 
 

@@ -26,7 +26,7 @@ from posetrack_cli.results.export.export import csv_text
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.tracking.options import RunOutcome
 from posetrack_cli.tracking.two_pass import NothingFoundError
-from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, FakeTracker, Memory
+from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, OF_THIS_RECORDING, FakeTracker, Memory
 from support.hostile_files import write_hand_result
 
 Track = Callable[..., RunOutcome]
@@ -189,6 +189,23 @@ def test_the_second_pass_begins_with_what_the_first_learned(track: Track, tmp_pa
     assert load_model(tmp_path / "twice.mcap", CAMERAS, NAME)["mean"][0, 0] == pytest.approx(
         2 * 1.065, abs=0.02
     )
+
+
+def test_what_holds_for_one_recording_alone_is_told_its_second_pass_and_no_model(
+    track: Track, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, begun = FakeTracker.start, []
+
+    def started(tracker: FakeTracker, *frame: Any) -> Any:
+        begun.append(tracker.known)
+        return start(tracker, *frame)
+
+    monkeypatch.setattr(FakeTracker, "start", started)
+    track(Memory(), "twice.mcap", passes=2, save_model=tmp_path / "face.npz")
+    first, second = begun
+    assert first is None and second is not None and OF_THIS_RECORDING in second
+    for name in ("twice.mcap", "face.npz"):
+        assert set(load_model(tmp_path / name, CAMERAS, NAME)) == set(second) - {OF_THIS_RECORDING}
 
 
 def test_a_result_serves_as_a_model(track: Track, tmp_path: Path) -> None:

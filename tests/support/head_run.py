@@ -23,6 +23,8 @@ from posetrack_cli.tracking.state_codec import Fields, Value, whole
 
 FRAME_NS = 33_333_333
 COMPONENTS = 2
+OF_THIS_RECORDING = "of_this_recording"
+"""Name of what a second pass alone begins with."""
 ASIDE = ((1.0, 0.0, 0.0, -120.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 5.0))
 CAMERAS = (
     Camera(64, 48, 90.0, 90.0, 31.5, 23.5, (0.05, -0.01, 0.0, 0.0), name="left"),
@@ -107,8 +109,9 @@ class FakeTracker:
             ),
         )
 
-    def learned(self, state: FakeState) -> dict[str, np.ndarray[Any, Any]]:
-        return {"mean": state.mean, "counts": np.array([state.seen])}
+    def learned(self, state: FakeState, *, for_second_pass: bool = False) -> dict[str, np.ndarray[Any, Any]]:
+        learned = {"mean": state.mean, "counts": np.array([state.seen])}
+        return learned | {OF_THIS_RECORDING: np.zeros(1)} if for_second_pass else learned
 
     def not_found(self, state: FakeState) -> str:
         return "" if state.seen else f"{state.searched} frames searched, best score 0.31"

@@ -15,6 +15,8 @@ from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.filter import HeadParticles
+from posetrack_cli.head.skin.crops import HEIGHT, WIDTH, SkinAlbum, SkinView
+from posetrack_cli.head.skin.map import SkinMap
 from posetrack_cli.head.tracker.frame_tracker import TrackState
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
 from posetrack_cli.head.tracker.size import Size
@@ -83,6 +85,33 @@ def random_known(seed: int, model: FaceModel, views: int = 3, sets: int = 2) -> 
     usual = rng.random()
     return KnownPerson(
         person, history, frames, album, shape, templates, views, usual, is_held=seed % 2 > 0, size=size
+    )
+
+
+def random_skin(seed: int, model: FaceModel, views: int = 2) -> SkinAlbum:
+    """Frames that show the skin."""
+    rng, shown = np.random.default_rng(seed), []
+    for index in range(views):
+        crop = rng.integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
+        a, b = rng.normal(size=2)
+        placement = np.column_stack([[[a, -b], [b, a]], rng.uniform(0.0, 400.0, 2)])
+        shown.append(SkinView(random_view(rng, 10**18 + index, model), crop, placement))
+    return SkinAlbum(tuple(shown), 250_000_000 * 2 ** (seed % 3))
+
+
+def random_map(seed: int, views: int = 3, points: int = 7) -> SkinMap:
+    """A map; some view may have no points."""
+    rng = np.random.default_rng(seed)
+    poses = [random_pose(rng) for _ in range(views)]
+    return SkinMap(
+        10**18 + np.arange(views),
+        rng.integers(0, 256, (views, HEIGHT, WIDTH), dtype=np.uint8),
+        np.array([pose.position for pose in poses]),
+        np.array([pose.quaternion for pose in poses]),
+        np.sort(rng.integers(0, views, points)),
+        rng.uniform(0.0, WIDTH, (points, 2)),
+        rng.normal(size=(points, 3)),
+        rng.random(),
     )
 
 

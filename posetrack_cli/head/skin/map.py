@@ -201,7 +201,7 @@ def pose_on_map(
     pixels = to_image(placement, np.concatenate([places for _, places in matches]))
     rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
     pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
-    sure = min((count - settings.least_points) / (settings.enough_points - settings.least_points), 1.0)
+    sure = min((count - settings.least_points) / max(settings.enough_points - settings.least_points, 1), 1.0)
     return told.moved(found.share * sure * told.difference(pose))
 
 

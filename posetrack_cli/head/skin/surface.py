@@ -38,7 +38,8 @@ ANCHORS = np.array(
 """(n, 3) mm in the head's frame, of a face whose outer corners of the eyes are as far apart as on average."""
 SMOOTHING = 30.0
 """Of the surface, mm^2: it passes a few mm beside points that do not fit each other."""
-STEP_MM = 2.0
+STEP_MM, MOST_STEPS = 2.0, 200
+"""Between points of the surface; faces that are larger than any, as a file may say, have no more of them."""
 LIDS_MM, LIPS_MM = (26.0, 12.0), (32.0, 14.0)
 """Half the width and height about the middle of an eye and of the mouth, whose skin moves by itself."""
 BORDER_PX = 10
@@ -92,7 +93,8 @@ def surface_of(shape: FloatArray) -> Surface:
     known = np.vstack([shape, size * ANCHORS])
     depth = RBFInterpolator(known[:, :2], known[:, 2], smoothing=SMOOTHING)
     (left, low), (right, high) = known[:, :2].min(axis=0), known[:, :2].max(axis=0)
-    across, along = np.meshgrid(np.arange(left, right, STEP_MM), np.arange(low, high, STEP_MM))
+    step = max(STEP_MM, (right - left) / MOST_STEPS, (high - low) / MOST_STEPS)
+    across, along = np.meshgrid(np.arange(left, right, step), np.arange(low, high, step))
     places = np.column_stack([across.ravel(), along.ravel()])
     outline = cv2.convexHull(known[:, :2].astype(np.float32))
     kept = np.array([cv2.pointPolygonTest(outline, (float(x), float(y)), False) >= 0.0 for x, y in places])

@@ -47,7 +47,10 @@ FOCAL_PX = "focal_px"
 """Name of the array that says at which focal length people were seen."""
 _ScoredView: TypeAlias = tuple[float, PointView]
 POSE: Codec[HeadPose] = Fields(HeadPose, position=Value(floats(3)), quaternion=Value(units(4)))
-_COEFFICIENTS = "coefficients?"
+COEFFICIENTS = "coefficients?"
+"""Name of how many coefficients the deformation of a tracked face has."""
+_LEAST_AREA = 1e-18
+"""Pixels of an image that one of a crop takes."""
 
 
 def search_codec(cameras: int) -> Codec[Search]:
@@ -86,13 +89,13 @@ def track_codec(cameras: int) -> Codec[TrackState]:
     model = Fields(
         ShapeModel,
         mean=Value(floats(POINT_COUNT, 3)),
-        basis=Value(floats(POINT_COUNT, 3, _COEFFICIENTS)),
-        deviations=Value(floats(_COEFFICIENTS, least=0.0)),
+        basis=Value(floats(POINT_COUNT, 3, COEFFICIENTS)),
+        deviations=Value(floats(COEFFICIENTS, least=0.0)),
     )
     particles = Fields(
         _particles,
         pose=POSE,
-        coefficients=Value(floats(_COEFFICIENTS)),
+        coefficients=Value(floats(COEFFICIENTS)),
         deviations=Value(floats("particles", "state components")),
         weights=Value(Layout("float64", ("particles",), least=0.0, most=1.0, shares=True)),
         model=model,
@@ -226,8 +229,15 @@ class _AlbumCodec(Codec[Album]):
 
 def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
     """Return the codec of the frames that show the skin."""
+
+    def build(placement: Array, **parts: Any) -> SkinView:
+        (a, b), (c, d) = turn = placement[:, :2]
+        if a * d - b * c < max(_LEAST_AREA, 0.4 * np.sum(turn**2)):  # .5 of what is only turned and scaled
+            raise LayoutError("'placement' that does not just turn, scale and move a crop")
+        return SkinView(placement=placement, **parts)
+
     view: Codec[SkinView] = Fields(
-        SkinView,
+        build,
         view=Fields(_view, **_view_parts(model)),
         crop=Value(Layout("uint8", (HEIGHT, WIDTH))),
         placement=Value(floats(2, 3)),
@@ -245,13 +255,13 @@ def _map_codec() -> Codec[SkinMap]:
 
     return Fields(
         build,
-        stamps=Value(stamps("views")),
-        crops=Value(Layout("uint8", ("views", HEIGHT, WIDTH))),
-        positions=Value(floats("views", 3)),
-        quaternions=Value(units("views", 4)),
-        views=Value(counts("points")),
-        places=Value(floats("points", 2)),
-        points=Value(floats("points", 3)),
+        stamps=Value(stamps("map views")),
+        crops=Value(Layout("uint8", ("map views", HEIGHT, WIDTH))),
+        positions=Value(floats("map views", 3)),
+        quaternions=Value(units("map views", 4)),
+        views=Value(counts("map points")),
+        places=Value(floats("map points", 2)),
+        points=Value(floats("map points", 3)),
         share=real(floats(least=0.0, most=1.0)),
     )
 

@@ -19,7 +19,14 @@ from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
-from posetrack_cli.head.tracker.codecs import POSE, history_codecs, search_codec, template_codec, track_codec
+from posetrack_cli.head.tracker.codecs import (
+    COEFFICIENTS,
+    POSE,
+    history_codecs,
+    search_codec,
+    template_codec,
+    track_codec,
+)
 from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
 from posetrack_cli.head.tracker.person import KnownPerson
 from posetrack_cli.results.layouts import LayoutError, counts, floats, places
@@ -201,7 +208,7 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
         trust=real(floats(least=0.0, most=1.0)),
         scale=Maybe(real(floats(least=_LEAST_SCALE, most=LARGEST_SCALE))),
-        stated=Maybe(Fields(Stated, pose=POSE, coefficients=Value(floats("stated")))),
+        stated=Maybe(Fields(Stated, pose=POSE, coefficients=Value(floats(COEFFICIENTS)))),
     )
 
 

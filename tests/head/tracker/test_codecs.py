@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.views import PER_CELL
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.tracker.codecs import PEOPLE, known_people, people_codec
 from posetrack_cli.head.tracker.person import KnownPerson
+from posetrack_cli.results.layouts import LayoutError
 from support.bundles import random_model
-from support.mono_cases import assert_same, random_known
+from support.codecs import assert_lawful
+from support.mono_cases import assert_same, random_known, random_map, random_skin
 
 MODEL = random_model(0)
 SETTINGS = AdjustmentSettings(average=6)
@@ -48,6 +55,96 @@ def test_an_album_comes_back_page_by_page() -> None:
     known = people(1, views=60)
     assert max(len(page) for page in known[0].album.pages.values()) == PER_CELL
     assert_same(CODEC.from_arrays(CODEC.to_arrays(known)), known)
+
+
+@given(st.integers(0, 1000), st.integers(0, 3), st.booleans(), st.booleans())
+@examples(max_examples=15)
+def test_people_come_back_with_their_skin(seed: int, views: int, mapped: bool, another: bool) -> None:
+    """Frames of a first pass, or the map that was made of them; of one person, or of one of two."""
+    (one, two) = people(2, views=1, sets=1)
+    skin_map = random_map(seed, points=5) if mapped else None
+    one = replace(one, skin=random_skin(seed, MODEL, views), skin_map=skin_map)
+    known = (two, one) if another else (one,)
+    assert_same(assert_lawful(CODEC, known), known)
+
+
+def mapped() -> dict[str, np.ndarray]:
+    """A person with frames and a map, neither of which there is in any run at once."""
+    (one,) = people(1, views=1, sets=1)
+    return CODEC.to_arrays((replace(one, skin=random_skin(1, MODEL), skin_map=random_map(2)),))
+
+
+MAP, VIEWS = "person0.skin_map", "person0.skin.views"
+OF_A_MAP = ("stamps", "crops", "positions", "quaternions", "views", "places", "points", "share")
+
+
+@pytest.mark.parametrize("name", OF_A_MAP)
+def test_a_map_needs_all_its_arrays(name: str) -> None:
+    arrays = mapped()
+    del arrays[f"{MAP}.{name}"]
+    assert_refused(arrays, f"no array '{MAP}.{name}'")
+
+
+@pytest.mark.parametrize("name", [*OF_A_MAP[:-1], "share"])
+def test_a_map_whose_arrays_are_of_other_lengths_is_refused(name: str) -> None:
+    """One more row, or none; of the share, any row at all."""
+    array = mapped()[f"{MAP}.{name}"]
+    longer = np.concatenate([array, array[-1:]]) if array.ndim else array[None]
+    for changed in (longer, longer[:0], longer[None]):
+        assert_refused(mapped() | {f"{MAP}.{name}": changed}, MAP)
+
+
+@pytest.mark.parametrize("name", ["positions", "quaternions", "places", "points", "share"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_a_map_with_numbers_that_are_none_is_refused(name: str, bad: float) -> None:
+    array = mapped()[f"{MAP}.{name}"].copy()
+    array.flat[-1] = bad
+    assert_refused(mapped() | {f"{MAP}.{name}": array}, f"'{MAP}.{name}' with ")
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_map_is_believed_by_a_share(share: float) -> None:
+    assert_refused(mapped() | {f"{MAP}.share": np.array(share)}, f"'{MAP}.share' with the value {share}")
+
+
+@pytest.mark.parametrize(
+    "views",
+    [[0, 0, 1, 1, 2, 2, 3], [0, 1, 2, 1, 2, 2, 2], [2, 1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0, 0, 2**53]],
+    ids=["beyond the last", "one back", "falling", "far beyond the last"],
+)
+def test_points_of_a_map_belong_to_its_views_in_order(views: list[int]) -> None:
+    assert_refused(mapped() | {f"{MAP}.views": np.array(views)}, "'views' that do not rise")
+
+
+def test_points_of_no_view_at_all_are_refused() -> None:
+    assert_refused(mapped() | {f"{MAP}.views": np.array([-1, 0, 0, 1, 1, 2, 2])}, f"'{MAP}.views' with")
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [[[0.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]], [[1.0, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, -1.0]]],
+    ids=["a point", "a line", "sheared", "mirrored"],
+)
+def test_crops_are_only_turned_scaled_and_moved(turn: list[list[float]]) -> None:
+    """Of others there is no way back from the image."""
+    arrays = mapped()
+    placement = arrays[f"{VIEWS}.placement"].copy()
+    placement[1, :, :2] = turn
+    assert_refused(arrays | {f"{VIEWS}.placement": placement}, "'placement' that does not just turn")
+
+
+@pytest.mark.parametrize("name", ["view.stamps", "view.pixels", "crop", "placement"])
+def test_frames_of_skin_need_all_their_arrays(name: str) -> None:
+    arrays = mapped()
+    del arrays[f"{VIEWS}.{name}"]
+    assert_refused(arrays, f"no array '{VIEWS}.{name}'")
+    with pytest.raises(LayoutError):
+        CODEC.from_arrays(arrays)
+
+
+def test_crops_of_another_size_are_refused() -> None:
+    for name in (f"{VIEWS}.crop", f"{MAP}.crops"):
+        assert_refused(mapped() | {name: mapped()[name][:, 1:]}, f"'{name}' as uint8")
 
 
 def test_arrays_are_plain() -> None:

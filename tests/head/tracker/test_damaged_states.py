@@ -11,10 +11,13 @@ import pytest
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.results.layouts import LayoutError
 from support.damage import Arrays, damaged_arrays, wild_numbers
+from support.mono_scene import FEW
 from support.mono_scene import Scene as MonoScene
 from support.stereo_scene import Scene as StereoScene
 from support.stereo_scene import Told
 
+OFTEN = FEW.model_copy(update={"skin": FEW.skin.model_copy(update={"every_s": 0.1, "least_points": 6})})
+"""Frames of the skin are kept so often that there are some in a few steps."""
 Put = Callable[[Arrays], object]
 Saved = tuple[Put, Callable[[Any], object], Arrays]
 """What puts a state together, a step from it, and a real state's arrays."""
@@ -42,9 +45,9 @@ def searching() -> Saved:
     return put, lambda state: scene.tracker.step(state, frame, np.random.default_rng(0)), arrays
 
 
-def mono(frames: int) -> Saved:
+def mono(frames: int, known: Arrays | None = None) -> Saved:
     """In the middle of collecting faces, or following one."""
-    scene = MonoScene()
+    scene = MonoScene(config=OFTEN, known=known)
     for index in range(frames):
         scene.step(index)
     tracker = scene.tracker
@@ -55,11 +58,22 @@ def mono(frames: int) -> Saved:
     return put, lambda state: tracker.step(state, frame, np.random.default_rng(0)), arrays
 
 
+def on_skin() -> Saved:
+    """In a second pass, with a map of the skin."""
+    scene = MonoScene(config=OFTEN)
+    for index in range(20):
+        scene.step(index)
+    known = scene.tracker.learned(scene.state, for_second_pass=True)
+    assert "person0.skin_map.views" in known
+    return mono(3, known)
+
+
 STATES: dict[str, Callable[[], Saved]] = {
     "stereo": stereo,
     "stereo, searching": searching,
     "mono, collecting": lambda: mono(2),
     "mono, following": lambda: mono(14),
+    "mono, on its skin": on_skin,
 }
 
 

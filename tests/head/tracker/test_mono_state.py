@@ -16,7 +16,15 @@ from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.codecs import people_codec
 from posetrack_cli.head.tracker.frame_tracker import TrackRecord
-from posetrack_cli.head.tracker.mono_state import HEIGHT, WIDTH, MonoState, is_cut, mono_codec, thumbnail
+from posetrack_cli.head.tracker.mono_state import (
+    HEIGHT,
+    WIDTH,
+    MonoState,
+    Stated,
+    is_cut,
+    mono_codec,
+    thumbnail,
+)
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import LayoutError
 from posetrack_cli.tracking.confidence import RunningSigns
@@ -39,6 +47,7 @@ STATES = {
     "collecting": MonoState(candidates=CANDIDATES, reference=random_templates(4), search=SEARCHED, scale=0.4),
     "known, not yet found": KNOWN,
     "tracked": MonoState(people=(ONE,), track=TRACK, checked_ns=STAMP - 5, trust=0.8, scale=1.0),
+    "stated": replace(KNOWN, track=TRACK, stated=Stated(TRACK.pose.moved(np.full(6, 0.1)), np.arange(5.0))),
     "put there": MonoState(people=(ONE,), track=random_track(6, MODEL, seen=False), scale=0.5),
     "with a past": replace(
         KNOWN,
@@ -94,6 +103,13 @@ def test_faces_were_seen_at_some_scale(name: str) -> None:
     del arrays["scale"]
     with pytest.raises(LayoutError, match="no array 'scale'"):
         CODEC.from_arrays(arrays)
+
+
+def test_what_was_stated_deforms_as_what_is_tracked() -> None:
+    """The one is taken from the other, for a rate."""
+    arrays = CODEC.to_arrays(STATES["stated"])
+    with pytest.raises(LayoutError, match=r"'stated\.coefficients' as float64"):
+        CODEC.from_arrays(arrays | {"stated.coefficients": np.zeros(3)})
 
 
 def test_a_thumbnail_has_its_size() -> None:

@@ -1,0 +1,255 @@
+"""Maps of a smooth face that is drawn exactly, and poses on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.head.config import SkinSettings
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.skin.crops import HEIGHT, WIDTH
+from posetrack_cli.head.skin.map import LEAST_VIEWS, SkinMap, _share, make_map, pose_on_map
+from posetrack_cli.head.skin.surface import surface_of
+from support.mono_cases import assert_same
+from support.skin_scene import CAMERA, FRAME_NS, SHAPE, depths, drawn, even, pose_at, shown
+
+SETTINGS = SkinSettings(points=30)
+VIEWS, ERROR_DEG = 16, 4.0
+LEFT_DEG = 0.5
+"""Of rotations, less what all are turned by. The 480 places are found to .1 px; what counts is that they lie
+1 mm beside their depths: turned by 14 degrees that is .25 mm aside, of arms of 40 mm .35 degrees."""
+TOGETHER_DEG = 1.5
+"""By how much all may be turned: the rough surface is as tilted, 2 mm over 80."""
+DEPTH_MM = 2.0
+"""About a plane, of what some tenths of a pixel say of depth with 14 degrees of turn: .3 px of .3 px a mm."""
+
+
+def turns(poses: Sequence[HeadPose], true: Sequence[HeadPose]) -> FloatArray:
+    """(n, 3) rotations of poses against others, degrees."""
+    return np.degrees([one.difference(other)[3:] for one, other in zip(poses, true, strict=True)])
+
+
+def poses_of(found: SkinMap) -> list[HeadPose]:
+    return [HeadPose(p, q) for p, q in zip(found.positions, found.quaternions, strict=True)]
+
+
+def spread(errors: FloatArray) -> float:
+    """Root mean square of rotations, degrees, less their mean."""
+    return float(np.sqrt(np.mean(np.sum((errors - errors.mean(axis=0)) ** 2, axis=1))))
+
+
+def made(error_deg: float = ERROR_DEG, settings: SkinSettings = SETTINGS) -> SkinMap:
+    found = make_map(shown(VIEWS, error_deg).views, SHAPE, CAMERA, settings)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def known() -> SkinMap:
+    """A map whose poses were told with an error of yaw."""
+    return made()
+
+
+# Making one
+
+
+def test_poses_of_a_map_are_nearer_to_the_truth_than_they_were_told(known: SkinMap) -> None:
+    """Nothing but the skin tells: an error that goes otherwise than the head turns fits no surface."""
+    frames = shown(VIEWS, ERROR_DEG)
+    before = turns([one.view.pose for one in frames.views], frames.true)
+    after = turns(poses_of(known), frames.true)
+    assert spread(before) > 2.5 and spread(after) < LEFT_DEG
+    assert np.abs(after.mean(axis=0)).max() < TOGETHER_DEG
+
+
+def test_exact_poses_stay_about_where_they_are() -> None:
+    found, frames = made(0.0), shown(VIEWS, 0.0)
+    assert spread(turns(poses_of(found), frames.true)) < LEFT_DEG
+    assert found.share < 0.1, "there is nothing that the skin knows better"
+
+
+def test_points_come_to_lie_on_the_face(known: SkinMap) -> None:
+    """But for how far away, and how much tilted, it is as a whole."""
+    away = known.points[:, 2] - depths(known.points[:, :2])
+    plane = np.column_stack([np.ones(len(away)), known.points[:, :2]])
+    away -= plane @ np.linalg.lstsq(plane, away, rcond=None)[0]
+    begun = surface_of(SHAPE).points
+    start = begun[:, 2] - depths(begun[:, :2])
+    assert np.std(away) < DEPTH_MM < np.std(start)
+
+
+def test_a_map_holds_its_views_and_each_point_once(known: SkinMap) -> None:
+    views = shown(VIEWS, ERROR_DEG).views
+    assert known.stamps.tolist() == [FRAME_NS * index for index in range(VIEWS)]
+    np.testing.assert_array_equal(known.crops, [one.crop for one in views])
+    assert len(known.views) == len(known.places) == len(known.points)
+    counts = [known.of_view(index).stop - known.of_view(index).start for index in range(VIEWS)]
+    assert sum(counts) == len(known.points) and 0 < min(counts) <= max(counts) <= SETTINGS.points
+    for index in range(VIEWS):
+        assert set(known.views[known.of_view(index)]) == {index}
+    assert np.all(known.places >= 0.0) and np.all(known.places < [WIDTH, HEIGHT])
+
+
+@given(st.lists(st.integers(0, 6), max_size=30), st.integers(0, 3))
+def test_points_of_a_view_are_found_by_their_bounds(views: list[int], more: int) -> None:
+    """Also where a view, the last ones too, has none."""
+    owners = np.array(sorted(views), dtype=np.int64)
+    count = int(max(views, default=0)) + 1 + more
+    nothing = np.zeros((len(views), 2))
+    found = SkinMap(
+        np.arange(count), np.zeros((count, 1, 1), np.uint8), nothing, nothing, owners, nothing, nothing, 0.5
+    )
+    for index in range(count):
+        np.testing.assert_array_equal(
+            np.arange(len(views))[found.of_view(index)], np.flatnonzero(owners == index)
+        )
+
+
+def test_too_few_views_make_none() -> None:
+    views = shown(VIEWS, 0.0).views
+    assert make_map(views[: LEAST_VIEWS - 1], SHAPE, CAMERA, SETTINGS) is None
+    assert make_map(views[:LEAST_VIEWS], SHAPE, CAMERA, SETTINGS) is not None
+    assert make_map([], SHAPE, CAMERA, SETTINGS) is None
+
+
+def test_even_views_make_none() -> None:
+    views = [replace(one, crop=np.full((HEIGHT, WIDTH), 128, np.uint8)) for one in shown(VIEWS, 0.0).views]
+    assert make_map(views, SHAPE, CAMERA, SETTINGS) is None
+
+
+def test_a_view_in_which_nothing_is_seen_stays_as_it_is_told() -> None:
+    views = list(shown(VIEWS, 0.0).views)
+    views[5] = replace(views[5], crop=np.full((HEIGHT, WIDTH), 128, np.uint8))
+    found = make_map(views, SHAPE, CAMERA, SETTINGS)
+    assert found is not None and found.of_view(5).start == found.of_view(5).stop
+    np.testing.assert_allclose(views[5].view.pose.difference(poses_of(found)[5]), 0.0, atol=1e-9)
+
+
+def test_equal_views_make_equal_maps(known: SkinMap) -> None:
+    assert_same(made(), known)
+
+
+# How far it is believed
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0), st.integers(1, 30), st.floats(0.1, 10.0))
+def test_it_is_believed_the_more_the_two_are_apart_and_never_alone(
+    seed: int, size: float, count: int, error_deg: float
+) -> None:
+    apart = size * np.random.default_rng(seed).normal(size=(count, POSE_SIZE))
+    settings = SkinSettings(error_deg=error_deg)
+    share = _share(apart, settings)
+    assert 0.0 <= share < 1.0
+    assert share <= _share(1.5 * apart, settings)
+    assert share >= _share(apart, SkinSettings(error_deg=1.5 * error_deg))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+def test_where_both_agree_but_for_a_turn_of_all_it_is_not_believed(seed: int, count: int) -> None:
+    """Which of them is turned nothing tells; and where heads are, the share does not ask."""
+    rng = np.random.default_rng(seed)
+    apart = np.hstack([rng.normal(size=(count, 3)), np.tile(rng.normal(size=3), (count, 1))])
+    assert _share(apart, SETTINGS) == 0.0
+
+
+def test_half_is_believed_where_they_are_apart_by_its_own_error() -> None:
+    apart = np.zeros((4, POSE_SIZE))
+    apart[:, 4] = np.radians(SETTINGS.error_deg) * np.array([1.0, -1.0, 1.0, -1.0])
+    assert _share(apart, SETTINGS) == pytest.approx(0.5)
+
+
+def test_a_map_of_poses_told_wrongly_is_believed(known: SkinMap) -> None:
+    """Yaw errs by 4 sin, 2.8 degrees root mean square: as the share says of that."""
+    squared = 0.5 * ERROR_DEG**2
+    assert known.share == pytest.approx(squared / (squared + SETTINGS.error_deg**2), abs=0.1)
+
+
+# A pose on it
+
+
+def located(known: SkinMap, index: float, told: HeadPose, settings: SkinSettings = SETTINGS) -> HeadPose:
+    """Where a frame's head is that is not one of the map's."""
+    image = drawn(pose_at(index), seed=1000 + round(10 * index))
+    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA, settings)
+
+
+def disturbed(index: float, yaw_deg: float = 2.5) -> HeadPose:
+    return pose_at(index).moved(np.concatenate([np.zeros(4), [np.radians(yaw_deg)], [0.0]]))
+
+
+@pytest.mark.parametrize("index", [2.5, 7.3, 13.6])
+@pytest.mark.parametrize("yaw_deg", [2.5, -3.0])
+def test_a_pose_told_wrongly_comes_to_where_the_map_has_it(
+    known: SkinMap, index: float, yaw_deg: float
+) -> None:
+    """Believed in full: turned as all of the map's poses are, and wrong by no more than they are."""
+    together = turns(poses_of(known), shown(VIEWS, ERROR_DEG).true).mean(axis=0)
+    found = located(replace(known, share=1.0), index, disturbed(index, yaw_deg))
+    away = turns([found], [pose_at(index)])[0] - together
+    assert np.linalg.norm(away) < LEFT_DEG + 0.25  # what is told counts a little, too: one part in ten
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
+def test_a_pose_goes_as_far_as_the_map_is_believed(known: SkinMap, share: float) -> None:
+    """Straight from what is told to where the skin is."""
+    told = disturbed(7.3)
+    whole = told.difference(located(replace(known, share=1.0), 7.3, told))
+    found = told.difference(located(replace(known, share=share), 7.3, told))
+    np.testing.assert_allclose(found, share * whole, atol=1e-9)
+    nearer = [np.linalg.norm(one.difference(pose_at(7.3))[3:]) for one in (told, told.moved(found))]
+    assert share == 0.0 or nearer[1] < nearer[0]
+
+
+@examples(max_examples=10)
+@given(st.integers(200, 5000))
+def test_few_points_count_the_more_of_them_there_are(known: SkinMap, enough: int) -> None:
+    """In proportion: so twice the wish for points beyond the least is half as far."""
+    told, least = disturbed(7.3), 6
+    once = SETTINGS.model_copy(update={"least_points": least, "enough_points": least + enough})
+    twice = SETTINGS.model_copy(update={"least_points": least, "enough_points": least + 2 * enough})
+    far, half = (told.difference(located(known, 7.3, told, one)) for one in (once, twice))
+    np.testing.assert_allclose(half, 0.5 * far, atol=1e-9)
+
+
+@pytest.mark.parametrize("enough", [7, 40])
+def test_who_has_enough_with_the_least_believes_the_skin_from_there_on(known: SkinMap, enough: int) -> None:
+    """Not less than nothing, and not without end, where fewer are enough than count at all."""
+    told, usual = disturbed(7.3), SETTINGS.model_copy(update={"least_points": 6, "enough_points": 7})
+    settings = SETTINGS.model_copy(update={"least_points": 40, "enough_points": enough})
+    assert_same(located(known, 7.3, told, settings), located(known, 7.3, told, usual))
+
+
+def test_too_few_points_leave_what_is_told(known: SkinMap) -> None:
+    """To the bit."""
+    told = disturbed(7.3)
+    few = SETTINGS.model_copy(update={"least_points": 10_000, "enough_points": 20_000})
+    assert located(known, 7.3, told, few) is told
+
+
+def test_an_even_image_leaves_what_is_told(known: SkinMap) -> None:
+    told = disturbed(7.3)
+    assert pose_on_map(known, even(), 0, told, CAMERA, SETTINGS) is told
+
+
+def test_a_face_outside_the_image_is_where_it_is_told(known: SkinMap) -> None:
+    told = disturbed(7.3).moved(np.array([2000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA, SETTINGS) is told
+
+
+def test_a_map_without_views_that_look_alike_leaves_what_is_told(known: SkinMap) -> None:
+    """Turned away by 60 degrees."""
+    told = disturbed(7.3, 60.0)
+    assert pose_on_map(known, drawn(told), 0, told, CAMERA, SETTINGS) is told
+
+
+def test_who_asks_for_no_views_gets_what_is_told(known: SkinMap) -> None:
+    told = disturbed(7.3)
+    none = SETTINGS.model_copy(update={"near": 0, "alike": 0})
+    assert located(known, 7.3, told, none) is told
