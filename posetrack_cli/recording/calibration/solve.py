@@ -13,6 +13,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import composed, placed
+from posetrack_cli.opencv import in_one_thread
 from posetrack_cli.recording.calibration.boards import FEWEST_CORNERS
 from posetrack_cli.recording.calibration.views import CameraViews
 
