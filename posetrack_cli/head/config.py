@@ -334,7 +334,7 @@ class AccuracySettings(Settings):
 
     scale: NotNegative = 0.035
     position_mm: Triple = (1.0, 1.0, 3.0)
-    rotation_deg: Triple = (2.2, 1.5, 0.6)
+    rotation_deg: Triple = (1.7, 1.1, 0.45)
 
 
 class PersonSettings(Settings):
@@ -370,7 +370,7 @@ class SkinSettings(Settings):
     rounds: Annotated[int, Field(ge=1, le=10)] = 2
     steps: Annotated[int, Field(ge=1, le=50)] = 8
     near: Annotated[int, Field(ge=0, le=20)] = 2
-    alike: Annotated[int, Field(ge=0, le=20)] = 4
+    alike: Annotated[int, Field(ge=0, le=20)] = 2
     error_deg: Positive = 1.5
     least_points: Annotated[int, Field(ge=6)] = 15
     enough_points: Annotated[int, Field(ge=7)] = 60

@@ -25,6 +25,7 @@ from posetrack_cli.head.skin.adjustment import Observations, adjust_pose, adjust
 from posetrack_cli.head.skin.crops import PX_PER_MM, SkinView, cut, place_crop, to_crop, to_image
 from posetrack_cli.head.skin.matching import find_again, views_for
 from posetrack_cli.head.skin.surface import surface_of
+from posetrack_cli.opencv import in_one_thread
 
 LEAST_VIEWS = 4
 """A map of fewer says nothing that is not in the frame."""
@@ -64,6 +65,7 @@ class SkinMap:
         return slice(int(self.bounds[index]), int(self.bounds[index + 1]))
 
 
+@in_one_thread()
 def make_map(
     views: Sequence[SkinView], shape: FloatArray, camera: Camera, settings: SkinSettings
 ) -> SkinMap | None:
@@ -84,11 +86,23 @@ def make_map(
     focal, found = np.array([camera.fx, camera.fy]), begun
     for _ in range(settings.rounds):
         observed = _observe(found, views, camera, settings)
-        poses, points = adjust_skin(observed, told, surface, focal, settings.steps)
+        poses, points = _of_told_size(*adjust_skin(observed, told, surface, focal, settings.steps), told)
         positions, quaternions = _stacked(poses)
         found = replace(found, points=points, positions=positions, quaternions=quaternions)
     apart = [one.difference(pose) for one, pose in zip(told, poses, strict=True)]
     return replace(found, share=_share(np.array(apart), settings))
+
+
+def _of_told_size(
+    poses: Sequence[HeadPose], points: FloatArray, told: Sequence[HeadPose]
+) -> tuple[list[HeadPose], FloatArray]:
+    """Return poses and points so many times as large that heads are as far away as they were told to be.
+
+    A head twice as large and as far away looks the same, so skin says nothing of it.
+    """
+    far, nearer = (np.linalg.norm([pose.position for pose in each], axis=1) for each in (told, poses))
+    factor = float(np.exp(np.median(np.log(far / nearer))))
+    return [HeadPose(factor * pose.position, pose.quaternion) for pose in poses], factor * points
 
 
 def _with_points(
@@ -162,6 +176,7 @@ def _share(apart: FloatArray, settings: SkinSettings) -> float:
     return squared / (squared + settings.error_deg**2)
 
 
+@in_one_thread()
 def pose_on_map(
     found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera, settings: SkinSettings
 ) -> HeadPose:

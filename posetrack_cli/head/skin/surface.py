@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.interpolate import RBFInterpolator
-from scipy.spatial import cKDTree
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MOUTH
@@ -81,12 +79,16 @@ class Surface:
         found = cv2.goodFeaturesToTrack(crop, count, QUALITY, distance_px, mask=mask, blockSize=BLOCK)
         if found is None:
             return []
+        from scipy.spatial import cKDTree  # after the start, as a run of one pass never needs it
+
         _, nearest = cKDTree(places[inside]).query(found[:, 0])
         return [int(one) for one in inside[np.unique(nearest)]]
 
 
 def surface_of(shape: FloatArray) -> Surface:
     """Return the surface of a face with ten points (K, 3), mm in the head's frame."""
+    from scipy.interpolate import RBFInterpolator  # as above; it takes half a second
+
     size = (shape[3, 0] - shape[0, 0]) / (MEAN_SHAPE[3, 0] - MEAN_SHAPE[0, 0])
     known = np.vstack([shape, size * ANCHORS])
     depth = RBFInterpolator(known[:, :2], known[:, 2], smoothing=SMOOTHING)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import composed, placed
+from posetrack_cli.opencv import in_one_thread
 from posetrack_cli.recording.calibration.boards import FEWEST_CORNERS
 from posetrack_cli.recording.calibration.views import CameraViews
 
@@ -113,18 +113,7 @@ def shared_views(first: CameraViews, second: CameraViews) -> list[tuple[FloatArr
     return shared
 
 
-@contextmanager
-def _in_one_thread() -> Iterator[None]:
-    """OpenCV's calibration adds up in the order its threads end: the last digits would differ by run."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
-
-
-@_in_one_thread()
+@in_one_thread()  # or the last digits would differ by run
 def _calibrate(views: CameraViews, distortion: str) -> Any:
     """Return OpenCV's RMS, matrix, coefficients, deviations of intrinsics and errors per view."""
     boards = [found for found in views.boards if found is not None]
@@ -142,7 +131,7 @@ def _calibrate(views: CameraViews, distortion: str) -> Any:
     return float(rms), matrix, coefficients.ravel(), deviations.ravel(), errors.ravel()
 
 
-@_in_one_thread()
+@in_one_thread()  # or the last digits would differ by run
 def _relative(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> FloatArray:
     """Return second_T_first (3, 4), mm, from shared views with intrinsics as they are."""
     shared = shared_views(views, others)
