@@ -100,7 +100,8 @@ def _of_told_size(
 
     A head twice as large and as far away looks the same, so skin says nothing of it.
     """
-    far, nearer = (np.linalg.norm([pose.position for pose in each], axis=1) for each in (told, poses))
+    away = [np.linalg.norm([pose.position for pose in each], axis=1) for each in (told, poses)]
+    far, nearer = np.maximum(away, 1.0)  # mm; a file may say that a head is at the camera
     factor = float(np.exp(np.median(np.log(far / nearer))))
     return [HeadPose(factor * pose.position, pose.quaternion) for pose in poses], factor * points
 
